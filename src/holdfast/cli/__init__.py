@@ -1,0 +1,65 @@
+"""The `holdfast` command. Subcommands are imported when they are called, so that `--help` answers at once."""
+
+import sys
+from importlib import import_module
+
+import click
+
+from holdfast import __version__
+from holdfast.errors import HoldfastError
+
+# name -> (module, one-line help); the module has a click command of that name
+COMMANDS = {
+    "replay": ("holdfast.cli.replay", "Estimate the trajectory of a recording."),
+    "info": ("holdfast.cli.info", "List what a recording holds and what is wrong with its clocks."),
+    "config": ("holdfast.cli.config", "Start, check and describe configuration files."),
+    "evaluate": ("holdfast.cli.evaluate", "Judge a trajectory against a reference."),
+    "demo": ("holdfast.cli.demo", "Estimate 3.7 km of real driving; needs no download."),
+    "bench": ("holdfast.cli.bench", "Measure speed on this machine."),
+}
+
+
+class LazyGroup(click.Group):
+    """A click group whose commands are imported only when they run."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+        """Return the commands in the order in which a newcomer meets them."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        """Import the module of one command and return the command."""
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = getattr(import_module(COMMANDS[cmd_name][0]), cmd_name)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        """Print the table of commands without importing any of them."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="holdfast")
+def holdfast() -> None:
+    """Tell a construction machine where it is: IMU, RTK-GNSS and lidar odometry fused in factor graphs."""
+
+
+def main() -> None:
+    """Run the command line; a mistake of the user ends in one line and an exit code, not in a traceback."""
+    try:
+        holdfast(standalone_mode=False)
+    except click.exceptions.Exit as error:
+        sys.exit(error.exit_code)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(2)
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("interrupted", err=True)
+        sys.exit(130)
+    except HoldfastError as error:
+        click.echo(f"error: {error}", err=True)
+        sys.exit(error.exit_code)
+    except BrokenPipeError:
+        sys.stderr.close()
+        sys.exit(0)

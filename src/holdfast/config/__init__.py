@@ -1,0 +1,1 @@
+"""The configuration: what may stand in the YAML file (`model`), and how the file is read (`load`)."""

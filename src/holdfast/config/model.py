@@ -1,0 +1,283 @@
+"""Every section of the configuration, its defaults and its bounds.
+
+A field's name carries its unit; noise densities carry the Kalibr names, their units stand in `json_schema_extra`.
+Unknown keys are refused. Defaults come from physics and datasheets and serve every machine.
+"""
+
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from holdfast.messages import Array
+
+
+def quantity(unit: str, default: Any = ..., *, doc: str, **bounds: float) -> Any:
+    """A field with a unit: `quantity("m/s^2", 3.0, gt=0, doc="...")`."""
+    return Field(default, description=doc, json_schema_extra={"unit": unit}, **bounds)  # type: ignore[call-overload]
+
+
+Vector3 = Annotated[tuple[float, float, float], Field(description="x, y, z")]
+Topic = Annotated[str, Field(min_length=1, description="topic in the recording, or the CSV file's stem")]
+
+
+class Section(BaseModel):
+    """Base of all sections: immutable, unknown keys and NaN refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class RobustLoss(Section):
+    """Loss that takes weight from outliers; `threshold` is in standard deviations."""
+
+    kind: Literal["none", "huber", "tukey", "cauchy"] = "none"
+    threshold: float = quantity("sigma", 1.345, gt=0, doc="where the loss departs from the square")
+
+
+class ImuConfig(Section):
+    """An inertial measurement unit; densities as in Kalibr's imu.yaml (continuous time)."""
+
+    topic: Topic
+    frame: str = Field("imu", description="name of the IMU's frame in `extrinsics`")
+    time_offset_s: float = quantity("s", 0.0, ge=-10, le=10, doc="added to every stamp of this sensor")
+    accelerometer_noise_density: float = quantity("m/s^2/sqrt(Hz)", 2e-3, gt=0, le=1, doc="white noise")
+    gyroscope_noise_density: float = quantity("rad/s/sqrt(Hz)", 2e-4, gt=0, le=1, doc="white noise")
+    accelerometer_random_walk: float = quantity("m/s^3/sqrt(Hz)", 1e-4, gt=0, le=1, doc="drift of the bias")
+    gyroscope_random_walk: float = quantity("rad/s^2/sqrt(Hz)", 1e-5, gt=0, le=1, doc="drift of the bias")
+    accelerometer_bias_sigma: float = quantity("m/s^2", 0.1, gt=0, le=5, doc="bias at power-on, from the datasheet")
+    gyroscope_bias_sigma: float = quantity("rad/s", 0.01, gt=0, le=1, doc="bias at power-on, from the datasheet")
+    accelerometer_range: float = quantity("m/s^2", 160.0, gt=10, doc="samples beyond are refused")
+    gyroscope_range: float = quantity("rad/s", 35.0, gt=0.1, doc="samples beyond are refused")
+    max_gap_s: float = quantity("s", 0.05, gt=0, le=1, doc="longer silence (or 2.5 periods, if more) is a drop-out")
+
+
+class GnssConfig(Section):
+    """One GNSS antenna."""
+
+    topic: Topic
+    frame: str = Field("gnss", description="name of the antenna's frame in `extrinsics`")
+    time_offset_s: float = quantity("s", 0.0, ge=-10, le=10, doc="added to every stamp of this sensor")
+    min_status: Literal["fix", "sbas", "gbas"] = Field("fix", description="worst NavSatFix status that is used")
+    max_sigma_m: float = quantity("m", 1.0, gt=0, doc="fixes with a larger horizontal sigma are refused")
+    default_sigma_m: Vector3 | None = Field(
+        None,
+        description="east, north, up [m] where the receiver reports no covariance; without it such fixes are refused",
+    )
+    min_sigma_m: float = quantity("m", 0.005, gt=0, doc="floor under the receiver's claim, per axis")
+    robust_loss: RobustLoss = RobustLoss(kind="huber", threshold=2.5)
+
+
+class LidarConfig(Section):
+    """Odometry of a lidar, made by another program.
+
+    The noise of a relative pose grows from a constant part (registration) with the distance and time between the two.
+    """
+
+    topic: Topic
+    frame: str = Field("lidar", description="name of the lidar's frame in `extrinsics`")
+    time_offset_s: float = quantity("s", 0.0, ge=-10, le=10, doc="added to every stamp of this sensor")
+    translation_sigma_m: float = quantity("m", 0.02, gt=0, doc="noise of one pose, per axis")
+    rotation_sigma_rad: float = quantity("rad", 0.002, gt=0, doc="noise of one pose, per axis")
+    drift_ratio: float = quantity("1", 0.005, ge=0, le=0.5, doc="growth of the error with the distance driven")
+    robust_loss: RobustLoss = RobustLoss(kind="huber", threshold=2.5)
+
+
+class HeadingConfig(Section):
+    """Heading of a dual-antenna receiver or a compass."""
+
+    topic: Topic
+    time_offset_s: float = quantity("s", 0.0, ge=-10, le=10, doc="added to every stamp of this sensor")
+    mounting_yaw_deg: float = quantity("deg", 0.0, ge=-360, le=360, doc="yaw of the measured axis in the IMU frame")
+    default_sigma_deg: float = quantity("deg", 1.0, gt=0, le=180, doc="where the sensor reports no covariance")
+
+
+class JointConfig(Section):
+    """Encoder of the cabin's turn joint."""
+
+    topic: Topic
+    joint_name: str | None = Field(None, description="name in JointState; needed if the message has several joints")
+    time_offset_s: float = quantity("s", 0.0, ge=-10, le=10, doc="added to every stamp of this sensor")
+
+
+class SensorsConfig(Section):
+    """The sensors of the machine."""
+
+    imu: ImuConfig
+    gnss: GnssConfig | None = Field(None, description="the only, or the left, antenna")
+    gnss_right: GnssConfig | None = Field(None, description="the right antenna")
+    lidar: LidarConfig | None = None
+    heading: HeadingConfig | None = None
+    joint: JointConfig | None = None
+
+
+class Extrinsic(Section):
+    """T_parent_child: the pose of the child frame in the parent frame. Give one form of rotation, or none."""
+
+    parent: str
+    child: str
+    translation_m: Vector3 = (0.0, 0.0, 0.0)
+    rotation_quaternion_xyzw: tuple[float, float, float, float] | None = None
+    rotation_matrix: tuple[Vector3, Vector3, Vector3] | None = Field(None, description="rows of R_parent_child")
+    rotation_rpy_deg: Vector3 | None = Field(None, description="fixed-axis roll, pitch, yaw as in URDF [deg]")
+
+    @model_validator(mode="after")
+    def _check_rotation(self) -> Self:
+        forms = (self.rotation_quaternion_xyzw, self.rotation_matrix, self.rotation_rpy_deg)
+        if sum(form is not None for form in forms) > 1:
+            raise ValueError("give only one of rotation_quaternion_xyzw, rotation_matrix, rotation_rpy_deg")
+        if self.rotation_quaternion_xyzw is not None:
+            norm = float(np.linalg.norm(self.rotation_quaternion_xyzw))
+            if abs(norm - 1.0) > 1e-3:
+                raise ValueError(f"rotation_quaternion_xyzw has norm {norm:.6g}: must be 1 (order is x, y, z, w)")
+        if self.rotation_matrix is not None:
+            R = np.array(self.rotation_matrix)
+            if not np.allclose(R @ R.T, np.eye(3), atol=1e-4) or np.linalg.det(R) < 0:
+                raise ValueError("rotation_matrix is not a rotation: rows must be orthonormal, determinant +1")
+        return self
+
+    def matrix(self) -> Array:
+        """Return T_parent_child as a (4, 4) homogeneous matrix [m]; the rotation is projected onto SO(3)."""
+        R = np.eye(3)
+        if self.rotation_matrix is not None:
+            R = np.array(self.rotation_matrix)
+        elif self.rotation_quaternion_xyzw is not None:
+            x, y, z, w = np.array(self.rotation_quaternion_xyzw) / np.linalg.norm(self.rotation_quaternion_xyzw)
+            R = np.array(
+                [
+                    [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                    [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                    [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+                ]
+            )
+        elif self.rotation_rpy_deg is not None:
+            rpy = np.radians(self.rotation_rpy_deg)
+            (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+            R = np.array(
+                [
+                    [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+                    [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+                    [-sp, cp * sr, cp * cr],
+                ]
+            )
+        U, _, Vt = np.linalg.svd(R)
+        T = np.eye(4)
+        T[:3, :3] = U @ Vt
+        T[:3, 3] = self.translation_m
+        return T
+
+
+class Datum(Section):
+    """Origin of the world frame W (east, north, up) on the WGS84 ellipsoid."""
+
+    latitude_deg: float = quantity("deg", ge=-90, le=90, doc="geodetic latitude")
+    longitude_deg: float = quantity("deg", ge=-180, le=360, doc="longitude")
+    altitude_m: float = quantity("m", ge=-1000, le=20000, doc="height above the ellipsoid, not above sea level")
+
+
+class InitialisationConfig(Section):
+    """How the estimator comes up."""
+
+    heading_deg: float | None = quantity(
+        "deg", None, ge=-360, le=360, doc="yaw of the IMU's x axis at the start: 0 is east, counter-clockwise"
+    )
+    heading_sigma_deg: float = quantity("deg", 2.0, gt=0, le=180, doc="trust in heading_deg")
+    standstill_s: float = quantity("s", 1.0, gt=0.1, le=60, doc="standstill that is averaged")
+    max_heading_sigma_deg: float = quantity(
+        "deg", 5.0, gt=0, le=45, doc="starting in motion: heading must be this sure"
+    )
+    window_s: float = quantity("s", 30.0, gt=1, le=300, doc="starting in motion: the longest stretch that is used")
+
+
+class StandstillConfig(Section):
+    """Zero-velocity updates."""
+
+    enabled: bool = True
+    window_s: float = quantity("s", 0.5, gt=0.1, le=10, doc="quiet for this long is standstill")
+    max_angular_rate_rad_s: float = quantity("rad/s", 0.01, gt=0, doc="spread of the gyroscope that counts as quiet")
+    max_acceleration: float = quantity("m/s^2", 0.15, gt=0, doc="spread of the accelerometer that counts as quiet")
+    max_speed_m_s: float = quantity("m/s", 0.15, gt=0, doc="estimated speed above which quiet is not standstill")
+    velocity_sigma_m_s: float = quantity("m/s", 0.01, gt=0, doc="noise of the zero-velocity update")
+
+
+class MotionModelConfig(Section):
+    """Constant twist, used only where the IMU is silent: how far a machine departs from it, as white noise."""
+
+    acceleration_density: float = quantity("m/s^2/sqrt(Hz)", 1.5, gt=0, doc="acceleration of the machine")
+    angular_rate_density: float = quantity("rad/s/sqrt(Hz)", 0.2, gt=0, doc="turning of the machine")
+
+
+class GraphConfig(Section):
+    """The fixed-lag smoother."""
+
+    nodes: Literal["measurement", "imu"] = Field(
+        "measurement", description="a node where measurements are, or (the paper) at every IMU sample"
+    )
+    lag_s: float = quantity("s", 5.0, gt=0.5, le=60, doc="length of the sliding window; later measurements are dropped")
+    relinearize_threshold: float = quantity(
+        "1", 1e-3, gt=0, le=1, doc="iSAM2 relinearises beyond this change of a state"
+    )
+    position_integration_sigma: float = quantity(
+        "m/sqrt(s)", 1e-4, gt=0, le=1, doc="what linear interpolation between IMU samples leaves"
+    )
+
+
+class FramesConfig(Section):
+    """Names of the published frames (REP-105) and the datum."""
+
+    world: str = "map"
+    odometry: str = "odom"
+    datum: Datum | None = Field(None, description="without it the first accepted fix is the datum")
+    gravity: float | None = quantity("m/s^2", None, gt=9.7, lt=9.9, doc="without it WGS84 gravity at the datum")
+
+
+class Config(Section):
+    """The whole configuration."""
+
+    sensors: SensorsConfig
+    extrinsics: tuple[Extrinsic, ...] = ()
+    frames: FramesConfig = FramesConfig()
+    initialisation: InitialisationConfig = InitialisationConfig()
+    graph: GraphConfig = GraphConfig()
+    standstill: StandstillConfig = StandstillConfig()
+    motion_model: MotionModelConfig = MotionModelConfig()
+
+    @model_validator(mode="after")
+    def _check_extrinsics(self) -> Self:
+        children = [extrinsic.child for extrinsic in self.extrinsics]
+        twice = {child for child in children if children.count(child) > 1}
+        if twice:
+            raise ValueError(f"extrinsics: frame {sorted(twice)[0]!r} has two parents")
+        for name in ("gnss", "gnss_right", "lidar"):
+            sensor = getattr(self.sensors, name)
+            if sensor is not None:
+                self.T_I(sensor.frame)
+        return self
+
+    def T_I(self, frame: str) -> Array:
+        """Return T_I_frame, the pose of a frame in the IMU's frame, as a (4, 4) matrix [m].
+
+        Raises:
+            ValueError: no chain of `extrinsics` joins the two frames.
+        """
+        edges: dict[str, list[tuple[str, Array]]] = {}
+        for extrinsic in self.extrinsics:
+            T = extrinsic.matrix()
+            edges.setdefault(extrinsic.parent, []).append((extrinsic.child, T))
+            inverse: Array = np.asarray(np.linalg.inv(T), dtype=np.float64)
+            edges.setdefault(extrinsic.child, []).append((extrinsic.parent, inverse))
+        reached = {self.sensors.imu.frame: np.eye(4)}
+        frontier = [self.sensors.imu.frame]
+        while frontier:
+            at = frontier.pop()
+            for neighbour, T in edges.get(at, []):
+                if neighbour not in reached:
+                    reached[neighbour] = reached[at] @ T
+                    frontier.append(neighbour)
+        if frame not in reached:
+            known = (
+                ", ".join(sorted({e.parent for e in self.extrinsics} | {e.child for e in self.extrinsics})) or "none"
+            )
+            raise ValueError(
+                f"extrinsics: no transforms lead from {self.sensors.imu.frame!r} to {frame!r} (frames given: {known})"
+            )
+        return reached[frame]

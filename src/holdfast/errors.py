@@ -1,0 +1,28 @@
+"""Every exception that Holdfast raises on purpose.
+
+A rejected or late measurement is no error: it is a counted, typed outcome (see `holdfast.state.Event`).
+"""
+
+
+class HoldfastError(Exception):
+    """Base of all errors; its text is one line that says what, where and what is allowed."""
+
+    exit_code = 1
+
+
+class ConfigError(HoldfastError):
+    """The configuration or the command line asks for something that is not allowed."""
+
+    exit_code = 2
+
+
+class RecordingError(HoldfastError):
+    """A recording cannot be read: the text names the file and, where known, the topic and the stamp."""
+
+    exit_code = 3
+
+
+class EstimatorError(HoldfastError):
+    """The estimator cannot do its work on this data, for example because it never initialised."""
+
+    exit_code = 4
