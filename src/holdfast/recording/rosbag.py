@@ -1,0 +1,224 @@
+"""ROS 1 and ROS 2 bags: one file or several, whole or cut off, read as one recording."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path, PurePath
+from types import TracebackType
+from typing import Any, Self
+
+from holdfast.errors import RecordingError
+from holdfast.messages import Message
+from holdfast.recording.bag_file import BagFile, Channel, Codec, IndexedBagFile
+from holdfast.recording.cut_mcap import StreamedMcap
+from holdfast.recording.decode import Decoder, default_decoder, make_decoder
+from holdfast.recording.merge import SkippedMessages, merge_by_arrival
+from holdfast.recording.source import Header, Subscription, TopicInfo, arrival_window, find_topic
+
+
+@dataclass(slots=True)
+class Route:
+    """What happens to the messages of one channel."""
+
+    topic: str
+    publisher: str
+    codec: Codec | None
+    decoders: list[Decoder] = field(default_factory=list)
+
+
+Routes = dict[int, Route]
+Routed = tuple[int, Route, bytes]
+
+
+def open_files(path: Path, files: Sequence[Path]) -> "RosbagRecording":
+    """Open a bag; without `files` the folder's metadata.yaml names them.
+
+    Raises:
+        RecordingError: a file cannot be read, or there is no message in any.
+    """
+    warnings: list[str] = []
+    if not files:
+        files = _files_of_metadata(path, warnings)
+    opened: list[BagFile] = []
+    try:
+        for file in files:
+            opened.append(_open_file(file))  # noqa: PERF401 (what was opened must be closed if the next one fails)
+        recording = RosbagRecording(path, opened, warnings)
+        if not any(info.count for info in recording.topics):
+            raise RecordingError(f"{path}: the bag holds no messages")
+    except BaseException:
+        for bag in opened:
+            bag.close()
+        raise
+    return recording
+
+
+def _files_of_metadata(folder: Path, warnings: list[str]) -> list[Path]:
+    """Return the files of a ROS 2 bag folder, or the folder itself if they are compressed as a whole.
+
+    A folder whose metadata.yaml was lost in a crash is read by the files that lie in it.
+    """
+    from ruamel.yaml import YAML
+
+    try:
+        text = (folder / "metadata.yaml").read_text(encoding="utf-8")
+        metadata: Any = YAML(typ="safe", pure=True).load(text)["rosbag2_bagfile_information"]
+        names = [PurePath(name).name for name in metadata["relative_file_paths"]]
+        mode = str(metadata.get("compression_mode", "") or "none").lower()
+    except Exception as error:  # any kind of damage to the file has the same consequence
+        files = sorted(file for file in folder.iterdir() if file.suffix in {".mcap", ".db3"} and file.stat().st_size)
+        if not files:
+            raise RecordingError(
+                f"{folder / 'metadata.yaml'}: is damaged ({type(error).__name__}), no bag beside it"
+            ) from None
+        warnings.append(
+            f"{folder / 'metadata.yaml'}: is damaged, so {', '.join(f.name for f in files)} is read without it"
+        )
+        return files
+    if mode in {"file", "message"}:
+        return [folder]
+    missing = [name for name in names if not (folder / name).exists()]
+    if missing or not names:
+        raise RecordingError(
+            f"{folder}: metadata.yaml names files that are missing: {', '.join(missing) or 'none given'}"
+        )
+    return [folder / name for name in names]
+
+
+def _open_file(path: Path) -> BagFile:
+    if path.suffix != ".mcap":
+        return IndexedBagFile(path)
+    try:
+        indexed = IndexedBagFile(path)
+    except RecordingError:
+        return StreamedMcap(path)
+    if indexed.indexed:
+        return indexed
+    indexed.close()
+    return StreamedMcap(path)
+
+
+class RosbagRecording:
+    """A bag as a recording; see `holdfast.recording.source.Recording` for the contract."""
+
+    def __init__(self, path: Path, files: Sequence[BagFile], warnings: list[str]) -> None:
+        self.path = path
+        self._files = [file for file in files if any(channel.count for channel in file.channels)]
+        self.warnings = [*warnings, *(warning for file in files for warning in file.warnings)]
+        self.topics = _list_topics([channel for file in files for channel in file.channels])
+        self.start_ns = min((file.start_ns for file in self._files), default=None)
+        self.end_ns = max((file.end_ns for file in self._files), default=None)
+        self._closers: list[Callable[[], None]] = [file.close for file in files]
+
+    def read(
+        self, subscriptions: Sequence[Subscription], start_s: float = 0.0, duration_s: float | None = None
+    ) -> Iterator[Message]:
+        """Yield the subscribed messages in order of arrival; see the contract."""
+        begin_ns, end_ns = arrival_window(self, start_s, duration_s)
+        for subscription in subscriptions:
+            find_topic(self, subscription.topic)
+        routes = [self._subscribed_routes(file, subscriptions) for file in self._files]
+        return self._decode(self._merge(routes, begin_ns, end_ns))
+
+    def read_headers(self, start_s: float = 0.0, duration_s: float | None = None) -> Iterator[Header]:
+        """Yield the headers of all messages in order of arrival; see the contract."""
+        begin_ns, end_ns = arrival_window(self, start_s, duration_s)
+        routes = [self._all_routes(file) for file in self._files]
+        return self._peek(self._merge(routes, begin_ns, end_ns))
+
+    def close(self) -> None:
+        """Close the files."""
+        for close in self._closers:
+            close()
+
+    def __enter__(self) -> Self:
+        """Return the recording itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the files."""
+        self.close()
+
+    def _subscribed_routes(self, file: BagFile, subscriptions: Sequence[Subscription]) -> Routes:
+        routes: Routes = {}
+        for channel in file.channels:
+            asked = [subscription for subscription in subscriptions if subscription.topic == channel.topic]
+            decoders = [make_decoder(subscription, channel.type, str(file.path)) for subscription in asked]
+            if decoders:
+                codec = Codec(channel, file.path, ros1=file.ros1)
+                routes[channel.number] = Route(channel.topic, channel.publisher, codec, decoders)
+        return routes
+
+    def _all_routes(self, file: BagFile) -> Routes:
+        routes: Routes = {}
+        for channel in file.channels:
+            decoder = default_decoder(channel.topic, channel.type)
+            try:
+                codec = Codec(channel, file.path, ros1=file.ros1)
+            except RecordingError:
+                codec = None
+            routes[channel.number] = Route(channel.topic, channel.publisher, codec, [decoder] if decoder else [])
+        return routes
+
+    def _merge(self, routes: Sequence[Routes], begin_ns: int | None, end_ns: int | None) -> Iterator[Routed]:
+        pairs = list(zip(self._files, routes, strict=True))
+        if len(pairs) == 1:
+            return _routed(*pairs[0], begin_ns, end_ns)
+        return merge_by_arrival(
+            [(file.start_ns, partial(_routed, file, routes_, begin_ns, end_ns)) for file, routes_ in pairs]
+        )
+
+    def _decode(self, messages: Iterator[Routed]) -> Iterator[Message]:
+        skipped = SkippedMessages()
+        try:
+            for arrival_ns, route, raw in messages:
+                assert route.codec is not None
+                decoded: list[Message] = []
+                try:
+                    message = route.codec.deserialize(raw)
+                    for decode in route.decoders:
+                        decoded.append(decode(message, arrival_ns))  # noqa: PERF401 (one bad decoder spares the others)
+                except RecordingError as error:
+                    raise RecordingError(f"{self.path}: {error} (at {arrival_ns} ns)") from None
+                except Exception as error:  # damaged bytes raise anything; one message must not end a replay
+                    skipped.add(route.topic, arrival_ns, error)
+                yield from decoded
+        finally:
+            self.warnings.extend(skipped.lines(str(self.path)))
+
+    def _peek(self, messages: Iterator[Routed]) -> Iterator[Header]:
+        skipped = SkippedMessages()
+        try:
+            for arrival_ns, route, raw in messages:
+                stamp_ns, frame_id, message = None, "", None
+                try:
+                    if route.codec is not None and route.codec.has_header:
+                        stamp_ns, frame_id = route.codec.peek(raw)
+                    if route.codec is not None and route.decoders:
+                        message = route.decoders[0](route.codec.deserialize(raw), arrival_ns)
+                except Exception as error:  # as above
+                    skipped.add(route.topic, arrival_ns, error)
+                yield Header(route.topic, stamp_ns, arrival_ns, route.publisher, frame_id, message)
+        finally:
+            self.warnings.extend(skipped.lines(str(self.path)))
+
+
+def _routed(file: BagFile, routes: Routes, begin_ns: int | None, end_ns: int | None) -> Iterator[Routed]:
+    if not routes:  # rosbags takes an empty selection for all channels
+        return
+    for arrival_ns, number, raw in file.messages(set(routes), begin_ns, end_ns):
+        yield arrival_ns, routes[number], raw
+
+
+def _list_topics(channels: Sequence[Channel]) -> tuple[TopicInfo, ...]:
+    by_topic: dict[str, list[Channel]] = {}
+    for channel in channels:
+        by_topic.setdefault(channel.topic, []).append(channel)
+    return tuple(
+        TopicInfo(
+            topic, " | ".join(sorted({channel.type for channel in group})), sum(channel.count for channel in group)
+        )
+        for topic, group in sorted(by_topic.items())
+    )

@@ -1,0 +1,205 @@
+"""The contract of a recording: topics in it, messages out of it in the order in which they arrived.
+
+`open_recording` chooses the reader by what lies at the path. Every reader is lazy: memory does not grow with the file.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from importlib import import_module
+from pathlib import Path
+from types import TracebackType
+from typing import Literal, Protocol, Self
+
+from holdfast.errors import RecordingError
+from holdfast.messages import Message
+
+Kind = Literal["imu", "gnss", "lidar", "heading", "joint"]
+
+NS_PER_S = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """One topic of a recording.
+
+    Attributes:
+        type: name of the message type as in ROS 2, such as `sensor_msgs/msg/Imu`; a CSV file has the type that its
+            columns stand for, and a topic that was recorded with several types has them joined by ` | `.
+        count: number of messages, or None where only reading the whole file would tell.
+    """
+
+    topic: str
+    type: str
+    count: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Subscription:
+    """Asks for one topic as measurements of one sensor.
+
+    Attributes:
+        sensor: name that the messages carry, as in the configuration.
+        kind: what the topic's messages are decoded to.
+        joint_name: which joint of a JointState; needed if the message has several.
+    """
+
+    topic: str
+    sensor: str
+    kind: Kind
+    joint_name: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What can be told of any message: when it was measured, when it arrived and from whom.
+
+    Attributes:
+        stamp_ns: the header's stamp, or None if the type has no header.
+        publisher: node name in ROS 1, number of the channel in ROS 2, name of the file in a CSV folder.
+        frame_id: empty if the type has no header.
+        message: the decoded measurement, or None if the type is none that Holdfast decodes or the message is damaged.
+    """
+
+    topic: str
+    stamp_ns: int | None
+    arrival_ns: int
+    publisher: str
+    frame_id: str
+    message: Message | None
+
+
+class Recording(Protocol):
+    """An open recording; a context manager that closes its files."""
+
+    @property
+    def path(self) -> Path:
+        """Return the path as the user gave it."""
+
+    @property
+    def topics(self) -> tuple[TopicInfo, ...]:
+        """Return the topics, sorted by name."""
+
+    @property
+    def start_ns(self) -> int | None:
+        """Return the arrival of the first message of any topic, or None if it is unknown."""
+
+    @property
+    def end_ns(self) -> int | None:
+        """Return the arrival of the last message of any topic, or None if only reading the whole file would tell."""
+
+    @property
+    def warnings(self) -> list[str]:
+        """Return what was wrong but not fatal, one line each; reading adds to it when it ends."""
+
+    def read(
+        self, subscriptions: Sequence[Subscription], start_s: float = 0.0, duration_s: float | None = None
+    ) -> Iterator[Message]:
+        """Yield the subscribed messages in order of arrival.
+
+        A message that cannot be decoded is skipped, counted and named in `warnings` when the iterator ends.
+
+        Args:
+            subscriptions: several may name the same topic.
+            start_s: skips what arrived earlier than this long after `start_ns`.
+            duration_s: stops this long after `start_s`.
+
+        Raises:
+            RecordingError: at the call if a topic is absent or of the wrong type; later if the file is damaged.
+        """
+
+    def read_headers(self, start_s: float = 0.0, duration_s: float | None = None) -> Iterator[Header]:
+        """Yield the header of every message of every topic in order of arrival; arguments and errors as in `read`."""
+
+    def close(self) -> None:
+        """Close the files."""
+
+    def __enter__(self) -> Self:
+        """Return the recording itself."""
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the files."""
+
+
+def open_recording(path: str | Path) -> Recording:
+    """Open whatever recording lies at a path.
+
+    A ROS 1 `.bag`, a ROS 2 `.mcap` or `.db3`, a folder of a ROS 2 bag with or without its metadata.yaml, a folder of
+    CSV files, or the name `kitti` for the drive that ships inside the gtsam wheel.
+
+    Raises:
+        RecordingError: there is nothing that can be read; one line says what was found and what is allowed.
+    """
+    path = Path(path)
+    if path.exists():
+        reader, files = _choose_folder_reader(path) if path.is_dir() else _choose_file_reader(path)
+    elif str(path) == "kitti":
+        reader, files = "kitti", []
+    else:
+        raise RecordingError(f"{path}: no such file or folder")
+    module = import_module(f"holdfast.recording.{reader}")
+    try:
+        recording: Recording = module.open_files(path, files)
+    except OSError as error:
+        raise RecordingError(f"{error.filename or path}: cannot be opened ({error.strerror or error})") from None
+    return recording
+
+
+def _choose_file_reader(path: Path) -> tuple[str, list[Path]]:
+    if path.stat().st_size == 0:
+        raise RecordingError(f"{path}: the file is empty")
+    if path.suffix not in {".bag", ".mcap", ".db3"}:
+        raise RecordingError(f"{path}: is not a recording (allowed: .bag, .mcap, .db3, or a folder)")
+    return "rosbag", [path]
+
+
+def _choose_folder_reader(path: Path) -> tuple[str, list[Path]]:
+    if (path / "metadata.yaml").exists():
+        return "rosbag", []
+    for suffix in (".mcap", ".db3", ".bag", ".csv"):
+        files = sorted(file for file in path.glob(f"*{suffix}") if file.stat().st_size > 0)
+        if files:
+            return "csv_folder" if suffix == ".csv" else "rosbag", files
+    found = sorted(file.name for file in path.iterdir())[:5]
+    raise RecordingError(
+        f"{path}: the folder holds no recording (found: {', '.join(found) or 'nothing'}; "
+        "allowed: metadata.yaml with its files, or non-empty .mcap, .db3, .bag or .csv files)"
+    )
+
+
+def find_topic(recording: Recording, topic: str) -> TopicInfo:
+    """Return one topic of a recording.
+
+    Raises:
+        RecordingError: it is absent; the line lists the topics that are there and guesses which one was meant.
+    """
+    topics = {info.topic: info for info in recording.topics}
+    if topic in topics:
+        return topics[topic]
+    close = get_close_matches(topic, topics, n=1)
+    guess = f"did you mean {close[0]!r}? " if close else ""
+    there = ", ".join(f"{info.topic} ({info.type})" for info in topics.values())
+    raise RecordingError(f"{recording.path}: has no topic {topic!r}; {guess}it has {there}")
+
+
+def arrival_window(recording: Recording, start_s: float, duration_s: float | None) -> tuple[int | None, int | None]:
+    """Return the first arrival that is wanted and the first that is not any more [ns]; None is without limit.
+
+    Raises:
+        RecordingError: the window is empty, or begins after the recording ends.
+    """
+    if not start_s >= 0:
+        raise RecordingError(f"{recording.path}: start is {start_s} s (allowed: 0 or more)")
+    if duration_s is not None and not duration_s > 0:
+        raise RecordingError(f"{recording.path}: duration is {duration_s} s (allowed: more than 0)")
+    first, last = recording.start_ns, recording.end_ns
+    if first is None or (start_s == 0 and duration_s is None):
+        return None, None
+    begin = first + round(start_s * NS_PER_S)
+    if last is not None and begin > last:
+        length_s = (last - first) / NS_PER_S
+        raise RecordingError(f"{recording.path}: start is {start_s} s but the recording lasts {length_s:.3f} s")
+    end = None if duration_s is None else begin + round(duration_s * NS_PER_S)
+    return begin, end

@@ -1,0 +1,112 @@
+"""Trajectories in the TUM format: `t x y z qx qy qz qw` per line, seconds and metres, `#` begins a comment."""
+
+from collections.abc import Sequence
+from decimal import Decimal, InvalidOperation
+from math import isfinite
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from holdfast.errors import RecordingError
+from holdfast.messages import Array
+from holdfast.state import Trajectory
+
+NORM_TOLERANCE = 0.01
+ROWS_PER_FLUSH = 64
+BUFFER_BYTES = 1 << 16  # more than ROWS_PER_FLUSH rows, so that only whole rows reach the file
+
+
+def read_tum(path: str | Path) -> Trajectory:
+    """Read a trajectory; stamps keep every digit because they never pass through float64.
+
+    Raises:
+        RecordingError: a line is malformed, the stamps do not increase or there is no pose; names file and line.
+    """
+    path = Path(path)
+    stamps: list[int] = []
+    rows: list[list[float]] = []
+    try:
+        stream = path.open(encoding="utf-8-sig", errors="replace")
+    except OSError as error:
+        raise RecordingError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    with stream:
+        for number, line in enumerate(stream, start=1):
+            cells = line.split()
+            if not cells or cells[0].startswith("#"):
+                continue
+            stamp_ns, row = _parse(cells, f"{path}:{number}")
+            if stamps and stamp_ns <= stamps[-1]:
+                raise RecordingError(f"{path}:{number}: stamp {cells[0]} is not later than the one before it")
+            stamps.append(stamp_ns)
+            rows.append(row)
+    if not rows:
+        raise RecordingError(f"{path}: holds no poses (allowed: lines of t x y z qx qy qz qw)")
+    values = np.array(rows)
+    quaternions = values[:, 3:] / np.linalg.norm(values[:, 3:], axis=1, keepdims=True)
+    return Trajectory(np.array(stamps, dtype=np.int64), values[:, :3], quaternions)
+
+
+def _parse(cells: list[str], place: str) -> tuple[int, list[float]]:
+    if len(cells) != 8:
+        raise RecordingError(f"{place}: has {len(cells)} columns (allowed: 8, t x y z qx qy qz qw)")
+    try:
+        stamp_ns = int(Decimal(cells[0]).scaleb(9).to_integral_value())
+        row = [float(cell) for cell in cells[1:]]
+    except (ValueError, InvalidOperation, OverflowError):
+        raise RecordingError(f"{place}: is not made of 8 numbers") from None
+    if not all(map(isfinite, row)) or abs(stamp_ns) >= 2**63:
+        raise RecordingError(f"{place}: has a number that is not finite or a stamp beyond 292 years")
+    norm = float(np.sqrt(np.square(row[3:]).sum()))
+    if abs(norm - 1.0) > NORM_TOLERANCE:
+        raise RecordingError(f"{place}: quaternion has norm {norm:.3g} (allowed: 1, in the order x y z w)")
+    return stamp_ns, row
+
+
+def write_tum(path: str | Path, trajectory: Trajectory) -> None:
+    """Write a trajectory with 9 decimals."""
+    with TumWriter(path) as writer:
+        for stamp_ns, position, quaternion in zip(
+            trajectory.stamps_ns.tolist(), trajectory.positions, trajectory.quaternions, strict=True
+        ):
+            writer.append(stamp_ns, position, quaternion)
+
+
+class TumWriter:
+    """Writes a trajectory pose by pose; a killed run keeps all but the last 64 rows, and no half row."""
+
+    def __init__(self, path: str | Path) -> None:
+        self._file = Path(path).open("wb", buffering=BUFFER_BYTES)  # noqa: SIM115 (closed by close)
+        self._rows = 0
+
+    def append(
+        self, stamp_ns: int, position: Array | Sequence[float], quaternion_xyzw: Array | Sequence[float]
+    ) -> None:
+        """Write one pose: position (3,) [m], quaternion (4,) x, y, z, w."""
+        x, y, z = position.tolist() if isinstance(position, np.ndarray) else position
+        qx, qy, qz, qw = quaternion_xyzw.tolist() if isinstance(quaternion_xyzw, np.ndarray) else quaternion_xyzw
+        sign = b""
+        if stamp_ns < 0:
+            sign, stamp_ns = b"-", -stamp_ns
+        self._file.write(
+            b"%b%d.%09d %.9f %.9f %.9f %.9f %.9f %.9f %.9f\n"
+            % (sign, stamp_ns // 1_000_000_000, stamp_ns % 1_000_000_000, x, y, z, qx, qy, qz, qw)
+        )
+        self._rows += 1
+        if self._rows % ROWS_PER_FLUSH == 0:
+            self._file.flush()
+
+    def close(self) -> None:
+        """Write what is left and close the file."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        """Return the writer."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the file."""
+        self.close()

@@ -1,0 +1,189 @@
+"""Decoders: what ROS means becomes what Holdfast means."""
+
+from math import atan2, cos, inf, nan, pi, sin
+
+import numpy as np
+import pytest
+from bags import HUMBLE, NOETIC, START_NS, fix, header, imu, joints, odometry, pose, quaternion
+from hypothesis import given
+from hypothesis import strategies as st
+
+from holdfast.errors import RecordingError
+from holdfast.messages import FixStatus
+from holdfast.recording.decode import DECODERS, UndecodableError, make_decoder
+from holdfast.recording.source import Subscription
+
+STORES = (NOETIC, HUMBLE)
+ANY_FLOAT = st.floats(allow_nan=True, allow_infinity=True)
+
+
+def decode(kind, message, joint_name=None, store=HUMBLE, arrival_ns=7):
+    """Send a message through its bytes and the decoder."""
+    name = message.__msgtype__
+    if store is NOETIC:
+        message = store.deserialize_ros1(store.serialize_ros1(message, name), name)
+    else:
+        message = store.deserialize_cdr(store.serialize_cdr(message, name), name)
+    return make_decoder(Subscription("/t", "sensor", kind, joint_name), name, "file")(message, arrival_ns)
+
+
+@pytest.mark.parametrize("store", STORES)
+@given(rate=st.tuples(ANY_FLOAT, ANY_FLOAT, ANY_FLOAT), force=st.tuples(ANY_FLOAT, ANY_FLOAT, ANY_FLOAT))
+def test_imu_passes_every_float_on_unchanged(store, rate, force) -> None:
+    sample = decode("imu", imu(store, START_NS + 123, rate, force), store=store)
+    np.testing.assert_array_equal(sample.angular_velocity, rate)
+    np.testing.assert_array_equal(sample.specific_force, force)
+    assert (sample.stamp_ns, sample.arrival_ns, sample.sensor) == (START_NS + 123, 7, "sensor")
+
+
+@given(stamp_ns=st.integers(0, 2**31 * 10**9 - 1))
+def test_stamps_are_exact(stamp_ns) -> None:
+    assert decode("imu", imu(HUMBLE, stamp_ns)).stamp_ns == stamp_ns
+
+
+@given(status=st.integers(-128, 127))
+def test_every_status_is_mapped_and_what_is_unknown_is_unknown(status) -> None:
+    expected = FixStatus(status) if -2 <= status <= 2 else FixStatus.UNKNOWN
+    assert decode("gnss", fix(HUMBLE, START_NS, status=status)).status is expected
+
+
+@given(position=st.tuples(ANY_FLOAT, ANY_FLOAT, ANY_FLOAT), cov=st.lists(ANY_FLOAT, min_size=9, max_size=9))
+def test_gnss_never_fails_and_its_covariance_is_finite_or_none(position, cov) -> None:
+    message = decode("gnss", fix(HUMBLE, START_NS, position=position, cov=cov))
+    np.testing.assert_array_equal((message.latitude_deg, message.longitude_deg, message.altitude_m), position)
+    known = np.isfinite(cov).all() and np.any(cov[::4]) and min(cov[::4]) >= 0
+    assert (message.covariance is not None) == known
+    if known:
+        np.testing.assert_array_equal(message.covariance.ravel(), cov)
+
+
+@pytest.mark.parametrize(
+    ("cov", "cov_type"),
+    [(np.eye(3).ravel(), 0), (np.zeros(9), 2), ([nan] * 9, 3), ([-1.0] + [0.0] * 8, 2)],
+    ids=["type unknown", "zeros", "nan", "REP-145"],
+)
+def test_gnss_covariance_that_means_nothing_is_none(cov, cov_type) -> None:
+    assert decode("gnss", fix(HUMBLE, START_NS, cov=cov, cov_type=cov_type)).covariance is None
+
+
+def test_gnss_covariance_is_a_writable_matrix_of_its_own() -> None:
+    covariance = decode("gnss", fix(HUMBLE, START_NS)).covariance
+    assert covariance.diagonal().tolist() == [0.01, 0.02, 0.03]
+    covariance[0, 0] = 1.0
+
+
+@pytest.mark.parametrize("store", STORES)
+def test_odometry_covariance_is_permuted_to_rotation_first(store) -> None:
+    ros = np.arange(36.0).reshape(6, 6) + 1
+    ros = ros + ros.T
+    gtsam = decode("lidar", odometry(store, START_NS, cov=ros.ravel()), store=store).covariance
+    np.testing.assert_array_equal(gtsam[:3, :3], ros[3:, 3:])
+    np.testing.assert_array_equal(gtsam[3:, 3:], ros[:3, :3])
+    np.testing.assert_array_equal(gtsam[:3, 3:], ros[3:, :3])
+    np.testing.assert_array_equal(gtsam[3:, :3], ros[:3, 3:])
+
+
+def test_a_covariance_of_zeros_is_unknown() -> None:
+    assert decode("lidar", odometry(HUMBLE, START_NS)).covariance is None
+
+
+def test_poses_of_all_three_types_decode_alike() -> None:
+    half = 0.5**0.5
+    types = HUMBLE.types
+    ros = pose(HUMBLE, xyzw=(0.0, 0.0, half, half))
+    stamped = types["geometry_msgs/msg/PoseStamped"](header(HUMBLE, START_NS), ros)
+    with_covariance = types["geometry_msgs/msg/PoseWithCovarianceStamped"](
+        header(HUMBLE, START_NS), types["geometry_msgs/msg/PoseWithCovariance"](ros, np.zeros(36))
+    )
+    for message in (stamped, with_covariance, odometry(HUMBLE, START_NS, xyzw=(0.0, 0.0, half, half))):
+        decoded = decode("lidar", message)
+        assert decoded.position.tolist() == [1.0, 2.0, 3.0]
+        np.testing.assert_allclose(decoded.quaternion, [0, 0, half, half], atol=1e-15)
+        assert decoded.covariance is None
+
+
+@given(xyzw=st.tuples(ANY_FLOAT, ANY_FLOAT, ANY_FLOAT, ANY_FLOAT), position=st.tuples(ANY_FLOAT, ANY_FLOAT, ANY_FLOAT))
+def test_a_lidar_pose_has_unit_norm_and_is_finite_or_it_is_refused(xyzw, position) -> None:
+    try:
+        decoded = decode("lidar", odometry(HUMBLE, START_NS, xyzw=xyzw, position=position))
+    except UndecodableError:
+        return
+    assert abs(np.linalg.norm(decoded.quaternion) - 1) < 1e-12
+    assert np.isfinite(decoded.position).all()
+
+
+@given(scale=st.floats(0.9901, 1.0099), yaw=st.floats(-pi, pi))
+def test_a_quaternion_rounded_by_its_sender_is_normalised(scale, yaw) -> None:
+    xyzw = (0.0, 0.0, scale * sin(yaw / 2), scale * cos(yaw / 2))
+    quaternion = decode("lidar", odometry(HUMBLE, START_NS, xyzw=xyzw)).quaternion
+    np.testing.assert_allclose(quaternion, (0, 0, sin(yaw / 2), cos(yaw / 2)), atol=1e-12)
+
+
+@pytest.mark.parametrize("xyzw", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.02), (nan, 0.0, 0.0, 1.0), (inf, 0, 0, 0)])
+def test_a_quaternion_far_from_unit_norm_is_refused(xyzw) -> None:
+    with pytest.raises(UndecodableError, match="norm"):
+        decode("lidar", odometry(HUMBLE, START_NS, xyzw=xyzw))
+
+
+@given(yaw=st.floats(-3.1, 3.1), pitch=st.floats(-1.5, 1.5), roll=st.floats(-3.1, 3.1))
+def test_heading_is_the_yaw_of_the_x_axis_whatever_roll_and_pitch(yaw, pitch, roll) -> None:
+    (cr, cp, cy), (sr, sp, sy) = np.cos([roll / 2, pitch / 2, yaw / 2]), np.sin([roll / 2, pitch / 2, yaw / 2])
+    xyzw = (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+    stamped = HUMBLE.types["geometry_msgs/msg/QuaternionStamped"](header(HUMBLE, START_NS), quaternion(HUMBLE, xyzw))
+    for message in (stamped, imu(HUMBLE, START_NS, xyzw=xyzw)):
+        error = decode("heading", message).yaw_rad - yaw
+        assert abs(atan2(sin(error), cos(error))) < 1e-9
+
+
+def test_heading_sigma_comes_from_the_yaw_variance_and_zero_is_unknown() -> None:
+    known = imu(HUMBLE, START_NS, orientation_cov=[1, 0, 0, 0, 1, 0, 0, 0, 0.0004])
+    assert decode("heading", known).sigma_rad == pytest.approx(0.02)
+    for variance in (0.0, nan, inf, -1.0):
+        unknown = imu(HUMBLE, START_NS, orientation_cov=[0, 0, 0, 0, 0, 0, 0, 0, variance])
+        assert decode("heading", unknown).sigma_rad is None
+
+
+def test_an_imu_that_says_it_has_no_orientation_gives_no_heading() -> None:
+    with pytest.raises(UndecodableError, match="no orientation"):
+        decode("heading", imu(HUMBLE, START_NS, orientation_cov=[-1] + [0] * 8))
+
+
+def test_a_vertical_x_axis_has_no_heading() -> None:
+    half = 0.5**0.5
+    with pytest.raises(UndecodableError, match="vertical"):
+        decode("heading", imu(HUMBLE, START_NS, xyzw=(0.0, half, 0.0, half)))
+
+
+@pytest.mark.parametrize("store", STORES)
+def test_the_named_joint_is_taken(store) -> None:
+    message = joints(store, START_NS, ("boom", "turn", "bucket"), (1.0, 2.0, 3.0))
+    assert decode("joint", message, "turn", store).angle_rad == 2.0
+
+
+def test_a_single_joint_needs_no_name() -> None:
+    assert decode("joint", joints(HUMBLE, START_NS)).angle_rad == 0.5
+    assert decode("joint", joints(HUMBLE, START_NS, (), (0.25,))).angle_rad == 0.25
+
+
+def test_several_joints_need_a_name_and_the_error_lists_them() -> None:
+    with pytest.raises(RecordingError, match="/t: set joint_name to one of boom, turn"):
+        decode("joint", joints(HUMBLE, START_NS, ("boom", "turn"), (1.0, 2.0)))
+
+
+@pytest.mark.parametrize(("names", "positions"), [(("boom",), (1.0,)), (("turn",), ()), (("turn",), (nan,)), ((), ())])
+def test_a_message_without_the_joint_is_refused(names, positions) -> None:
+    with pytest.raises(UndecodableError):
+        decode("joint", joints(HUMBLE, START_NS, names, positions), "turn")
+
+
+def test_every_kind_refuses_types_of_other_kinds() -> None:
+    types = {name for allowed in DECODERS.values() for name in allowed} | {"std_msgs/msg/String"}
+    for kind, allowed in DECODERS.items():
+        for name in types - set(allowed):
+            with pytest.raises(RecordingError, match=f"file: topic '/t' is {name}, which is no {kind}"):
+                make_decoder(Subscription("/t", "s", kind), name, "file")
