@@ -5,7 +5,7 @@ A rejected or late measurement is no error: it is a counted, typed outcome (see 
 
 
 class HoldfastError(Exception):
-    """Base of all errors; its text is one line that says what, where and what is allowed."""
+    """Base of all errors; its text says what, where and what is allowed, in one line per fault."""
 
     exit_code = 1
 

@@ -63,22 +63,23 @@ class GnssConfig(Section):
         None,
         description="east, north, up [m] where the receiver reports no covariance; without it such fixes are refused",
     )
+    gate_sigma: float = quantity(
+        "sigma", 5.0, gt=2, le=100, doc="fixes further from the prediction than this many sigma of both are held back"
+    )
     min_sigma_m: float = quantity("m", 0.005, gt=0, doc="floor under the receiver's claim, per axis")
     robust_loss: RobustLoss = RobustLoss(kind="huber", threshold=2.5)
 
 
 class LidarConfig(Section):
-    """Odometry of a lidar, made by another program.
-
-    The noise of a relative pose grows from a constant part (registration) with the distance and time between the two.
-    """
+    """Odometry of a lidar, made by another program; the noise is that of the motion between two scans."""
 
     topic: Topic
     frame: str = Field("lidar", description="name of the lidar's frame in `extrinsics`")
     time_offset_s: float = quantity("s", 0.0, ge=-10, le=10, doc="added to every stamp of this sensor")
-    translation_sigma_m: float = quantity("m", 0.02, gt=0, doc="noise of one pose, per axis")
-    rotation_sigma_rad: float = quantity("rad", 0.002, gt=0, doc="noise of one pose, per axis")
-    drift_ratio: float = quantity("1", 0.005, ge=0, le=0.5, doc="growth of the error with the distance driven")
+    translation_sigma_m: float = quantity("m", 0.02, gt=0, doc="noise of the motion, per axis")
+    rotation_sigma_rad: float = quantity("rad", 0.002, gt=0, doc="noise of the turn, per axis")
+    drift_ratio: float = quantity("1", 0.005, ge=0, le=0.5, doc="further noise, per distance")
+    max_interval_s: float = quantity("s", 1.0, gt=0, le=10, doc="scans further apart are not joined")
     robust_loss: RobustLoss = RobustLoss(kind="huber", threshold=2.5)
 
 
@@ -192,10 +193,10 @@ class StandstillConfig(Section):
     """Zero-velocity updates."""
 
     enabled: bool = True
-    window_s: float = quantity("s", 0.5, gt=0.1, le=10, doc="quiet for this long is standstill")
+    window_s: float = quantity("s", 1.0, gt=0.1, le=10, doc="quiet for this long is standstill")
     max_angular_rate_rad_s: float = quantity("rad/s", 0.01, gt=0, doc="spread of the gyroscope that counts as quiet")
     max_acceleration: float = quantity("m/s^2", 0.15, gt=0, doc="spread of the accelerometer that counts as quiet")
-    max_speed_m_s: float = quantity("m/s", 0.15, gt=0, doc="estimated speed above which quiet is not standstill")
+    max_speed_m_s: float = quantity("m/s", 0.03, gt=0, doc="estimated speed, beyond 3 sigma, that is not standstill")
     velocity_sigma_m_s: float = quantity("m/s", 0.01, gt=0, doc="noise of the zero-velocity update")
 
 
@@ -213,9 +214,10 @@ class GraphConfig(Section):
         "measurement", description="a node where measurements are, or (the paper) at every IMU sample"
     )
     lag_s: float = quantity("s", 5.0, gt=0.5, le=60, doc="length of the sliding window; later measurements are dropped")
-    relinearize_threshold: float = quantity(
-        "1", 1e-3, gt=0, le=1, doc="iSAM2 relinearises beyond this change of a state"
+    relinearize_threshold_rad: float = quantity(
+        "rad", 5e-3, gt=0, le=0.5, doc="iSAM2 relinearises a node whose attitude moved by more"
     )
+    max_node_interval_s: float = quantity("s", 0.5, gt=0.01, le=5, doc="without measurements a node is made this often")
     position_integration_sigma: float = quantity(
         "m/sqrt(s)", 1e-4, gt=0, le=1, doc="what linear interpolation between IMU samples leaves"
     )

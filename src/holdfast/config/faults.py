@@ -1,0 +1,130 @@
+"""What pydantic found wrong, in plain words, at a line of the file."""
+
+import re
+from difflib import get_close_matches
+from typing import Any, get_args
+
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails
+
+from holdfast.config.document import Document, Fault, Path, path_text, value_text
+from holdfast.config.schema import ROOT, Place, place, type_text
+
+COMPARISONS = {
+    "greater_than": (">", "gt"),
+    "greater_than_equal": (">=", "ge"),
+    "less_than": ("<", "lt"),
+    "less_than_equal": ("<=", "le"),
+}
+
+
+def note_validation_error(document: Document, error: ValidationError) -> None:
+    """Add every fault that the validation found to the document's."""
+    for detail in error.errors(include_url=False, include_input=False):
+        path = _path_in_file(document, detail["loc"], detail["type"])
+        if not document.is_refused(path):
+            _note(document, path, detail)
+
+
+def _path_in_file(document: Document, location: Path, kind: str) -> Path:
+    """Return pydantic's location without the parts that are no place in the file (members of a union)."""
+    path: Path = ()
+    for part in location:
+        value = document.at(path)
+        if (isinstance(value, dict) and part in value) or (isinstance(value, list) and part in range(len(value))):
+            path = (*path, part)
+    return (*path, location[-1]) if kind == "missing" else path
+
+
+def _note(document: Document, path: Path, detail: ErrorDetails) -> None:
+    kind, context = detail["type"], detail.get("ctx", {})
+    at = place(path)
+    if kind == "missing" and isinstance(path[-1], int):  # a short tuple is reported entry by entry
+        kind, path, at = "too_short", path[:-1], place(path[:-1])
+    if kind == "missing":
+        document.fault(path, missing_text(at))
+    elif kind == "extra_forbidden":
+        document.fault(path, unknown_key_text(str(path[-1]), place(path[:-1]) or ROOT))
+    elif kind == "value_error":
+        _note_validator(document, path, str(context.get("error", detail["msg"])))
+    else:
+        value = document.written.get(path) or value_text(document.at(path))
+        text = _rule_text(kind, at, detail["msg"], context) + _hint(kind, at, document.at(path))
+        document.faults.append(Fault(document.line(path), f"{path_text(path)} = {value}", text))
+
+
+def missing_text(at: Place | None) -> str:
+    """Return what to say about a required key that is not there."""
+    if at is None:
+        return "missing"
+    about = f": {at.about}" if at.about else ""
+    unit = f" [{at.unit}]" if at.unit else ""
+    return f"missing, must be {_with_article(type_text(at.annotation))}{unit}{about}"
+
+
+def unknown_key_text(key: str, parent: Place) -> str:
+    """Return what to say about a key that the section does not have."""
+    allowed = [name for name, _ in parent.children()]
+    near = get_close_matches(key.lower(), allowed, n=1, cutoff=0.7)
+    if near:
+        return f"unknown key, did you mean {near[0]}?"
+    return f"unknown key, allowed are {', '.join(allowed)}"
+
+
+def _rule_text(kind: str, at: Place | None, message: str, context: dict[str, Any]) -> str:
+    """Return the rule that a value broke, with the unit where it has one."""
+    unit = f" [{at.unit}]" if at and at.unit else ""
+    if kind in COMPARISONS:
+        sign, name = COMPARISONS[kind]
+        return f"must be {sign} {context[name]:g}{unit}"
+    if kind == "finite_number":
+        return f"must be finite{unit}"
+    if kind == "literal_error" and at:
+        return f"must be one of {', '.join(map(str, get_args(at.annotation)))}"
+    if kind in ("too_short", "too_long") and at and at.length:
+        return f"must have {at.length} entries{unit}"
+    if kind == "string_too_short":
+        return "must not be empty"
+    if kind in ("model_type", "model_attributes_type"):
+        return "must be a section with `key: value` lines"
+    if kind.endswith("_type") and at:
+        return f"must be {_with_article(type_text(at.annotation))}{unit}"
+    return message[0].lower() + message[1:]
+
+
+def _hint(kind: str, at: Place | None, value: object) -> str:
+    """Return what to do about a frequent slip: a number in quotes, a number where text is meant."""
+    if kind == "float_type" and isinstance(value, str):
+        try:
+            float(value)
+        except ValueError:
+            return ""
+        return ": write it without quotes"
+    if kind == "string_type" and value is not None and not isinstance(value, dict | list):
+        return ": put it in quotes"
+    if kind == "bool_type" and at and str(value).lower() in ("on", "off", "yes", "no"):
+        return ": YAML 1.2 knows only true and false"
+    return ""
+
+
+def _with_article(words: str) -> str:
+    if words[0].isdigit():
+        return f"a list of {words}"
+    return words if words.startswith(("text", "true")) or " or " in words else f"a {words}"
+
+
+def _note_validator(document: Document, path: Path, message: str) -> None:
+    """Note what a validator of the model raised, one fault per line.
+
+    A line may begin with a path below the validator's section (`sensors.lidar.frame: ...`); else the first key of the
+    section that it mentions gives the place in the file.
+    """
+    for text in message.splitlines():
+        found = re.match(r"([\w.]+): ", text)
+        named: Path = (*path, *found[1].split(".")) if found else ()
+        if found and place(named) is not None:
+            document.fault(named, text[found.end() :])
+            continue
+        keys = document.at(path)
+        mentioned = next((word for word in re.findall(r"\w+", text) if isinstance(keys, dict) and word in keys), None)
+        document.fault(path, text, document.line((*path, mentioned) if mentioned else path))

@@ -1,0 +1,124 @@
+"""Reading the configuration: all faults at once, each with its line, its place and what would be right."""
+
+import json
+from collections.abc import Iterator
+from os import PathLike
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ValidationError
+
+from holdfast.config.document import Document, Path, raise_faults, read_document, value_text, yaml_text
+from holdfast.config.faults import note_validation_error
+from holdfast.config.model import Config
+from holdfast.config.schema import ROOT, Place, is_optional
+from holdfast.config.units import conversion
+from holdfast.errors import ConfigError
+
+
+def load_config(path: str | PathLike[str]) -> Config:
+    """Read a configuration file (YAML 1.2, UTF-8).
+
+    Raises:
+        ConfigError: it cannot be read, or holds mistakes; the text has one line per mistake.
+    """
+    try:
+        text = FilePath(path).read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start}): must be a YAML file") from None
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file (`holdfast config init RECORDING` starts one)") from None
+    except (OSError, ValueError) as error:  # a NUL in the path is a ValueError
+        reason = "is a folder" if isinstance(error, IsADirectoryError) else getattr(error, "strerror", None) or error
+        raise ConfigError(f"{path}: {reason}: must be a YAML file") from None
+    return parse_config(text, str(path))
+
+
+def parse_config(text: str, name: str = "config") -> Config:
+    """Read a configuration from YAML text; `name` stands for the file in the messages.
+
+    Raises:
+        ConfigError: the text holds mistakes, one line each.
+    """
+    document = read_document(text, name)
+    document.data = _prepare(document, ROOT, document.data, ())
+    config: Config | None = None
+    try:
+        # the JSON mode of pydantic's strict validation takes lists for tuples and integers for floats, and nothing else
+        with np.errstate(over="ignore", invalid="ignore"):  # matrices of 1e200 are refused, without noise on the screen
+            config = Config.model_validate_json(json.dumps(document.data), strict=True)
+    except ValidationError as error:
+        note_validation_error(document, error)
+    raise_faults(name, document.faults)
+    if config is None:
+        raise ConfigError(f"{name}:1 cannot be read")
+    return config
+
+
+def resolved_yaml(config: Config) -> str:
+    """Return the whole configuration as YAML, defaults included; reading it again gives an equal one."""
+    return "\n".join(_yaml_lines(config.model_dump(mode="json"))) + "\n"
+
+
+def _yaml_lines(section: dict[str, Any]) -> Iterator[str]:
+    """Yield a section in block style; lists of plain values stay on one line."""
+    for key, value in section.items():
+        if isinstance(value, dict) and value:
+            yield f"{key}:"
+            yield from (f"  {line}" for line in _yaml_lines(value))
+        elif isinstance(value, list) and value and all(isinstance(entry, dict) for entry in value):
+            yield f"{key}:"
+            for entry in value:
+                first, *rest = _yaml_lines(entry)
+                yield from (f"  - {first}", *(f"    {line}" for line in rest))
+        else:
+            yield f"{key}: {yaml_text(value)}"
+
+
+def _prepare(document: Document, at: Place, value: Any, path: Path) -> Any:
+    """Return the value with every `{value, unit}` in the field's unit, and bare section headings as empty sections."""
+    if at.section is not None:
+        if value is None and (at.field is None or not is_optional(at.field)):
+            value = {}  # a heading under which every line is commented out
+        if not isinstance(value, dict):
+            return value
+        known = ((key, entry, at.child(key)) for key, entry in (_defaults(at) | value).items())
+        return {key: _prepare(document, child, entry, (*path, key)) if child else entry for key, entry, child in known}
+    if isinstance(value, dict) and at.unit is not None:
+        return _converted(document, at.unit, value, path)
+    if isinstance(value, list):
+        children = [at.child(index) for index in range(len(value))]
+        return [
+            _prepare(document, child, entry, (*path, index)) if child else entry
+            for index, (child, entry) in enumerate(zip(children, value, strict=True))
+        ]
+    return value
+
+
+def _defaults(at: Place) -> dict[str, Any]:
+    """Return what a section that is given in part keeps: the field's default may differ from the section's own."""
+    default = at.field.get_default() if at.field else None
+    return default.model_dump(mode="json", exclude_unset=True) if isinstance(default, BaseModel) else {}
+
+
+def _converted(document: Document, target: str, given: dict[str, Any], path: Path) -> Any:
+    """Return the number, or the list of numbers, of `{value: 0.3, unit: deg/sqrt(h)}` in the field's unit."""
+    value, unit = given.get("value"), given.get("unit")
+    numbers: list[Any] = value if isinstance(value, list) else [value]
+    if set(given) != {"value", "unit"} or not isinstance(unit, str):
+        document.refuse(path, f"must be a number [{target}] or {{value: number, unit: {target}}}")
+        return None
+    if not all(isinstance(number, int | float) and not isinstance(number, bool) for number in numbers):
+        document.refuse((*path, "value"), f"must be a number [{unit}], not {value_text(value)}")
+        document.refused.add(path)
+        return None
+    try:
+        factor = conversion(unit, target)
+    except ValueError as error:
+        document.refuse((*path, "unit"), str(error))
+        document.refused.add(path)
+        return None
+    converted = [number * factor for number in numbers]
+    document.written[path] = f"{value_text(value)} {unit}"
+    return converted if isinstance(value, list) else converted[0]

@@ -1,0 +1,52 @@
+"""What is legal but rarely meant is said, and nothing is said of a usual machine."""
+
+import pytest
+
+from holdfast.config.load import parse_config
+from holdfast.config.review import SensorRow, sensor_rows, warnings
+
+SENSORS = "sensors:\n  imu: {{topic: /imu{imu}}}\n  gnss: {{topic: /gnss{gnss}}}\n"
+ARM = "extrinsics:\n  - {parent: imu, child: gnss, translation_m: [3, 0, 4]}\n"
+
+
+def found(imu: str = "", gnss: str = "", extrinsics: str = ARM) -> list[str]:
+    return warnings(parse_config(SENSORS.format(imu=imu, gnss=gnss) + extrinsics))
+
+
+def test_a_usual_machine_gets_no_warning_and_its_lever_arm() -> None:
+    assert found() == []
+    rows = sensor_rows(parse_config(SENSORS.format(imu="", gnss="") + ARM))
+    assert rows == [SensorRow("imu", "/imu", "imu", 0.0), SensorRow("gnss", "/gnss", "gnss", 5.0)]
+
+
+def test_a_lever_arm_of_exactly_zero_is_said_whether_given_or_by_the_imus_frame() -> None:
+    assert found(extrinsics=ARM.replace("[3, 0, 4]", "[0, 0, 0]")) == [
+        "sensors.gnss: the lever arm from 'imu' to 'gnss' is exactly zero: is it measured?"
+    ]
+    assert found(gnss=", frame: imu", extrinsics="") == [
+        "sensors.gnss: its frame is the IMU's ('imu'), so its lever arm is exactly zero"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("field", "low", "high"),
+    [("gyroscope_noise_density", 1e-6, 1e-2), ("accelerometer_noise_density", 1e-5, 1e-1)],
+)
+def test_noise_far_from_any_imu_is_said_with_its_unit(field: str, low: float, high: float) -> None:
+    assert found(imu=f", {field}: {low}") == found(imu=f", {field}: {high}") == []
+    for value in (low / 2, high * 2):
+        (warning,) = found(imu=f", {field}: {value}")
+        assert warning.startswith(f"sensors.imu.{field} = {value:g}: outside {low:g} to {high:g} [")
+        assert warning.endswith("/sqrt(Hz)], is the unit right?")
+
+
+def test_a_long_time_offset_of_any_sensor_is_said() -> None:
+    assert found(gnss=", time_offset_s: -0.5") == []
+    assert found(gnss=", time_offset_s: -0.6")[0].startswith("sensors.gnss.time_offset_s = -0.6: more than 0.5 s")
+
+
+def test_two_antennas_in_one_frame_are_said() -> None:
+    text = SENSORS.format(imu="", gnss="") + "  gnss_right: {topic: /g2}\n" + ARM
+    assert warnings(parse_config(text)) == [
+        "sensors.gnss_right: is in the same frame 'gnss' as sensors.gnss: are they one device?"
+    ]
