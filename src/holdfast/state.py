@@ -1,11 +1,104 @@
-"""What the estimator says: estimates, events, and trajectories made of stamped poses."""
+"""What the estimator says: estimates, optimised states, events, and trajectories made of stamped poses.
 
-from dataclasses import dataclass
+Covariances use GTSAM's tangent of `NavState`: rotation [rad], position [m], velocity [m/s], each expressed in the
+body frame I; biases follow in GTSAM's order, accelerometer [m/s^2] before gyroscope [rad/s].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from holdfast.messages import Array
+
+if TYPE_CHECKING:  # the judge and the recordings use this module without paying for the import
+    import gtsam
+
+
+class Outcome(StrEnum):
+    """What became of one measurement; every measurement is counted under exactly one."""
+
+    USED = "used"
+    NOT_FINITE = "not_finite"
+    OUT_OF_RANGE = "out_of_range"
+    DUPLICATE = "duplicate"
+    BACKWARD = "backward"
+    CLOCK_JUMP = "clock_jump"
+    LATE = "late"
+    INNOVATION = "innovation"
+    LOW_STATUS = "low_status"
+    NO_COVARIANCE = "no_covariance"
+    LARGE_COVARIANCE = "large_covariance"
+    BEFORE_START = "before_start"
+    NO_PREDECESSOR = "no_predecessor"
+    NOT_REACHED = "not_reached"
+
+
+class EventKind(StrEnum):
+    """What kind of thing happened."""
+
+    INITIALISED = "initialised"
+    WAITING = "waiting"
+    REJECTED = "rejected"
+    LATE = "late"
+    IMU_GAP = "imu_gap"
+    STANDSTILL = "standstill"
+    OPTIMISER_FAULT = "optimiser_fault"
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that a user may ask about later: when it happened, to which sensor, and why."""
+
+    stamp_ns: int
+    kind: EventKind
+    sensor: str
+    reason: str
+    data: Mapping[str, float | str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OptimisedState:
+    """The newest node of the graph after an optimisation.
+
+    Attributes:
+        nav: attitude R_W_I, position p_W_I [m] and velocity v_W [m/s].
+        bias: of the accelerometer [m/s^2] and the gyroscope [rad/s].
+        covariance: (15, 15) of nav and bias, in the order of this module's docstring.
+        angular_velocity: (3,) of I at the node [rad/s], bias removed.
+    """
+
+    stamp_ns: int
+    nav: gtsam.NavState
+    bias: gtsam.imuBias.ConstantBias
+    covariance: Array
+    angular_velocity: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """The state at one IMU sample: what is published.
+
+    Attributes:
+        nav: attitude R_W_I, position p_W_I [m] and velocity v_W [m/s].
+        T_W_O: pose of the odometry frame in the world; T_O_I = T_W_O^-1 * T_W_I never jumps.
+        covariance: (9, 9) of nav, in the order of this module's docstring.
+        angular_velocity: (3,) of I, bias removed [rad/s].
+        from_imu: False where the IMU was silent and a constant twist stood in for it.
+    """
+
+    stamp_ns: int
+    nav: gtsam.NavState
+    T_W_O: gtsam.Pose3
+    bias: gtsam.imuBias.ConstantBias
+    covariance: Array
+    angular_velocity: Array
+    from_imu: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,278 @@
+"""`holdfast evaluate`: judge a trajectory against a reference."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import click
+
+from holdfast.errors import ConfigError, RecordingError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from holdfast.evaluation.absolute import Statistics
+    from holdfast.evaluation.accuracy import Accuracy, Interval, Metrics
+    from holdfast.evaluation.alignment import AlignmentName
+    from holdfast.evaluation.association import Pairs
+
+_FILE = click.Path(path_type=Path, dir_okay=False)
+_STATISTICS = ("mean", "std", "rms", "median", "p95", "max", "count")
+_TABLE_WIDTH = 110  # a narrower terminal wraps lines, which loses less than cutting off digits
+_PIPE_WIDTH = 1000
+
+
+@click.command()
+@click.argument("estimate", type=_FILE)
+@click.argument("reference", type=_FILE)
+@click.option(
+    "--align",
+    "alignment",
+    type=click.Choice(["none", "yaw", "se3", "all"]),
+    default="none",
+    show_default=True,
+    help="Move the estimate onto the reference first: not at all, by yaw and translation, or rigidly.",
+)
+@click.option("--rpe-distance", multiple=True, type=float, default=[10.0], help="Relative error over metres [10].")
+@click.option("--rpe-time", multiple=True, type=float, default=[1.0], help="Relative error over seconds [1].")
+@click.option("--rpe-pairs", type=click.Choice(["all", "consecutive"]), default="all", show_default=True)
+@click.option("--kitti", is_flag=True, help="Add the segments of the KITTI odometry benchmark, 100 to 800 m.")
+@click.option("--interval", "intervals", multiple=True, metavar="NAME=START:END", help="Seconds into the reference.")
+@click.option("--intervals", "intervals_file", type=_FILE, help="YAML or JSON: `name: [start, end]` per line.")
+@click.option("--association", type=click.Choice(["interpolate", "nearest"]), default="interpolate", show_default=True)
+@click.option("--max-gap-s", type=float, default=0.5, show_default=True, help="Interpolate over no longer gap.")
+@click.option("--max-difference-s", type=float, default=0.01, show_default=True, help="For --association nearest.")
+@click.option("--reference-offset-s", type=float, default=0.0, help="Is added to the stamps of the reference.")
+@click.option(
+    "--reference-lever-arm",
+    nargs=3,
+    type=float,
+    default=(0.0, 0.0, 0.0),
+    metavar="X Y Z",
+    help="Where the reference's point is in the body frame of the estimate [m].",
+)
+@click.option("--position-only", is_flag=True, help="Do not use the reference's orientation.")
+@click.option("--json", "json_file", type=_FILE, help="Write every number to this file.")
+@click.option("--plot", "plot_file", type=_FILE, help="Draw tracks and errors: .png, .svg or .pdf.")
+def evaluate(
+    estimate: Path,
+    reference: Path,
+    alignment: str,
+    json_file: Path | None,
+    plot_file: Path | None,
+    **options: Any,
+) -> None:
+    """Judge the trajectory ESTIMATE against REFERENCE, two TUM files, over all and in named intervals."""
+    from holdfast.evaluation.association import associate
+    from holdfast.evaluation.plot import check_plot, plot_accuracy
+    from holdfast.recording.tum import read_tum
+
+    metrics = _metrics(**options)
+    if plot_file is not None:
+        check_plot(plot_file)
+    try:
+        pairs = associate(read_tum(estimate), read_tum(reference), metrics.association)
+        verdicts = _verdicts(pairs, alignment, metrics)
+    except RecordingError as error:
+        named = str(error) if str(estimate) in str(error) or str(reference) in str(error) else None
+        raise RecordingError(named or f"{estimate} against {reference}: {error}") from error
+    _print(verdicts, estimate, reference)
+    if json_file is not None:
+        _write_json(json_file, verdicts, estimate, reference, metrics)
+    if plot_file is not None:
+        first = verdicts[0]
+        plot_accuracy(first, plot_file, f"{estimate.name} against {reference.name}, alignment {first.alignment.name}")
+
+
+def _metrics(
+    *,
+    intervals: tuple[str, ...],
+    intervals_file: Path | None,
+    association: str,
+    max_gap_s: float,
+    max_difference_s: float,
+    reference_offset_s: float,
+    reference_lever_arm: tuple[float, float, float],
+    position_only: bool,
+    rpe_distance: tuple[float, ...],
+    rpe_time: tuple[float, ...],
+    rpe_pairs: str,
+    kitti: bool,
+) -> "Metrics":
+    from holdfast.evaluation.accuracy import Metrics
+    from holdfast.evaluation.association import Association
+
+    named = [_interval(text) for text in intervals]
+    if intervals_file is not None:
+        named += _intervals_of(intervals_file)
+    return Metrics(
+        rpe_distances_m=rpe_distance,
+        rpe_times_s=rpe_time,
+        rpe_pairing="all" if rpe_pairs == "all" else "consecutive",
+        kitti=kitti,
+        intervals=tuple(named),
+        association=Association(
+            method="nearest" if association == "nearest" else "interpolate",
+            max_gap_s=max_gap_s,
+            max_difference_s=max_difference_s,
+            reference_offset_s=reference_offset_s,
+            reference_lever_arm=reference_lever_arm,
+            position_only=position_only,
+        ),
+    )
+
+
+def _interval(text: str) -> "Interval":
+    from holdfast.evaluation.accuracy import Interval
+
+    name, _, span = text.rpartition("=")
+    start, _, end = span.partition(":")
+    try:
+        return Interval(name, float(start), float(end))
+    except ValueError:
+        raise ConfigError(f"--interval {text}: expected NAME=START:END in seconds, such as tunnel=120:150") from None
+
+
+def _intervals_of(path: Path) -> "list[Interval]":
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    from holdfast.evaluation.accuracy import Interval
+
+    try:
+        content = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+        return [Interval(str(name), float(start), float(end)) for name, (start, end) in content.items()]
+    except OSError as error:
+        raise ConfigError(f"--intervals {path}: {error.strerror}") from None
+    except (YAMLError, AttributeError, TypeError, ValueError):
+        raise ConfigError(f"--intervals {path}: expected one `name: [start, end]` in seconds per line") from None
+
+
+def _verdicts(pairs: "Pairs", alignment: str, metrics: "Metrics") -> "list[Accuracy]":
+    """Judge under one alignment or all; of all, one that the tracks do not determine is left out with a note."""
+    from holdfast.evaluation.accuracy import score_pairs
+
+    if alignment != "all":
+        return [score_pairs(pairs, cast("AlignmentName", alignment), metrics)]
+    verdicts = [score_pairs(pairs, "none", metrics)]
+    others: tuple[AlignmentName, ...] = ("yaw", "se3")
+    for name in others:
+        try:
+            verdicts.append(score_pairs(pairs, name, metrics))
+        except RecordingError as error:
+            click.echo(f"note: {error}", err=True)
+    return verdicts
+
+
+def _write_json(path: Path, verdicts: "list[Accuracy]", estimate: Path, reference: Path, metrics: "Metrics") -> None:
+    from holdfast import __version__
+
+    pairs = verdicts[0].pairs
+    content = {
+        "holdfast": __version__,
+        "estimate": str(estimate),
+        "reference": str(reference),
+        "oriented": pairs.oriented,
+        "reference_start_ns": pairs.reference_start_ns,
+        "metrics": asdict(metrics),
+        "alignments": {verdict.alignment.name: verdict.to_json() for verdict in verdicts},
+    }
+    try:
+        path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"cannot write {path}: {error.strerror}") from None
+
+
+def _print(verdicts: "list[Accuracy]", estimate: Path, reference: Path) -> None:
+    from rich.console import Console
+
+    console = Console(highlight=False)
+    console = Console(highlight=False, width=max(console.width, _TABLE_WIDTH if console.is_terminal else _PIPE_WIDTH))
+    whole = verdicts[0].scores["all"]
+    orientation = "" if verdicts[0].pairs.oriented else "; positions only, there is no orientation to compare"
+    console.print(f"estimate   {estimate}", markup=False)
+    console.print(f"reference  {reference}", markup=False)
+    console.print(
+        f"compared   {whole.pairs} poses over {whole.end_s - whole.start_s:.1f} s, "
+        f"{whole.end.driven_m:.1f} m driven{orientation}"
+    )
+    for index, verdict in enumerate(verdicts):
+        console.print()
+        console.print(_absolute_table(verdict, console))
+        # with orientation, relative errors are the same under every alignment
+        if index == 0 or not verdict.pairs.oriented:
+            console.print()
+            console.print(_relative_table(verdict, console))
+        if len(verdict.scores) > 1:
+            console.print()
+            console.print(_interval_table(verdict, console))
+
+
+def _table(title: str, columns: tuple[str, ...], console: "Console") -> "Table":
+    """Return an empty table: with rules on a terminal, columns and nothing else in a pipe."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    if not console.is_terminal:
+        table.box, table.pad_edge = None, False
+    for index, column in enumerate(columns):
+        table.add_column(column, justify="right" if index else "left", no_wrap=True)
+    return table
+
+
+def _absolute_table(verdict: "Accuracy", console: "Console") -> "Table":
+    title = f"Absolute error, alignment {verdict.alignment.name}"
+    table = _table(title, ("error", *_STATISTICS), console)
+    for name, statistics in verdict.scores["all"].ape.items():
+        table.add_row(_label(name), *_cells(statistics, name))
+    return table
+
+
+def _relative_table(verdict: "Accuracy", console: "Console") -> "Table":
+    table = _table("Relative error", ("over", "error", *_STATISTICS), console)
+    table.columns[1].justify = "left"
+    for delta, summary in verdict.scores["all"].rpe.items():
+        if not summary:
+            table.add_row(delta, "the track is too short", *["-"] * len(_STATISTICS))
+        for name, statistics in summary.items():
+            table.add_row(delta, _label(name), *_cells(statistics, name))
+    return table
+
+
+def _interval_table(verdict: "Accuracy", console: "Console") -> "Table":
+    from rich.markup import escape
+
+    rms = ("horiz.\nrms \\[m]", "vert.\nrms \\[m]", "yaw\nrms \\[deg]")
+    ends = ("horiz.\nEND \\[m]", "vert.\nEND \\[m]", "yaw\nEND \\[deg]", "way\nEND \\[%]")
+    columns = ("\ninterval", "\nfrom - to \\[s]", "driven\n\\[m]", *rms, *ends)
+    table = _table(f"Intervals, alignment {verdict.alignment.name}", columns, console)
+    for name, score in verdict.scores.items():
+        end, yaw = score.end, score.ape.get("yaw_deg")
+        values = (
+            (end.driven_m, 1),
+            (score.ape["horizontal_m"].rms, 4),
+            (score.ape["vertical_m"].rms, 4),
+            (yaw.rms if yaw else None, 3),
+            (end.horizontal_m, 4),
+            (end.vertical_m, 4),
+            (end.yaw_deg, 3),
+            (end.percent, 3),
+        )
+        cells = ("-" if value is None else f"{value:.{digits}f}" for value, digits in values)
+        table.add_row(escape(name), f"{score.start_s:.1f} - {score.end_s:.1f}", *cells)
+    return table
+
+
+def _label(name: str) -> str:
+    """Turn `rotation_deg_per_m` into `rotation [deg/m]`, with its brackets safe from rich."""
+    quantity, unit = name.split("_", 1)
+    unit = "%" if unit == "percent" else unit.replace("_per_", "/")
+    return f"{quantity} \\[{unit}]"
+
+
+def _cells(statistics: "Statistics", name: str) -> list[str]:
+    digits = 5 if "_per_" in name else 4 if name.endswith("_m") else 3
+    return [f"{getattr(statistics, key):.{digits}f}" for key in _STATISTICS[:-1]] + [str(statistics.count)]

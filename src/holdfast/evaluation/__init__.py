@@ -1,0 +1,1 @@
+"""The judge: accuracy and consistency of trajectories. It shares no code with the estimator that it judges."""
