@@ -44,6 +44,9 @@ class ImuConfig(Section):
     gyroscope_noise_density: float = quantity("rad/s/sqrt(Hz)", 2e-4, gt=0, le=1, doc="white noise")
     accelerometer_random_walk: float = quantity("m/s^3/sqrt(Hz)", 1e-4, gt=0, le=1, doc="drift of the bias")
     gyroscope_random_walk: float = quantity("rad/s^2/sqrt(Hz)", 1e-5, gt=0, le=1, doc="drift of the bias")
+    motion_error_ratio: float = quantity(
+        "1", 0.02, ge=0, le=0.2, doc="error in proportion to the motion: scale factor, misalignment, sampling"
+    )
     accelerometer_bias_sigma: float = quantity("m/s^2", 0.1, gt=0, le=5, doc="bias at power-on, from the datasheet")
     gyroscope_bias_sigma: float = quantity("rad/s", 0.01, gt=0, le=1, doc="bias at power-on, from the datasheet")
     accelerometer_range: float = quantity("m/s^2", 160.0, gt=10, doc="samples beyond are refused")
@@ -67,7 +70,7 @@ class GnssConfig(Section):
         "sigma", 5.0, gt=2, le=100, doc="fixes further from the prediction than this many sigma of both are held back"
     )
     min_sigma_m: float = quantity("m", 0.005, gt=0, doc="floor under the receiver's claim, per axis")
-    robust_loss: RobustLoss = RobustLoss(kind="huber", threshold=2.5)
+    robust_loss: RobustLoss = RobustLoss()
 
 
 class LidarConfig(Section):
@@ -114,12 +117,12 @@ class SensorsConfig(Section):
 class Extrinsic(Section):
     """T_parent_child: the pose of the child frame in the parent frame. Give one form of rotation, or none."""
 
-    parent: str
-    child: str
-    translation_m: Vector3 = (0.0, 0.0, 0.0)
-    rotation_quaternion_xyzw: tuple[float, float, float, float] | None = None
+    parent: str = Field(description="name of the frame in which the pose is given")
+    child: str = Field(description="name of the frame whose pose is given")
+    translation_m: Vector3 = quantity("m", (0.0, 0.0, 0.0), doc="origin of the child in the parent: x, y, z")
+    rotation_quaternion_xyzw: tuple[float, float, float, float] | None = Field(None, description="x, y, z, w")
     rotation_matrix: tuple[Vector3, Vector3, Vector3] | None = Field(None, description="rows of R_parent_child")
-    rotation_rpy_deg: Vector3 | None = Field(None, description="fixed-axis roll, pitch, yaw as in URDF [deg]")
+    rotation_rpy_deg: Vector3 | None = quantity("deg", None, doc="fixed-axis roll, pitch, yaw, as in URDF")
 
     @model_validator(mode="after")
     def _check_rotation(self) -> Self:
@@ -213,7 +216,7 @@ class GraphConfig(Section):
     nodes: Literal["measurement", "imu"] = Field(
         "measurement", description="a node where measurements are, or (the paper) at every IMU sample"
     )
-    lag_s: float = quantity("s", 5.0, gt=0.5, le=60, doc="length of the sliding window; later measurements are dropped")
+    lag_s: float = quantity("s", 3.0, gt=0.5, le=60, doc="length of the sliding window; later measurements are dropped")
     relinearize_threshold_rad: float = quantity(
         "rad", 5e-3, gt=0, le=0.5, doc="iSAM2 relinearises a node whose attitude moved by more"
     )
@@ -226,8 +229,9 @@ class GraphConfig(Section):
 class FramesConfig(Section):
     """Names of the published frames (REP-105) and the datum."""
 
-    world: str = "map"
-    odometry: str = "odom"
+    world: str = Field("map", description="W: east, north, up at the datum")
+    odometry: str = Field("odom", description="O: continuous, never jumps")
+    base: str = Field("base_link", description="B: the chassis; published if `extrinsics` join it to the IMU")
     datum: Datum | None = Field(None, description="without it the first accepted fix is the datum")
     gravity: float | None = quantity("m/s^2", None, gt=9.7, lt=9.9, doc="without it WGS84 gravity at the datum")
 
@@ -249,11 +253,21 @@ class Config(Section):
         twice = {child for child in children if children.count(child) > 1}
         if twice:
             raise ValueError(f"extrinsics: frame {sorted(twice)[0]!r} has two parents")
+        faults = []
         for name in ("gnss", "gnss_right", "lidar"):
             sensor = getattr(self.sensors, name)
-            if sensor is not None:
-                self.T_I(sensor.frame)
+            if sensor is not None and not self.reaches(sensor.frame):
+                faults.append(f"sensors.{name}.frame: {self._unreachable(sensor.frame)}")
+        left, right = self.sensors.gnss, self.sensors.gnss_right
+        if left is not None and right is not None and left.frame == right.frame:
+            faults.append("sensors.gnss_right.frame: two antennas cannot share one frame")
+        if faults:
+            raise ValueError("\n".join(faults))
         return self
+
+    def reaches(self, frame: str) -> bool:
+        """Whether `extrinsics` join a frame to the IMU's."""
+        return frame in self._frames_from_imu()
 
     def T_I(self, frame: str) -> Array:
         """Return T_I_frame, the pose of a frame in the IMU's frame, as a (4, 4) matrix [m].
@@ -261,6 +275,16 @@ class Config(Section):
         Raises:
             ValueError: no chain of `extrinsics` joins the two frames.
         """
+        frames = self._frames_from_imu()
+        if frame not in frames:
+            raise ValueError(self._unreachable(frame))
+        return frames[frame]
+
+    def _unreachable(self, frame: str) -> str:
+        known = ", ".join(sorted({e.parent for e in self.extrinsics} | {e.child for e in self.extrinsics})) or "none"
+        return f"no transforms lead from {self.sensors.imu.frame!r} to {frame!r} (frames in extrinsics: {known})"
+
+    def _frames_from_imu(self) -> dict[str, Array]:
         edges: dict[str, list[tuple[str, Array]]] = {}
         for extrinsic in self.extrinsics:
             T = extrinsic.matrix()
@@ -275,11 +299,4 @@ class Config(Section):
                 if neighbour not in reached:
                     reached[neighbour] = reached[at] @ T
                     frontier.append(neighbour)
-        if frame not in reached:
-            known = (
-                ", ".join(sorted({e.parent for e in self.extrinsics} | {e.child for e in self.extrinsics})) or "none"
-            )
-            raise ValueError(
-                f"extrinsics: no transforms lead from {self.sensors.imu.frame!r} to {frame!r} (frames given: {known})"
-            )
-        return reached[frame]
+        return reached

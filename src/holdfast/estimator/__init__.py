@@ -1,0 +1,1 @@
+"""The estimator: message in, estimates out; no thread, clock, file or print inside."""

@@ -1,0 +1,298 @@
+"""The estimator on one page: a message comes in, it is checked, it becomes factors, an estimate goes out."""
+
+from bisect import insort
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import gtsam
+import numpy as np
+
+from holdfast.config.model import Config
+from holdfast.estimator.gate import InnovationGate
+from holdfast.estimator.initializer import Initializer
+from holdfast.estimator.predictor import Predictor
+from holdfast.estimator.standstill import quiet_window
+from holdfast.geometry.earth import Geodetic, LocalFrame, gravity
+from holdfast.graph.smoother import OptimiserError, Smoother
+from holdfast.messages import GnssFix, Heading, ImuSample, LidarPose, Message
+from holdfast.sensors.gnss import AntennaPosition, GnssModel
+from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.lidar import LidarModel
+from holdfast.state import Estimate, Event, EventKind, OptimisedState, Outcome
+
+STANDARD_GRAVITY = 9.80665
+
+
+class Output(NamedTuple):
+    """What one message led to: an estimate at an IMU sample, an optimisation, states that will not change any more."""
+
+    estimate: Estimate | None = None
+    optimised: OptimisedState | None = None
+    smoothed: Sequence[tuple[int, gtsam.NavState]] = ()
+
+
+class Pending(NamedTuple):
+    """A checked measurement that waits until the IMU has reached its time."""
+
+    stamp_ns: int
+    order: int
+    sensor: str
+    content: AntennaPosition | gtsam.Pose3
+
+
+class Estimator:
+    """Fuses the sensors of one machine; deterministic, and it does not die of bad data.
+
+    Args:
+        config: what the sensors are, where they sit, and how the estimator is to behave.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self.config = config
+        self.counts: Counter[tuple[str, Outcome]] = Counter()
+        self.events: list[Event] = []
+        sensors = config.sensors
+        self._buffer = ImuBuffer(sensors.imu)
+        self._antennas = {
+            name: GnssModel(gnss, config.T_I(gnss.frame)[:3, 3])
+            for name, gnss in (("gnss", sensors.gnss), ("gnss_right", sensors.gnss_right))
+            if gnss is not None
+        }
+        self._gates = {
+            name: InnovationGate(gnss.gate_sigma)
+            for name, gnss in (("gnss", sensors.gnss), ("gnss_right", sensors.gnss_right))
+            if gnss is not None
+        }
+        lidar = sensors.lidar
+        self._lidar = None if lidar is None else LidarModel(lidar, gtsam.Pose3(config.T_I(lidar.frame)))
+        self._world: LocalFrame | None = None
+        self._initializer: Initializer | None = None
+        self._started = False
+        self._pending: list[Pending] = []
+        self._order = 0
+        self._last_standstill_ns = 0
+        self._last_scan: tuple[int, gtsam.Pose3] | None = None
+        self._imu_arrival_ns = 0
+        datum = config.frames.datum
+        if datum is not None:
+            self._set_datum(Geodetic(datum.latitude_deg, datum.longitude_deg, datum.altitude_m))
+        elif not self._antennas:
+            self._begin(config.frames.gravity or STANDARD_GRAVITY)
+
+    @property
+    def datum(self) -> Geodetic | None:
+        """Origin of W on the ellipsoid, or None until the first accepted fix."""
+        return None if self._world is None else self._world.datum
+
+    @property
+    def initialised(self) -> bool:
+        """Whether estimates are being given."""
+        return self._started
+
+    @property
+    def waiting_for(self) -> str:
+        """What keeps the estimator from starting."""
+        return self._initializer.reason if self._initializer else "no usable GNSS fix has come"
+
+    def process(self, message: Message) -> Output:
+        """Take in one message, in the order of arrival."""
+        if isinstance(message, ImuSample):
+            return self._process_imu(message)
+        if isinstance(message, GnssFix):
+            return self._process_fix(message)
+        if isinstance(message, LidarPose):
+            return self._process_lidar(message)
+        if isinstance(message, Heading):
+            self._process_heading(message)
+        return Output()
+
+    # --- IMU -----------------------------------------------------------------------------------------------------
+
+    def _process_imu(self, sample: ImuSample) -> Output:
+        outcome = self._buffer.check(sample)
+        self.counts[sample.sensor, outcome] += 1
+        if outcome is not Outcome.USED:
+            return Output()
+        was_heard_ns = self._buffer.latest_ns
+        step = self._buffer.add(sample)
+        self._imu_arrival_ns = sample.arrival_ns
+        stamp = self._buffer.latest_ns
+        if not self._started:
+            return Output()
+        if self._buffer.gap_found_ns is not None:
+            self._tell(EventKind.IMU_GAP, self._buffer.gap_found_ns, sample.sensor, "samples on a straight line")
+        elif stamp - was_heard_ns > self._buffer.max_gap_ns:
+            silence = (stamp - was_heard_ns) * 1e-9
+            self._tell(EventKind.IMU_GAP, was_heard_ns, sample.sensor, f"no samples for {silence:.3f} s")
+        if stamp <= self._predictor.stamp_ns:
+            return Output()  # a measurement in a silent stretch has led the state past this sample
+        estimate = self._predictor.add(stamp, step)
+        ready = self._pending and self._pending[0].stamp_ns <= stamp
+        overdue = stamp - self._smoother.newest_ns > self._node_interval_ns
+        return self._update(stamp, estimate) if ready or overdue else Output(estimate)
+
+    # --- measurements --------------------------------------------------------------------------------------------
+
+    def _process_fix(self, fix: GnssFix) -> Output:
+        model = self._antennas[fix.sensor]
+        outcome = model.check(fix)
+        if outcome is not Outcome.USED:
+            return self._reject(fix, outcome)
+        point = Geodetic(fix.latitude_deg, fix.longitude_deg, fix.altitude_m)
+        if self._world is None:
+            self._set_datum(point)
+        assert self._world is not None
+        stamp = fix.stamp_ns + model.offset_ns
+        position = AntennaPosition(stamp, fix.sensor, self._world.to_enu(point), model.covariance(fix))
+        if self._started:
+            return self._enqueue(stamp, fix, position)
+        assert self._initializer is not None
+        self.counts[fix.sensor, Outcome.BEFORE_START] += 1
+        self._initializer.add_position(position)
+        return self._try_to_start()
+
+    def _process_lidar(self, pose: LidarPose) -> Output:
+        assert self._lidar is not None
+        outcome = self._lidar.check(pose)
+        if outcome is not Outcome.USED:
+            return self._reject(pose, outcome)
+        stamp = pose.stamp_ns + self._lidar.offset_ns
+        T_I0_I = self._lidar.T_I0_I(pose)
+        if self._started:
+            return self._enqueue(stamp, pose, T_I0_I)
+        self.counts[pose.sensor, Outcome.BEFORE_START] += 1
+        if self._initializer is not None:
+            self._initializer.add_track(stamp, T_I0_I)
+            if not self._antennas:
+                return self._try_to_start()
+        return Output()
+
+    def _process_heading(self, heading: Heading) -> None:
+        config = self.config.sensors.heading
+        assert config is not None
+        outcome = Outcome.USED if np.isfinite(heading.yaw_rad) else Outcome.NOT_FINITE
+        self.counts[heading.sensor, outcome if self._started else Outcome.BEFORE_START] += 1
+        if outcome is Outcome.USED and not self._started and self._initializer is not None:
+            sigma = heading.sigma_rad if heading.sigma_rad else np.radians(config.default_sigma_deg)
+            yaw = heading.yaw_rad - np.radians(config.mounting_yaw_deg)
+            self._initializer.add_heading(heading.stamp_ns + round(config.time_offset_s * 1e9), yaw, sigma)
+
+    def _reject(self, message: GnssFix | LidarPose, outcome: Outcome) -> Output:
+        self.counts[message.sensor, outcome] += 1
+        self._tell(EventKind.REJECTED, message.stamp_ns, message.sensor, outcome)
+        return Output()
+
+    def _enqueue(self, stamp_ns: int, message: GnssFix | LidarPose, content: AntennaPosition | gtsam.Pose3) -> Output:
+        if stamp_ns < self._smoother.oldest_ns:
+            behind = (self._smoother.newest_ns - stamp_ns) * 1e-9
+            self.counts[message.sensor, Outcome.LATE] += 1
+            self._tell(EventKind.LATE, stamp_ns, message.sensor, f"{behind:.3f} s behind the newest state")
+            return Output()
+        self._order += 1
+        insort(self._pending, Pending(stamp_ns, self._order, message.sensor, content))
+        heard = self._buffer.latest_ns
+        if message.arrival_ns - self._imu_arrival_ns > self._buffer.max_gap_ns:
+            heard = max(heard, message.stamp_ns)  # the IMU is silent: do not wait for it
+        return self._update(heard) if self._pending[0].stamp_ns <= heard else Output()
+
+    # --- starting ------------------------------------------------------------------------------------------------
+
+    def _set_datum(self, datum: Geodetic) -> None:
+        self._world = LocalFrame(datum)
+        self._begin(self.config.frames.gravity or gravity(datum.latitude_deg, datum.altitude_m))
+
+    def _begin(self, g: float) -> None:
+        self._gravity = g
+        self._initializer = Initializer(self.config, self._buffer, self._antennas, self._lidar, g)
+        self._node_interval_ns = round(self.config.graph.max_node_interval_s * 1e9)
+
+    def _try_to_start(self) -> Output:
+        assert self._initializer is not None
+        before = self._initializer.reason
+        state = self._initializer.attempt()
+        if state is None:
+            if self._initializer.reason != before:
+                self._tell(EventKind.WAITING, self._buffer.latest_ns, "", self._initializer.reason)
+            return Output()
+        self._smoother = Smoother(self.config, self._buffer, self._gravity)
+        self._smoother.start(state)
+        self._predictor = Predictor(self.config, self._buffer, self._gravity, state)
+        self._started = True
+        self._tell(EventKind.INITIALISED, state.stamp_ns, "", self._initializer.reason)
+        return Output(None, state)
+
+    # --- optimising ----------------------------------------------------------------------------------------------
+
+    def _update(self, reached_ns: int, estimate: Estimate | None = None) -> Output:
+        """Add every measurement whose time the IMU has reached, optimise once, and re-propagate to the present."""
+        while self._pending and self._pending[0].stamp_ns <= reached_ns:
+            self._add(self._pending.pop(0))
+        if self._buffer.latest_ns - self._smoother.newest_ns > self._node_interval_ns:
+            self._smoother.node(self._buffer.latest_ns)
+        self._add_standstill()
+        try:
+            state = self._smoother.optimise()
+        except OptimiserError as fault:
+            self._tell(EventKind.OPTIMISER_FAULT, self._smoother.newest_ns, "", str(fault))
+            state = self._smoother.state
+            self._last_scan = None
+        self._predictor.anchor(state)
+        self._buffer.forget_before(self._smoother.oldest_ns - self._node_interval_ns)
+        return Output(estimate, state, self._smoother.settled())
+
+    def _add(self, pending: Pending) -> None:
+        key = self._smoother.node(pending.stamp_ns)
+        if key is None:
+            self.counts[pending.sensor, Outcome.LATE] += 1
+            self._tell(EventKind.LATE, pending.stamp_ns, pending.sensor, "left the window while it waited")
+            return
+        if isinstance(pending.content, AntennaPosition):
+            self._add_fix(key, pending.content)
+        else:
+            self._add_scan(key, pending)
+
+    def _add_fix(self, key: int, fix: AntennaPosition) -> None:
+        model = self._antennas[fix.sensor]
+        nav, covariance = self._smoother.nav(fix.stamp_ns), self._smoother.covariance(fix.stamp_ns)
+        outcome = Outcome.INNOVATION
+        if self._gates[fix.sensor].passes(nav, covariance, model.p_I_G, fix.p_W_G, fix.covariance):
+            self._smoother.add(model.factor(key, fix))
+            outcome = Outcome.USED
+        else:
+            self._tell(EventKind.REJECTED, fix.stamp_ns, fix.sensor, outcome)
+        self.counts[fix.sensor, outcome] += 1
+
+    def _add_scan(self, key: int, scan: Pending) -> None:
+        assert self._lidar is not None
+        assert isinstance(scan.content, gtsam.Pose3)
+        previous, self._last_scan = self._last_scan, (scan.stamp_ns, scan.content)
+        outcome = Outcome.NO_PREDECESSOR
+        if previous is not None and 0 < scan.stamp_ns - previous[0] <= self._lidar.max_interval_ns:
+            previous_key = self._smoother.node(previous[0])
+            if previous_key is not None:
+                motion = previous[1].between(scan.content)
+                self._smoother.add(self._lidar.factor(previous_key, key, motion))
+                outcome = Outcome.USED
+        self.counts[scan.sensor, outcome] += 1
+
+    def _add_standstill(self) -> None:
+        config = self.config.standstill
+        if not config.enabled:
+            return
+        newest = self._smoother.newest_ns
+        if quiet_window(config, self._buffer, newest, config.window_s) is None:
+            return
+        # the middle of a quiet window is at rest even if the machine creeps away at its end
+        stamp = self._smoother.last_before(newest - round(0.5 * config.window_s * 1e9))
+        if stamp is None or stamp <= self._last_standstill_ns:
+            return
+        speed = float(np.linalg.norm(self._smoother.nav(stamp).velocity()))
+        spread = float(np.sqrt(self._smoother.covariance(stamp)[6:9, 6:9].trace()))
+        if speed < config.max_speed_m_s + 3.0 * spread:
+            self._smoother.add_zero_velocity(stamp, config.velocity_sigma_m_s)
+            self._last_standstill_ns = stamp
+            self.counts["standstill", Outcome.USED] += 1
+
+    def _tell(self, kind: EventKind, stamp_ns: int, sensor: str, reason: str) -> None:
+        self.events.append(Event(stamp_ns, kind, sensor, reason))

@@ -1,0 +1,296 @@
+"""The fixed-lag smoother: nodes at exact measurement times, motion between them, one optimisation at a time.
+
+The state of a node is a `NavState` (one 9-dimensional variable, so that its marginal keeps the correlation of attitude,
+position and velocity); biases are constant over short epochs that a random walk joins.
+"""
+
+from collections.abc import Iterator
+from typing import SupportsFloat, SupportsIndex, SupportsInt
+
+import gtsam
+import numpy as np
+
+from holdfast.config.model import Config
+from holdfast.graph.nodes import NODE_RESOLUTION_NS, Link, Timeline, to_grid
+from holdfast.messages import Array
+from holdfast.sensors.imu import ImuBuffer, ImuNoise, MotionModel, preintegrate
+from holdfast.state import OptimisedState
+
+BIAS_EPOCH_NS = 1_000_000_000
+SETTLE_MARGIN_NS = 1_000_000_000  # a node is read this long before it leaves the window; updates are not further apart
+FREE = 1e6  # sigma of what a factor says nothing about
+MAX_VARIANCE = 1e6  # beyond this a covariance says no more
+FAULT_INFLATION = 4.0  # of the covariance, when the graph is re-anchored after a failed optimisation
+
+
+class OptimiserError(Exception):
+    """An optimisation failed; the smoother has re-anchored itself at its last good state."""
+
+
+class Smoother:
+    """A sliding window of nodes over one IMU, on `gtsam.IncrementalFixedLagSmoother` (QR)."""
+
+    def __init__(self, config: Config, buffer: ImuBuffer, gravity: float) -> None:
+        imu = config.sensors.imu
+        self._config = config.graph
+        self._lag_ns = round(config.graph.lag_s * 1e9)
+        self._buffer = buffer
+        self._noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
+        self._motion_model = MotionModel(config.motion_model, gravity)
+        self._bias_walk = np.repeat([imu.accelerometer_random_walk, imu.gyroscope_random_walk], 3)
+
+    def start(self, state: OptimisedState) -> None:
+        """Begin a window at one state with its covariance as the prior."""
+        isam = gtsam.ISAM2Params()
+        isam.setFactorization("QR")
+        isam.setRelinearizeThreshold(self._relinearize_thresholds())
+        isam.relinearizeSkip = 1
+        isam.findUnusedFactorSlots = True
+        self._smoother = gtsam.IncrementalFixedLagSmoother(self._config.lag_s, isam)
+        self._epoch_ns = to_grid(state.stamp_ns)
+        self._nodes = Timeline()
+        self._links: dict[int, Link] = {}  # by the stamp of the left node
+        self._bias_stamps: dict[int, int] = {}  # bias epoch -> end of the last link that uses it
+        self._settled_ns = 0
+        self._clear_pending()
+        self._state = state
+        self._tail: Array = state.covariance  # of the newest node and the bias, new nodes included
+        key = self._nodes.insert(self._epoch_ns)
+        bias_key = self._bias_key(self._epoch_ns, state.bias)
+        self._insert(key, self._epoch_ns, state.nav)
+        covariance = state.covariance
+        self.add(gtsam.PriorFactorNavState(key, state.nav, gtsam.noiseModel.Gaussian.Covariance(covariance[:9, :9])))
+        prior = gtsam.noiseModel.Gaussian.Covariance(covariance[9:, 9:])
+        self.add(gtsam.PriorFactorConstantBias(bias_key, state.bias, prior))
+
+    def _relinearize_thresholds(self) -> gtsam.ISAM2ThresholdMap:
+        """Relinearise for a change of attitude; position, velocity and bias enter (almost) linearly."""
+        attitude = self._config.relinearize_threshold_rad
+        thresholds = gtsam.ISAM2ThresholdMap()
+        thresholds.insert(("x", np.repeat([attitude, 50.0 * attitude, 50.0 * attitude], 3)))
+        thresholds.insert(("b", np.repeat([20.0 * attitude, attitude], 3)))
+        return thresholds
+
+    @property
+    def newest_ns(self) -> int:
+        """Stamp of the newest node."""
+        return self._nodes.stamps[-1]
+
+    @property
+    def oldest_ns(self) -> int:
+        """Measurements before this time come too late."""
+        return self._nodes.stamps[0]
+
+    @property
+    def state(self) -> OptimisedState:
+        """The newest node as of the last optimisation."""
+        return self._state
+
+    def __len__(self) -> int:
+        return len(self._nodes)
+
+    def node(self, stamp_ns: int) -> int | None:
+        """Return the key of the node at a time, making it where there is none; None if the time left the window."""
+        stamp = to_grid(stamp_ns)
+        if stamp < self.oldest_ns:
+            return None
+        if stamp in self._nodes:
+            return self._nodes.key(stamp)
+        if stamp < self.newest_ns:
+            return self._split(stamp)
+        for milestone, is_gap in self._milestones(self.newest_ns, stamp):
+            key = self._extend(milestone, is_gap)
+        return key
+
+    def add(self, factor: gtsam.NonlinearFactor) -> None:
+        """Add a factor on existing nodes; it takes effect with the next `optimise`."""
+        self._new_factors.append(factor)
+
+    def add_zero_velocity(self, stamp_ns: int, sigma_m_s: float) -> None:
+        """Add the zero-velocity factor to the node at a time: a prior on `NavState` with free pose."""
+        nav = self._nav(stamp_ns)
+        still = gtsam.NavState(nav.pose(), np.zeros(3))
+        model = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([FREE, FREE, sigma_m_s], 3))
+        self.add(gtsam.PriorFactorNavState(self._nodes.key(stamp_ns), still, model))
+
+    def nav(self, stamp_ns: int) -> gtsam.NavState:
+        """Return the current estimate of the node at a time, which must exist."""
+        return self._nav(to_grid(stamp_ns))
+
+    def covariance(self, stamp_ns: int) -> Array:
+        """Return the covariance (9, 9) of the node at a time, new factors left out.
+
+        For a node that was just made between two others it is that of the one before.
+        """
+        stamp = to_grid(stamp_ns)
+        if stamp == self.newest_ns:
+            return self._tail[:9, :9]
+        while stamp in self._new_navs:
+            stamp = self._nodes.before(stamp)
+        covariance: Array = self._smoother.marginalCovariance(self._nodes.key(stamp))
+        return covariance
+
+    def settled(self) -> list[tuple[int, gtsam.NavState]]:
+        """Return the nodes, with stamps, that have almost reached the end of the window since the last call."""
+        horizon = self.newest_ns - self._lag_ns + SETTLE_MARGIN_NS
+        stamps = [stamp for stamp in self._nodes.until(horizon) if stamp > self._settled_ns]
+        if stamps:
+            self._settled_ns = stamps[-1]
+        return [(stamp, self._nav(stamp)) for stamp in stamps]
+
+    def last_before(self, stamp_ns: int) -> int | None:
+        """Return the stamp of the last node at or before a time, or None if the window starts later."""
+        return self._nodes.at_or_before(stamp_ns)
+
+    def optimise(self) -> OptimisedState:
+        """Take in the new nodes and factors, optimise once, and return the newest node.
+
+        Raises:
+            OptimiserError: GTSAM failed; the window was started anew at the last good state, and the new factors lost.
+        """
+        graph = gtsam.NonlinearFactorGraph()
+        new_links = [link for link in self._links.values() if link.slot is None]
+        for factor in self._new_factors:
+            graph.add(factor)
+        for link in new_links:
+            graph.add(link.factor)
+        try:
+            self._smoother.update(graph, self._new_values, self._new_stamps, self._removed_slots)
+            slots = self._smoother.getISAM2Result().getNewFactorsIndices()
+            state = self._read_newest()
+        except (RuntimeError, IndexError, ValueError) as error:
+            self._reanchor()
+            raise OptimiserError(str(error).strip().splitlines()[0]) from error
+        for link, slot in zip(new_links, slots[len(self._new_factors) :], strict=True):
+            link.slot = slot
+        self._clear_pending()
+        self._forget()
+        self._state, self._tail = state, state.covariance
+        return state
+
+    def _read_newest(self) -> OptimisedState:
+        stamp, key = self.newest_ns, self._nodes.key(self.newest_ns)
+        bias_key = gtsam.symbol("b", max(self._bias_stamps))
+        nav = self._smoother.calculateEstimateNavState(key)
+        bias = self._smoother.calculateEstimateConstantBias(bias_key)
+        covariance: Array = self._smoother.getISAM2().jointMarginalCovariance([key, bias_key]).fullMatrix()
+        if not (np.isfinite(covariance).all() and np.isfinite(nav.position()).all()):
+            raise ValueError("the optimised state is not finite")
+        return OptimisedState(stamp, nav, bias, covariance, self._turn_rate(stamp, nav, bias))
+
+    def _turn_rate(self, stamp_ns: int, nav: gtsam.NavState, bias: gtsam.imuBias.ConstantBias) -> Array:
+        """Angular velocity at a node: from the gyroscope, or where it is silent from the last two nodes."""
+        if len(self._nodes) > 1:
+            before = self._nodes.before(stamp_ns)
+            if self._links[before].is_gap and stamp_ns - before > 20_000_000:
+                turn: Array = self._nav(before).attitude().logmap(nav.attitude())
+                return turn / ((stamp_ns - before) * 1e-9)
+        return self._buffer.angular_velocity(stamp_ns) - bias.gyroscope()
+
+    def _reanchor(self) -> None:
+        """Start anew at the last good state; its covariance grows with every failure in a row, up to a bound."""
+        state = self._state
+        growth = min(FAULT_INFLATION, MAX_VARIANCE / float(np.diag(state.covariance).max()))
+        covariance = state.covariance * max(1.0, growth)
+        self.start(OptimisedState(state.stamp_ns, state.nav, state.bias, covariance, state.angular_velocity))
+
+    def _milestones(self, start_ns: int, end_ns: int) -> Iterator[tuple[int, bool]]:
+        """Yield the ends of the links that lead from the newest node to a new one, and whether each is a gap."""
+        at = start_ns
+        for piece in self._buffer.pieces(start_ns, end_ns):
+            stops = [piece.end_ns]
+            if self._config.nodes == "imu" and not piece.is_gap:
+                stops = [*self._buffer.stamps_between(piece.start_ns, piece.end_ns), piece.end_ns]
+            for stop in stops:
+                stamp = min(to_grid(stop), end_ns)
+                if stamp > at:
+                    yield stamp, piece.is_gap
+                    at = stamp
+        if at < end_ns:
+            yield end_ns, piece.is_gap
+
+    def _extend(self, stamp_ns: int, is_gap: bool) -> int:
+        left_ns = self.newest_ns
+        nav, bias = self._nav(left_ns), self._state.bias
+        key = self._nodes.insert(stamp_ns)
+        pim = self._join(left_ns, stamp_ns, self._bias_key(left_ns, bias), is_gap, nav)
+        H_nav, H_bias = np.zeros((9, 9), order="F"), np.zeros((9, 6), order="F")
+        self._insert(key, stamp_ns, pim.predict(nav, bias, H_nav, H_bias))
+        F = np.eye(15)
+        F[:9, :9], F[:9, 9:] = H_nav, H_bias
+        self._tail = F @ self._tail @ F.T
+        self._tail[:9, :9] += pim.residualCovariance()
+        return key
+
+    def _split(self, stamp_ns: int) -> int:
+        """Make a node between two others: the link that spans it is replaced by two."""
+        left_ns = self._nodes.before(stamp_ns)
+        nav, old = self._nav(left_ns), self._links.pop(left_ns)
+        if old.slot is not None:
+            self._removed_slots.append(old.slot)
+        key = self._nodes.insert(stamp_ns)
+        predicted = self._join(left_ns, stamp_ns, old.bias_key, old.is_gap, nav).predict(nav, self._state.bias)
+        self._insert(key, stamp_ns, predicted)
+        self._join(stamp_ns, old.end_ns, old.bias_key, old.is_gap, predicted)
+        return key
+
+    def _join(
+        self, start_ns: int, end_ns: int, bias_key: int, is_gap: bool, nav: gtsam.NavState
+    ) -> gtsam.PreintegratedImuMeasurements:
+        """Link two existing neighbours; `nav` is the state at the first. Return what leads from one to the other."""
+        bias = self._state.bias
+        if is_gap:
+            rate = self._turn_rate(start_ns, nav, bias)
+            pim = self._motion_model.preintegrate((end_ns - start_ns) * 1e-9, nav, rate, bias)
+        else:
+            pim = preintegrate(self._buffer.steps(start_ns, end_ns), self._noise, nav.attitude(), bias)
+        factor = gtsam.ImuFactor2(self._nodes.key(start_ns), self._nodes.key(end_ns), bias_key, pim)
+        self._links[start_ns] = Link(start_ns, end_ns, bias_key, is_gap, factor)
+        epoch = gtsam.symbolIndex(bias_key)
+        self._bias_stamps[epoch] = max(end_ns, self._bias_stamps[epoch])
+        self._new_stamps[bias_key] = self._seconds(self._bias_stamps[epoch])
+        return pim
+
+    def _bias_key(self, stamp_ns: int, bias: gtsam.imuBias.ConstantBias) -> int:
+        """Return the key of the bias that holds at a time; a new one walks on from the one before."""
+        epoch = (stamp_ns - self._epoch_ns) // BIAS_EPOCH_NS
+        key: int = gtsam.symbol("b", epoch)
+        if epoch not in self._bias_stamps:
+            if self._bias_stamps:
+                last = max(self._bias_stamps)
+                sigmas = self._bias_walk * np.sqrt((epoch - last) * BIAS_EPOCH_NS * 1e-9)
+                walk = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+                zero = gtsam.imuBias.ConstantBias()
+                self.add(gtsam.BetweenFactorConstantBias(gtsam.symbol("b", last), key, zero, walk))
+            self._new_values.insert(key, bias)
+            self._bias_stamps[epoch] = stamp_ns
+            self._new_stamps[key] = self._seconds(stamp_ns)
+        return key
+
+    def _insert(self, key: int, stamp_ns: int, nav: gtsam.NavState) -> None:
+        self._new_values.insert(key, nav)
+        self._new_navs[stamp_ns] = nav
+        self._new_stamps[key] = self._seconds(stamp_ns)
+
+    def _nav(self, stamp_ns: int) -> gtsam.NavState:
+        if stamp_ns in self._new_navs:
+            return self._new_navs[stamp_ns]
+        return self._smoother.calculateEstimateNavState(self._nodes.key(stamp_ns))
+
+    def _seconds(self, stamp_ns: int) -> float:
+        return (stamp_ns - self._epoch_ns) * 1e-9
+
+    def _clear_pending(self) -> None:
+        self._new_factors: list[gtsam.NonlinearFactor] = []
+        self._new_values = gtsam.Values()
+        self._new_navs: dict[int, gtsam.NavState] = {}
+        self._new_stamps: dict[SupportsInt | SupportsIndex, SupportsFloat | SupportsIndex] = {}
+        self._removed_slots: list[int] = []
+
+    def _forget(self) -> None:
+        """Drop what GTSAM has marginalised; a little earlier than GTSAM does, so that rounding cannot bite."""
+        horizon = self.newest_ns - self._lag_ns + 10 * NODE_RESOLUTION_NS
+        for stamp in self._nodes.forget_before(horizon):
+            self._links.pop(stamp, None)
+        for epoch in [epoch for epoch, stamp in self._bias_stamps.items() if stamp < horizon]:
+            del self._bias_stamps[epoch]

@@ -1,0 +1,299 @@
+"""The IMU: which samples can be believed, where it was silent, and how its samples become preintegrated measurements.
+
+Between two samples the readings are taken as linear in time, so that an interval may be cut at any instant. A drop-out
+(missing samples, or samples that a logger drew as a straight line) is a gap: a constant-twist motion model stands in.
+"""
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator
+from statistics import median
+from typing import NamedTuple
+
+import gtsam
+import numpy as np
+
+from holdfast.config.model import ImuConfig, MotionModelConfig
+from holdfast.messages import Array, ImuSample
+from holdfast.state import Outcome
+
+MOTION_STEP_S = 0.02
+MOTION_CORRELATION_S = 1.0  # how long an error that is proportional to the motion keeps its sign
+FROZEN_FACTOR = 10  # a reading that does not change at all for this many gap lengths is a dead sensor
+PERIOD_WINDOW = 64
+CLOCK_JUMP_NS = 60_000_000_000
+
+
+def preintegration_params(
+    accelerometer_density: float, gyroscope_density: float, integration_sigma: float, gravity: float
+) -> gtsam.PreintegrationParams:
+    """Return GTSAM's parameters from continuous-time densities; W is east, north, up.
+
+    The small integration covariance gives a one-sample factor full rank: (9) in docs/math.md.
+    """
+    params = gtsam.PreintegrationParams.MakeSharedU(gravity)
+    params.setAccelerometerCovariance(np.eye(3) * accelerometer_density**2)
+    params.setGyroscopeCovariance(np.eye(3) * gyroscope_density**2)
+    params.setIntegrationCovariance(np.eye(3) * integration_sigma**2)
+    return params
+
+
+class ImuNoise:
+    """The noise of preintegrated measurements: the datasheet's densities, and an error that grows with the motion.
+
+    Scale factor, misalignment and sampling make a reading wrong in proportion to itself; over `MOTION_CORRELATION_S`
+    that is like white noise: (10) in docs/math.md. At rest the densities alone remain.
+    """
+
+    def __init__(self, config: ImuConfig, integration_sigma: float, gravity: float) -> None:
+        self._config = config
+        self._integration_sigma = integration_sigma
+        self._up = np.array([0.0, 0.0, gravity])
+
+    def params(self, specific_force: Array, rate: Array, attitude: gtsam.Rot3) -> gtsam.PreintegrationParams:
+        """Return the parameters while the machine, at attitude R_W_I, senses (3,) [m/s^2] and (3,) [rad/s]."""
+        config = self._config
+        error = config.motion_error_ratio * np.sqrt(MOTION_CORRELATION_S)
+        acceleration = float(np.linalg.norm(specific_force - attitude.unrotate(self._up)))
+        return preintegration_params(
+            float(np.hypot(config.accelerometer_noise_density, error * acceleration)),
+            float(np.hypot(config.gyroscope_noise_density, error * np.linalg.norm(rate))),
+            self._integration_sigma,
+            self._up[2],
+        )
+
+
+class Step(NamedTuple):
+    """A stretch of IMU data with its mean readings, specific force (3,) [m/s^2] and angular velocity (3,) [rad/s]."""
+
+    dt_s: float
+    specific_force: Array
+    angular_velocity: Array
+
+
+class Piece(NamedTuple):
+    """A stretch of time in which the IMU either spoke throughout or was silent throughout."""
+
+    start_ns: int
+    end_ns: int
+    is_gap: bool
+
+
+class ImuBuffer:
+    """The believable samples of the last seconds, cut at will and aware of drop-outs."""
+
+    def __init__(self, config: ImuConfig) -> None:
+        self._config = config
+        self._offset_ns = round(config.time_offset_s * 1e9)
+        self._stamps: list[int] = []
+        self._forces: list[Array] = []
+        self._rates: list[Array] = []
+        self._is_gap: list[bool] = []  # of the interval that ends at the sample of the same index
+        self._gaps = 0  # intervals with is_gap set: lets `pieces` skip the search in the usual case
+        self._periods_ns: list[int] = []
+        self._max_gap_ns = round(config.max_gap_s * 1e9)
+        self._line_start = 0
+        self.gap_found_ns: int | None = None
+
+    @property
+    def latest_ns(self) -> int:
+        """Stamp of the newest sample, time offset applied; 0 before the first."""
+        return self._stamps[-1] if self._stamps else 0
+
+    @property
+    def oldest_ns(self) -> int:
+        """Stamp of the oldest sample that is still held; 0 before the first."""
+        return self._stamps[0] if self._stamps else 0
+
+    @property
+    def max_gap_ns(self) -> int:
+        """Silence longer than this is a drop-out: the configured bound, or 2.5 sample periods if that is more."""
+        return self._max_gap_ns
+
+    def check(self, sample: ImuSample) -> Outcome:
+        """Say whether a sample can be used; physics and order only, no statistics."""
+        force, rate = sample.specific_force, sample.angular_velocity
+        # NaN and infinity fail both comparisons
+        if not (
+            abs(force).max() <= self._config.accelerometer_range and abs(rate).max() <= self._config.gyroscope_range
+        ):
+            finite = np.isfinite(force).all() and np.isfinite(rate).all()
+            return Outcome.OUT_OF_RANGE if finite else Outcome.NOT_FINITE
+        if self._stamps:
+            ahead = sample.stamp_ns + self._offset_ns - self._stamps[-1]
+            if ahead <= 0:
+                return Outcome.DUPLICATE if ahead == 0 else Outcome.BACKWARD
+            if ahead > CLOCK_JUMP_NS and sample.arrival_ns - sample.stamp_ns < -CLOCK_JUMP_NS:
+                return Outcome.CLOCK_JUMP
+        return Outcome.USED
+
+    def add(self, sample: ImuSample) -> Step | None:
+        """Append a checked sample; return the step to it, or None if the interval before it is a gap.
+
+        Sets `gap_found_ns` to the start of a straight line when the sample makes one certain.
+        """
+        stamp, force, rate = sample.stamp_ns + self._offset_ns, sample.specific_force, sample.angular_velocity
+        self.gap_found_ns = None
+        step, is_gap = None, False
+        if self._stamps:
+            dt_ns = stamp - self._stamps[-1]
+            is_gap = dt_ns > self._max_gap_ns
+            if not is_gap:
+                step = Step(dt_ns * 1e-9, 0.5 * (force + self._forces[-1]), 0.5 * (rate + self._rates[-1]))
+                self._learn_period(dt_ns)
+        self._stamps.append(stamp)
+        self._forces.append(force)
+        self._rates.append(rate)
+        self._is_gap.append(is_gap)
+        self._gaps += is_gap
+        if self._on_straight_line(is_gap):
+            return None
+        return step
+
+    def _learn_period(self, dt_ns: int) -> None:
+        self._periods_ns.append(dt_ns)
+        if len(self._periods_ns) == PERIOD_WINDOW:
+            self._max_gap_ns = max(round(self._config.max_gap_s * 1e9), round(2.5 * median(self._periods_ns)))
+            self._periods_ns.clear()
+
+    def _on_straight_line(self, after_gap: bool) -> bool:
+        """Track the run of samples that lie on one line in all six channels; mark it as a gap once it is certain."""
+        last = len(self._stamps) - 1
+        if after_gap or last < 2:
+            self._line_start = last
+            return False
+        f0, f1, f2 = self._forces[-3:]
+        if abs(f2[0] - 2.0 * f1[0] + f0[0]) > 1e-3 * abs(f2 - f1).max() + 1e-12 or not self._is_collinear():
+            self._line_start = last - 1
+            return False
+        start = self._line_start
+        needed = self._max_gap_ns
+        if not (self._rates[-1] - self._rates[start]).any() and not (self._forces[-1] - self._forces[start]).any():
+            needed *= FROZEN_FACTOR
+        if last - start < 3 or self._stamps[last] - self._stamps[start] <= needed:
+            return False
+        if not self._is_gap[last - 1]:
+            self.gap_found_ns = self._stamps[start]
+        for k in range(last, start, -1):
+            if self._is_gap[k]:
+                break
+            self._is_gap[k] = True
+            self._gaps += 1
+        return True
+
+    def _is_collinear(self) -> bool:
+        for series in (self._forces, self._rates):
+            first, second = series[-2] - series[-3], series[-1] - series[-2]
+            if abs(second - first).max() > 1e-3 * max(abs(first).max(), abs(second).max()) + 1e-12:
+                return False
+        return True
+
+    def forget_before(self, stamp_ns: int) -> None:
+        """Drop samples that no interval after `stamp_ns` needs; cheap, because it drops many at a time."""
+        k = bisect_right(self._stamps, stamp_ns) - 1
+        if k > 1000 or (k > 0 and self._stamps[k] - self._stamps[0] > 10_000_000_000):
+            self._gaps -= sum(self._is_gap[:k])
+            self._line_start = max(0, self._line_start - k)
+            del self._stamps[:k], self._forces[:k], self._rates[:k], self._is_gap[:k]
+
+    def stamps_between(self, start_ns: int, end_ns: int) -> list[int]:
+        """Return the stamps in (start, end)."""
+        return self._stamps[bisect_right(self._stamps, start_ns) : bisect_left(self._stamps, end_ns)]
+
+    def pieces(self, start_ns: int, end_ns: int) -> list[Piece]:
+        """Cut [start, end] where the IMU falls silent or speaks again; past the newest sample all is gap."""
+        if not self._gaps and end_ns <= self.latest_ns and start_ns >= self.oldest_ns:
+            return [Piece(start_ns, end_ns, False)]
+        cuts: list[Piece] = []
+        at = start_ns
+        for k in range(bisect_right(self._stamps, start_ns), len(self._stamps)):
+            if at >= end_ns:
+                break
+            until, is_gap = min(self._stamps[k], end_ns), k == 0 or self._is_gap[k]
+            if cuts and cuts[-1].is_gap == is_gap:
+                cuts[-1] = Piece(cuts[-1].start_ns, until, is_gap)
+            else:
+                cuts.append(Piece(at, until, is_gap))
+            at = until
+        if at < end_ns:
+            start = cuts.pop().start_ns if cuts and cuts[-1].is_gap else at
+            cuts.append(Piece(start, end_ns, True))
+        return cuts
+
+    def steps(self, start_ns: int, end_ns: int) -> list[Step]:
+        """Return the steps that fill [start, end], which must hold no gap."""
+        return list(self._steps(start_ns, end_ns))
+
+    def _steps(self, start_ns: int, end_ns: int) -> Iterator[Step]:
+        at = start_ns
+        for k in range(bisect_right(self._stamps, start_ns), len(self._stamps)):
+            if at >= end_ns:
+                return
+            until = min(self._stamps[k], end_ns)
+            before, after = self._stamps[k - 1], self._stamps[k]
+            middle = 0.5 * ((at - before) + (until - before)) / (after - before)
+            force = (1.0 - middle) * self._forces[k - 1] + middle * self._forces[k]
+            rate = (1.0 - middle) * self._rates[k - 1] + middle * self._rates[k]
+            yield Step((until - at) * 1e-9, force, rate)
+            at = until
+
+    def latest_force(self) -> Array:
+        """Return the specific force (3,) [m/s^2] of the newest sample."""
+        return self._forces[-1]
+
+    def angular_velocity(self, stamp_ns: int) -> Array:
+        """Return the reading of the gyroscope (3,) [rad/s] at a time: interpolated, or the last one before it."""
+        k = bisect_right(self._stamps, stamp_ns)
+        if k == len(self._stamps) or self._is_gap[k]:
+            return self._rates[k - 1]
+        if k == 0:
+            return self._rates[0]
+        share = (stamp_ns - self._stamps[k - 1]) / (self._stamps[k] - self._stamps[k - 1])
+        return (1.0 - share) * self._rates[k - 1] + share * self._rates[k]
+
+    def window(self, start_ns: int, end_ns: int) -> tuple[Array, Array] | None:
+        """Return specific force and angular velocity (N, 3) in [start, end], or None if the IMU was silent in it."""
+        i, j = bisect_left(self._stamps, start_ns), bisect_right(self._stamps, end_ns)
+        if j - i < 4 or start_ns < self.oldest_ns or any(self._is_gap[i:j]):
+            return None
+        return np.array(self._forces[i:j]), np.array(self._rates[i:j])
+
+
+def preintegrate(
+    steps: list[Step], noise: ImuNoise, attitude: gtsam.Rot3, bias: gtsam.imuBias.ConstantBias
+) -> gtsam.PreintegratedImuMeasurements:
+    """Preintegrate consecutive steps (Forster et al. 2017, Eqs. 35-38 and 63); `attitude` is R_W_I at their start."""
+    middle = steps[len(steps) // 2]
+    force = middle.specific_force - bias.accelerometer()
+    pim = gtsam.PreintegratedImuMeasurements(noise.params(force, middle.angular_velocity, attitude), bias)
+    for dt_s, specific_force, angular_velocity in steps:
+        pim.integrateMeasurement(specific_force, angular_velocity, dt_s)
+    return pim
+
+
+class MotionModel:
+    """Constant twist in place of a silent IMU, as a preintegrated pseudo-measurement with loose noise.
+
+    Body velocity and angular rate stay what they were; the departure from that is white acceleration and white angular
+    rate: (12) in docs/math.md. It has the form of an IMU factor, so that position and velocity stay correlated.
+    """
+
+    def __init__(self, config: MotionModelConfig, gravity: float) -> None:
+        self._gravity = gravity
+        self._params = preintegration_params(config.acceleration_density, config.angular_rate_density, 0.1, gravity)
+
+    def preintegrate(
+        self, duration_s: float, nav: gtsam.NavState, rate: Array, bias: gtsam.imuBias.ConstantBias
+    ) -> gtsam.PreintegratedImuMeasurements:
+        """Return the pseudo-measurement from state `nav` on, with angular velocity `rate` (3,) [rad/s] of I."""
+        pim = gtsam.PreintegratedImuMeasurements(self._params, bias)
+        n = max(1, round(duration_s / MOTION_STEP_S))
+        dt_s = duration_s / n
+        centripetal = np.cross(rate, nav.bodyVelocity())
+        up = np.array([0.0, 0.0, self._gravity])
+        attitude = nav.attitude().compose(gtsam.Rot3.Expmap(0.5 * dt_s * rate))
+        turn = gtsam.Rot3.Expmap(dt_s * rate)
+        for _ in range(n):
+            force = centripetal + attitude.unrotate(up)
+            pim.integrateMeasurement(force + bias.accelerometer(), rate + bias.gyroscope(), dt_s)
+            attitude = attitude.compose(turn)
+        return pim
