@@ -51,6 +51,7 @@ class Estimator:
     def __init__(self, config: Config) -> None:
         self.config = config
         self.counts: Counter[tuple[str, Outcome]] = Counter()
+        self.event_counts: Counter[EventKind] = Counter()
         self.events: list[Event] = []
         sensors = config.sensors
         self._buffer = ImuBuffer(sensors.imu)
@@ -86,6 +87,11 @@ class Estimator:
         return None if self._world is None else self._world.datum
 
     @property
+    def world(self) -> LocalFrame | None:
+        """The world frame W about the datum, or None until there is one."""
+        return self._world
+
+    @property
     def initialised(self) -> bool:
         """Whether estimates are being given."""
         return self._started
@@ -94,6 +100,11 @@ class Estimator:
     def waiting_for(self) -> str:
         """What keeps the estimator from starting."""
         return self._initializer.reason if self._initializer else "no usable GNSS fix has come"
+
+    def take_events(self) -> list[Event]:
+        """Return the events since the last call."""
+        events, self.events = self.events, []
+        return events
 
     def process(self, message: Message) -> Output:
         """Take in one message, in the order of arrival."""
@@ -295,4 +306,5 @@ class Estimator:
             self.counts["standstill", Outcome.USED] += 1
 
     def _tell(self, kind: EventKind, stamp_ns: int, sensor: str, reason: str) -> None:
+        self.event_counts[kind] += 1
         self.events.append(Event(stamp_ns, kind, sensor, reason))

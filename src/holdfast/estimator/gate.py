@@ -9,7 +9,7 @@ MAX_IN_A_ROW = 5  # so many fixes in a row that contradict the estimate make the
 
 
 class InnovationGate:
-    """Holds back fixes whose normalised innovation squared (NIS) is too large: (13) in docs/math.md."""
+    """Holds back fixes whose normalised innovation squared (NIS) is too large: (21) in docs/math.md."""
 
     def __init__(self, gate_sigma: float) -> None:
         self._limit = gate_sigma**2

@@ -58,6 +58,6 @@ class GnssModel:
         return floored
 
     def factor(self, key: int, position: AntennaPosition) -> gtsam.NonlinearFactor:
-        """Return the factor r = p_W_I + R_W_I p_I_G - p_W_G: (10) in docs/math.md, Eqs. (8)-(9) of the paper."""
+        """Return the factor r = p_W_I + R_W_I p_I_G - p_W_G: (13) in docs/math.md, Eqs. (8)-(9) of the paper."""
         model = noise_model(position.covariance, self._config.robust_loss)
         return gtsam.GPSFactor2Arm(key, position.p_W_G, self.p_I_G, model)

@@ -34,7 +34,7 @@ class LidarModel:
     def covariance(self, motion: gtsam.Pose3) -> Array:
         """Return the covariance (6, 6) of the IMU's motion between two scans, rotation [rad] then translation [m].
 
-        The lidar's own noise is carried over the lever arm to the IMU by the adjoint: (11) in docs/math.md.
+        The lidar's own noise is carried over the lever arm to the IMU by the adjoint: (16) in docs/math.md.
         """
         drift = self._config.drift_ratio * float(np.linalg.norm(motion.translation()))
         sigmas = np.repeat([self._config.rotation_sigma_rad, np.hypot(self._config.translation_sigma_m, drift)], 3)

@@ -1,0 +1,117 @@
+"""`holdfast replay`: a recording in, trajectories, ROS messages, events and a summary out."""
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from holdfast.errors import ConfigError, EstimatorError, HoldfastError
+
+if TYPE_CHECKING:
+    from holdfast.replay.runner import Replay
+
+
+@click.command()
+@click.argument("recording", type=click.Path())
+@click.option("-c", "--config", "config_path", required=True, type=click.Path(), help="Configuration (YAML).")
+@click.option("-o", "--output", required=True, type=click.Path(), help="Folder for the results.")
+@click.option("--start", "start_s", type=float, default=0.0, metavar="SECONDS", help="Skip the beginning.")
+@click.option("--duration", "duration_s", type=float, metavar="SECONDS", help="Replay only this much.")
+@click.option("--rate", type=float, metavar="FACTOR", help="Pace: 1 is that of the recording. [default: all out]")
+@click.option("--hold-out", multiple=True, metavar="SENSOR=N", help="Hold back every N-th message, to judge by it.")
+@click.option("--outage", multiple=True, metavar="SENSOR=START:END", help="Hold back all messages of this time [s].")
+def replay(  # noqa: PLR0917 (click passes the options by name)
+    recording: str,
+    config_path: str,
+    output: str,
+    start_s: float,
+    duration_s: float | None,
+    rate: float | None,
+    hold_out: tuple[str, ...],
+    outage: tuple[str, ...],
+) -> None:
+    """Estimate the trajectory of RECORDING.
+
+    Writes to the output folder: imu_in_world.tum and imu_in_odom.tum (what was published at each IMU sample; base_*.tum
+    if the extrinsics reach the base), optimized_in_world.tum (newest node after each update), smoothed_in_world.tum
+    (each node as it leaves the window), estimates.mcap, events.jsonl and summary.json.
+
+    With --hold-out gnss=2 every second fix is kept from the estimator and the estimate is judged by it.
+    """
+    from holdfast.cli.subscriptions import subscriptions
+    from holdfast.config.load import load_config
+    from holdfast.recording.source import open_recording
+    from holdfast.replay.held_out import HoldOut
+    from holdfast.replay.outputs import Outputs
+    from holdfast.replay.runner import Replay
+
+    if rate is not None and rate <= 0:
+        raise ConfigError(f"--rate {rate:g}: must be > 0")
+    config = load_config(config_path)
+    rules = [HoldOut.parse_every(text) for text in hold_out] + [HoldOut.parse_outage(text) for text in outage]
+    with open_recording(recording) as opened:
+        messages = opened.read(subscriptions(config), start_s, duration_s)
+        with Outputs(Path(output), config) as outputs:
+            run = Replay(config, outputs, rules)
+            first, last = opened.start_ns, opened.end_ns
+            failure: BaseException | None = None
+            try:
+                with progress_bar("replaying", first, last) as progress:
+                    run.run(messages, rate, progress)
+            except (HoldfastError, KeyboardInterrupt) as error:
+                failure = error
+            outputs.write_events(run.estimator.take_events())
+        summary = write_summary(run, recording, opened.warnings, Path(output), failure is None)
+    for warning in opened.warnings:
+        click.echo(f"warning: {warning}", err=True)
+    if failure is not None:
+        raise failure
+    if not run.estimator.initialised:
+        raise EstimatorError(f"{recording}: the estimator never started: {run.estimator.waiting_for}")
+    print_summary(summary, output)
+
+
+def write_summary(run: "Replay", recording: str, warnings: list[str], folder: Path, finished: bool) -> dict[str, Any]:
+    """Write summary.json and return its content."""
+    from holdfast.replay.summary import summarise_replay
+
+    summary = summarise_replay(run, recording, warnings, finished)
+    (folder / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    return summary
+
+
+@contextmanager
+def progress_bar(title: str, begin_ns: int | None, end_ns: int | None) -> Iterator[Callable[[int], None] | None]:
+    """Show how far a recording has been read, on a terminal; nothing in a pipe."""
+    if not sys.stderr.isatty() or begin_ns is None or end_ns is None:
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(title, total=max(end_ns - begin_ns, 1))
+        yield lambda arrival_ns: bar.update(task, completed=arrival_ns - begin_ns)
+
+
+def print_summary(summary: dict[str, Any], output: str) -> None:
+    """Print what a user wants to know first: was it used, how good, how fast, where."""
+    timing = summary["timing"]
+    click.echo(
+        f"{timing['recorded_s']:.0f} s in {timing['wall_s']:.1f} s ({timing['real_time_factor']:.0f} x real time), "
+        f"IMU sample {timing['imu_us']['median']:.0f} us, update {timing['update_ms']['median']:.1f} ms (medians)"
+    )
+    for sensor, outcomes in summary["counts"].items():
+        click.echo(f"  {sensor:10s} " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()))
+    for track, parts in summary["held_out"].items():
+        for part, errors in (parts or {}).items():
+            horizontal, vertical, nees = errors["horizontal_m"], errors["vertical_m"], errors["nees_per_dof"]
+            line = f"  held out, {track:8s} {part:8s} {horizontal['count']:5d} fixes: horizontal RMS"
+            line += f" {horizontal['rms']:.3f} m, p95 {horizontal['p95']:.3f} m, max {horizontal['max']:.3f} m"
+            line += f"; vertical RMS {vertical['rms']:.3f} m"
+            click.echo(line + ("" if nees is None else f"; NEES/3 {nees:.2f}"))
+    click.echo(f"written to {output}")

@@ -1,0 +1,118 @@
+"""The files of a replay: trajectories, ROS messages and events, written as they come so that nothing is lost."""
+
+import json
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import gtsam
+
+from holdfast.config.model import Config
+from holdfast.errors import ConfigError
+from holdfast.estimator.estimator import Estimator, Output
+from holdfast.recording.cdr import OdometryEncoder, TransformEncoder
+from holdfast.recording.mcap_writer import McapWriter
+from holdfast.recording.tum import TumWriter
+from holdfast.replay.ros import odometry, quaternion_xyzw
+from holdfast.state import Estimate, Event
+
+ODOMETRY = "nav_msgs/msg/Odometry"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+DIAGNOSTICS_PERIOD_NS = 1_000_000_000
+
+
+class Outputs:
+    """Writes into a folder what the estimator says; a context manager."""
+
+    def __init__(self, folder: Path, config: Config) -> None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"{folder}: cannot be made a folder for the output ({error.strerror})") from None
+        self.folder = folder
+        base = config.frames.base
+        imu = config.sensors.imu
+        self._T_I_B = gtsam.Pose3(config.T_I(base)) if config.reaches(base) and base != imu.frame else None
+        names = ["imu_in_world", "imu_in_odom", "optimized_in_world", "smoothed_in_world"]
+        names += ["base_in_world", "base_in_odom"] if self._T_I_B is not None else []
+        with ExitStack() as stack:
+            self._tracks = {name: stack.enter_context(TumWriter(folder / f"{name}.tum")) for name in names}
+            self._mcap = stack.enter_context(McapWriter(folder / "estimates.mcap"))
+            self._events = stack.enter_context((folder / "events.jsonl").open("w", encoding="utf-8"))
+            self._stack = stack.pop_all()
+        frames = config.frames
+        self._in_world = OdometryEncoder(frames.world, imu.frame)
+        self._in_odometry = OdometryEncoder(frames.odometry, imu.frame)
+        body = imu.frame if self._T_I_B is None else base
+        self._transforms = TransformEncoder([(frames.world, frames.odometry), (frames.odometry, body)])
+        self._rate_density = imu.gyroscope_noise_density**2
+        self._last_stamp_ns = 0
+        self._diagnosed_ns = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
+
+    def write(self, output: Output) -> None:
+        """Write what one message led to."""
+        if output.estimate is not None:
+            self._write_estimate(output.estimate)
+        if output.optimised is not None:
+            nav = output.optimised.nav
+            track = self._tracks["optimized_in_world"]
+            track.append(output.optimised.stamp_ns, nav.position(), quaternion_xyzw(nav.attitude()))
+        for stamp_ns, nav in output.smoothed:
+            self._tracks["smoothed_in_world"].append(stamp_ns, nav.position(), quaternion_xyzw(nav.attitude()))
+
+    def write_events(self, events: list[Event]) -> None:
+        """Write events, one JSON object per line."""
+        for event in events:
+            self._events.write(json.dumps(asdict(event)) + "\n")
+        if events:
+            self._events.flush()
+
+    def diagnose(self, estimator: Estimator, now_ns: int) -> None:
+        """Write a DiagnosticArray once a second."""
+        if now_ns - self._diagnosed_ns < DIAGNOSTICS_PERIOD_NS:
+            return
+        self._diagnosed_ns = now_ns
+        types = self._mcap.types
+        values = [(f"{sensor} {outcome}", str(count)) for (sensor, outcome), count in sorted(estimator.counts.items())]
+        status = types["diagnostic_msgs/msg/DiagnosticStatus"](
+            level=0 if estimator.initialised else 1,
+            name="holdfast",
+            message="running" if estimator.initialised else estimator.waiting_for,
+            hardware_id="",
+            values=[types["diagnostic_msgs/msg/KeyValue"](key=key, value=value) for key, value in values],
+        )
+        stamp = types["builtin_interfaces/msg/Time"](sec=now_ns // 10**9, nanosec=now_ns % 10**9)
+        header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
+        self._mcap.write("/diagnostics", types[DIAGNOSTICS](header=header, status=[status]), DIAGNOSTICS, now_ns)
+
+    def _write_estimate(self, estimate: Estimate) -> None:
+        stamp = estimate.stamp_ns
+        T_W_I = estimate.nav.pose()
+        T_O_I = estimate.T_W_O.inverse() * T_W_I
+        period_s = min(max((stamp - self._last_stamp_ns) * 1e-9, 1e-4), 0.1)
+        self._last_stamp_ns = stamp
+        world, odom = (odometry(estimate, pose, self._rate_density / period_s) for pose in (T_W_I, T_O_I))
+        self._tracks["imu_in_world"].append(stamp, world.position, world.quaternion_xyzw)
+        self._tracks["imu_in_odom"].append(stamp, odom.position, odom.quaternion_xyzw)
+        self._mcap.write("/holdfast/odometry/world", self._in_world.encode(stamp, *world), ODOMETRY, stamp)
+        self._mcap.write("/holdfast/odometry/odom", self._in_odometry.encode(stamp, *odom), ODOMETRY, stamp)
+        body = (odom.position, odom.quaternion_xyzw)
+        if self._T_I_B is not None:
+            T_O_B = T_O_I * self._T_I_B
+            T_W_B = T_W_I * self._T_I_B
+            body = (T_O_B.translation(), quaternion_xyzw(T_O_B.rotation()))
+            self._tracks["base_in_odom"].append(stamp, *body)
+            self._tracks["base_in_world"].append(stamp, T_W_B.translation(), quaternion_xyzw(T_W_B.rotation()))
+        map_to_odom = (estimate.T_W_O.translation(), quaternion_xyzw(estimate.T_W_O.rotation()))
+        self._mcap.write("/tf", self._transforms.encode(stamp, [map_to_odom, body]), TRANSFORMS, stamp)

@@ -1,0 +1,101 @@
+"""The summary of a replay: counts, timing, held-out accuracy, versions and the resolved configuration, as JSON."""
+
+import platform
+from collections.abc import Collection, Sequence
+from dataclasses import asdict
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from holdfast.evaluation.absolute import summarise
+from holdfast.replay.held_out import Judgement
+from holdfast.replay.runner import Replay, Timing
+
+
+def summarise_replay(replay: Replay, recording: str, warnings: Sequence[str], finished: bool) -> dict[str, Any]:
+    """Return the content of summary.json."""
+    estimator = replay.estimator
+    counts: dict[str, dict[str, int]] = {}
+    for (sensor, outcome), count in sorted(estimator.counts.items()):
+        counts.setdefault(sensor, {})[str(outcome)] = count
+    silent = {judgement.stamp_ns for judgement in replay.causal.judgements if judgement.imu_silent}
+    return {
+        "recording": recording,
+        "finished": finished,
+        "initialised": estimator.initialised,
+        "waiting_for": None if estimator.initialised else estimator.waiting_for,
+        "datum": None if estimator.datum is None else estimator.datum._asdict(),
+        "counts": counts,
+        "events": dict(sorted(estimator.event_counts.items())),
+        "timing": timing_summary(replay.timing),
+        "held_out": {
+            "causal": held_out_summary(replay.causal.judgements, silent),
+            "smoothed": held_out_summary(replay.smoothed.judgements, silent),
+        },
+        "warnings": list(warnings),
+        "versions": {name: version(name) for name in ("holdfast", "gtsam", "numpy", "rosbags")},
+        "machine": {
+            "python": platform.python_version(),
+            "system": platform.platform(),
+            "processor": platform.machine(),
+        },
+        "config": estimator.config.model_dump(mode="json"),
+    }
+
+
+def timing_summary(timing: Timing) -> dict[str, Any]:
+    """Return the real-time factor, and percentiles of the time per IMU sample [us] and per update [ms]."""
+    factor = timing.recorded_s / timing.wall_s if timing.wall_s > 0 else None
+    return {
+        "recorded_s": timing.recorded_s,
+        "wall_s": timing.wall_s,
+        "real_time_factor": factor,
+        "imu_us": percentiles(np.frombuffer(timing.imu_ns, dtype=np.int64) * 1e-3),
+        "update_ms": percentiles(np.frombuffer(timing.update_ns, dtype=np.int64) * 1e-6),
+    }
+
+
+def percentiles(values: NDArray[np.floating[Any]]) -> dict[str, float] | None:
+    """Return count, mean, median, p90, p99 and max of values (N,); None if there are none."""
+    if not len(values):
+        return None
+    median, p90, p99 = np.percentile(values, [50.0, 90.0, 99.0])
+    return {
+        "count": len(values),
+        "mean": float(values.mean()),
+        "median": float(median),
+        "p90": float(p90),
+        "p99": float(p99),
+        "max": float(values.max()),
+    }
+
+
+def held_out_summary(judgements: Sequence[Judgement], silent: Collection[int]) -> dict[str, Any] | None:
+    """Return the errors at held-out fixes by circumstance; None if nothing was held out.
+
+    `silent` holds the stamps of the fixes that fell into a drop-out of the IMU.
+    """
+    if not judgements:
+        return None
+    parts = {
+        "all": list(judgements),
+        "nominal": [j for j in judgements if not j.in_outage and j.stamp_ns not in silent],
+        "imu_gap": [j for j in judgements if not j.in_outage and j.stamp_ns in silent],
+        "outage": [j for j in judgements if j.in_outage],
+    }
+    return {name: _errors(part) for name, part in parts.items() if part}
+
+
+def _errors(judgements: Sequence[Judgement]) -> dict[str, Any]:
+    errors = np.array([judgement.error for judgement in judgements])
+    horizontal, vertical = summarise(np.hypot(errors[:, 0], errors[:, 1])), summarise(errors[:, 2])
+    nees = np.array([judgement.nees for judgement in judgements]) / 3.0
+    assert horizontal is not None
+    assert vertical is not None
+    return {
+        "horizontal_m": asdict(horizontal),
+        "vertical_m": asdict(vertical),
+        "nees_per_dof": None if np.isnan(nees).all() else float(np.nanmean(nees)),
+    }
