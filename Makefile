@@ -1,0 +1,61 @@
+# `make demo` and `make test` do everything on a fresh machine with Python 3.11 to 3.14: see `make help`.
+# Another interpreter: `make test PYTHON=python3.12`.
+
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.installed
+PYTHON :=
+CANDIDATES := $(or $(PYTHON),python3 python3.13 python3.12 python3.11 python3.14 python)
+SUITABLE := import ensurepip, sys, venv; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))
+
+# one process per core is enough: no threads below it
+export OPENBLAS_NUM_THREADS := 1
+export OMP_NUM_THREADS := 1
+export MPLBACKEND := Agg
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test check lint bench results clean
+
+help: ## Show this list
+	@sed -n 's/^\([a-z]*\):.*## /\1: /p' Makefile | awk -F': ' '{ printf "  make %-8s %s\n", $$1, $$2 }'
+
+demo: $(READY) ## Estimate a real drive, draw it and print how far it is from the reference
+	@$(BIN)/holdfast demo
+
+test: $(READY) ## Run every test, the slow ones too
+	@$(BIN)/python -m pytest -n auto --dist worksteal
+
+check: lint ## Run what must pass before a commit (linters and fast tests)
+	@$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow"
+
+lint: $(READY) ## Check format, style, types and the direction of imports
+	@$(BIN)/ruff format --check
+	@$(BIN)/ruff check
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports
+
+bench: $(READY) ## Measure speed on this machine
+	@$(BIN)/holdfast bench
+
+results: $(READY) ## Run the real drives and print their accuracy
+	@$(BIN)/python benchmarks/real_drives.py
+
+clean: ## Remove the virtual environment and the caches, not the results
+	@rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	@find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(READY): pyproject.toml constraints.txt
+	@python=; for candidate in $(CANDIDATES); do \
+	    if $$candidate -c '$(SUITABLE)' >/dev/null 2>&1; then python=$$candidate; break; fi; \
+	done; \
+	if [ -z "$$python" ]; then \
+	    echo "error: no Python 3.11 to 3.14 with the venv module among: $(CANDIDATES)" \
+	        "(Debian and Ubuntu: install python3-venv)" >&2; exit 1; \
+	fi; \
+	echo "Installing into $(VENV) with $$($$python --version) ..."; \
+	rm -f $@; \
+	{ { [ -x $(BIN)/pip ] && $(BIN)/python -c '$(SUITABLE)'; } || $$python -m venv --clear $(VENV); } \
+	    && $(BIN)/python -m pip install --disable-pip-version-check --no-input \
+	        -c constraints.txt -e ".[dev]" >$(VENV)/install.log 2>&1 \
+	    || { cat $(VENV)/install.log >&2; echo "error: the installation into $(VENV) failed, see above" >&2; exit 1; }
+	@touch $@
