@@ -1,6 +1,7 @@
 """Prints the accuracy on the real recordings, as docs/results.md quotes it: `python benchmarks/real_drives.py`.
 
-The recordings are read where they lie (`--data`, by default `../shared/data` beside the checkout). Truth never enters the estimator: held-out fixes and `truth_lidar.tum` only judge.
+The recordings are read where they lie (`--data`, by default `../shared/data` beside the checkout). Truth never
+enters the estimator: held-out fixes and `truth_lidar.tum` only judge.
 """
 
 import argparse

@@ -45,14 +45,15 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     from holdfast.cli.subscriptions import subscriptions
     from holdfast.config.load import load_config
     from holdfast.recording.source import open_recording
-    from holdfast.replay.held_out import HoldOut
+    from holdfast.replay.held_out import HoldOut, check_sensors
     from holdfast.replay.outputs import Outputs
     from holdfast.replay.runner import Replay
 
-    if rate is not None and rate <= 0:
+    if rate is not None and not rate > 0:
         raise ConfigError(f"--rate {rate:g}: must be > 0")
     config = load_config(config_path)
     rules = [HoldOut.parse_every(text) for text in hold_out] + [HoldOut.parse_outage(text) for text in outage]
+    check_sensors(rules, config)  # before the results of an earlier replay are overwritten
     with open_recording(recording) as opened:
         messages = opened.read(subscriptions(config), start_s, duration_s)
         with Outputs(Path(output), config) as outputs:

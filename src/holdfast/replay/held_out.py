@@ -61,40 +61,50 @@ class HoldOut:
         return cls(sensor, None, start, end)
 
 
+def check_sensors(rules: Iterable[HoldOut], config: Config) -> None:
+    """Refuse rules for sensors that the configuration has not.
+
+    Raises:
+        ConfigError: names the sensor and those that are allowed.
+    """
+    known = [name for name in type(config.sensors).model_fields if getattr(config.sensors, name) is not None]
+    for rule in rules:
+        if rule.sensor not in known:
+            raise ConfigError(f"sensor {rule.sensor!r} is not configured (allowed: {', '.join(known)})")
+
+
 class HoldOutFilter:
     """Splits a stream of messages into what the estimator sees and what judges it."""
 
     def __init__(self, rules: Iterable[HoldOut], config: Config) -> None:
         self._rules = list(rules)
-        for rule in self._rules:
-            if getattr(config.sensors, rule.sensor, None) is None:
-                known = [
-                    name for name in type(config.sensors).model_fields if getattr(config.sensors, name) is not None
-                ]
-                raise ConfigError(f"sensor {rule.sensor!r} is not configured (allowed: {', '.join(known)})")
+        check_sensors(self._rules, config)
         self._models = {
             name: GnssModel(gnss, np.zeros(3))
             for name, gnss in (("gnss", config.sensors.gnss), ("gnss_right", config.sensors.gnss_right))
             if gnss is not None
         }
-        self._first_ns: int | None = None
+        self.first_ns: int | None = None
         self._seen: dict[str, int] = {}
+        self._lost: set[str] = set()  # sensors in an outage, which lasts until the estimator gets a message again
         self.held: deque[tuple[Message, bool]] = deque()
 
     def split(self, messages: Iterable[Message]) -> Iterator[Message]:
         """Yield what is not held back; the rest goes to `held`, with whether it fell into an outage."""
         for message in messages:
-            if self._first_ns is None:
-                self._first_ns = message.stamp_ns
-            at_s = (message.stamp_ns - self._first_ns) * 1e-9
+            if self.first_ns is None:
+                self.first_ns = message.stamp_ns
+            at_s = (message.stamp_ns - self.first_ns) * 1e-9
             rules = [rule for rule in self._rules if rule.sensor == message.sensor and self._is_usable(message)]
             if any(rule.every is None and rule.start_s <= at_s < rule.end_s for rule in rules):
+                self._lost.add(message.sensor)
                 self.held.append((message, True))
-                continue
-            if self._is_nth(message, rules):
-                self.held.append((message, False))
-                continue
-            yield message
+            elif self._is_nth(message, rules):
+                self.held.append((message, message.sensor in self._lost))
+            else:
+                if rules:
+                    self._lost.discard(message.sensor)
+                yield message
 
     def _is_usable(self, message: Message) -> bool:
         return not isinstance(message, GnssFix) or self._models[message.sensor].check(message) is Outcome.USED

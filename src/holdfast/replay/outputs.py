@@ -39,9 +39,12 @@ class Outputs:
         names = ["imu_in_world", "imu_in_odom", "optimized_in_world", "smoothed_in_world"]
         names += ["base_in_world", "base_in_odom"] if self._T_I_B is not None else []
         with ExitStack() as stack:
-            self._tracks = {name: stack.enter_context(TumWriter(folder / f"{name}.tum")) for name in names}
-            self._mcap = stack.enter_context(McapWriter(folder / "estimates.mcap"))
-            self._events = stack.enter_context((folder / "events.jsonl").open("w", encoding="utf-8"))
+            try:
+                self._tracks = {name: stack.enter_context(TumWriter(folder / f"{name}.tum")) for name in names}
+                self._mcap = stack.enter_context(McapWriter(folder / "estimates.mcap"))
+                self._events = stack.enter_context((folder / "events.jsonl").open("w", encoding="utf-8"))
+            except OSError as error:
+                raise ConfigError(f"{error.filename}: cannot be written ({error.strerror})") from None
             self._stack = stack.pop_all()
         frames = config.frames
         self._in_world = OdometryEncoder(frames.world, imu.frame)
@@ -50,6 +53,7 @@ class Outputs:
         self._transforms = TransformEncoder([(frames.world, frames.odometry), (frames.odometry, body)])
         self._rate_density = imu.gyroscope_noise_density**2
         self._last_stamp_ns = 0
+        self._last_node_ns = -1
         self._diagnosed_ns = 0
 
     def __enter__(self) -> Self:
@@ -64,7 +68,9 @@ class Outputs:
         """Write what one message led to."""
         if output.estimate is not None:
             self._write_estimate(output.estimate)
-        if output.optimised is not None:
+        # a late measurement updates the window without making a newer node: a track holds each node once
+        if output.optimised is not None and output.optimised.stamp_ns > self._last_node_ns:
+            self._last_node_ns = output.optimised.stamp_ns
             nav = output.optimised.nav
             track = self._tracks["optimized_in_world"]
             track.append(output.optimised.stamp_ns, nav.position(), quaternion_xyzw(nav.attitude()))

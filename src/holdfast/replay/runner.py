@@ -5,12 +5,17 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from time import perf_counter, perf_counter_ns, sleep
 
+import numpy as np
+
 from holdfast.config.model import Config
+from holdfast.errors import EstimatorError
 from holdfast.estimator.estimator import Estimator, Output
 from holdfast.geometry.earth import LocalFrame
 from holdfast.messages import GnssFix, ImuSample, Message
 from holdfast.replay.held_out import HeldOutJudge, HoldOut, HoldOutFilter
 from holdfast.replay.outputs import Outputs
+from holdfast.report.track import JudgedTrack
+from holdfast.state import Estimate
 
 
 @dataclass(slots=True)
@@ -24,9 +29,22 @@ class Timing:
 
 
 class Replay:
-    """One replay of one stream; `run` may be interrupted, what was done until then stays valid."""
+    """One replay of one stream; `run` may be interrupted, what was done until then stays valid.
 
-    def __init__(self, config: Config, outputs: Outputs | None = None, hold_out: Iterable[HoldOut] = ()) -> None:
+    Args:
+        config: of the estimator.
+        outputs: where to write; without it nothing is written.
+        hold_out: what to keep from the estimator, to judge it.
+        keep_track: keep the causal track in memory for a figure.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        outputs: Outputs | None = None,
+        hold_out: Iterable[HoldOut] = (),
+        keep_track: bool = False,
+    ) -> None:
         self.estimator = Estimator(config)
         self.timing = Timing()
         self.causal = HeldOutJudge(config)
@@ -34,6 +52,7 @@ class Replay:
         self._filter = HoldOutFilter(hold_out, config)
         self._outputs = outputs
         self._frame: LocalFrame | None = None
+        self._kept: list[tuple[int, float, float, float]] | None = [] if keep_track else None
 
     def run(
         self, messages: Iterable[Message], rate: float | None = None, progress: Callable[[int], None] | None = None
@@ -88,7 +107,43 @@ class Replay:
             return
         if output.estimate is not None:
             self.causal.add_estimate(output.estimate, frame)
+            if self._kept is not None:
+                self._keep(output.estimate)
         if output.optimised is not None:
             self.causal.add_optimised(output.optimised, frame)
         for stamp_ns, nav in output.smoothed:
             self.smoothed.add_smoothed(stamp_ns, nav, frame)
+
+    def _keep(self, estimate: Estimate) -> None:
+        assert self._kept is not None
+        east, north, _ = estimate.nav.position()
+        R = estimate.nav.attitude().matrix()[:2]
+        variance = float(np.trace(R @ estimate.covariance[3:6, 3:6] @ R.T))
+        self._kept.append((estimate.stamp_ns, east, north, variance))
+
+    @property
+    def first_stamp_ns(self) -> int:
+        """Stamp of the first message, from which outages count."""
+        return self._filter.first_ns or 0
+
+    def judged_track(self) -> tuple[JudgedTrack, int]:
+        """Return the causal track with the held-out fixes, and the stamp from which its times count.
+
+        Raises:
+            EstimatorError: there is no track: the estimator never started, or `keep_track` was not asked for.
+        """
+        if not self._kept:
+            raise EstimatorError(f"there is no track to show: {self.estimator.waiting_for}")
+        start_ns = self._kept[0][0]
+        rows = np.array([(stamp - start_ns, *rest) for stamp, *rest in self._kept], dtype=np.float64)
+        judged = self.causal.judgements
+        track = JudgedTrack(
+            time_s=rows[:, 0] * 1e-9,
+            positions=rows[:, 1:3],
+            sigma_m=np.sqrt(rows[:, 3]),
+            fix_time_s=np.array([(j.stamp_ns - start_ns) * 1e-9 for j in judged]),
+            fixes=np.array([j.position[:2] for j in judged]).reshape(-1, 2),
+            errors_m=np.array([np.hypot(j.error[0], j.error[1]) for j in judged]),
+            in_outage=np.array([j.in_outage for j in judged], dtype=np.bool_),
+        )
+        return track, start_ns
