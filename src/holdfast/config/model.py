@@ -67,7 +67,11 @@ class GnssConfig(Section):
         description="east, north, up [m] where the receiver reports no covariance; without it such fixes are refused",
     )
     gate_sigma: float = quantity(
-        "sigma", 5.0, gt=2, le=100, doc="fixes further from the prediction than this many sigma of both are held back"
+        "sigma",
+        4.0,
+        gt=2,
+        le=100,
+        doc="fixes further from the prediction lose weight; twice as far, they are held back",
     )
     min_sigma_m: float = quantity("m", 0.005, gt=0, doc="floor under the receiver's claim, per axis")
     robust_loss: RobustLoss = RobustLoss()

@@ -3,13 +3,14 @@
 from bisect import insort
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import gtsam
 import numpy as np
 
 from holdfast.config.model import Config
-from holdfast.estimator.gate import InnovationGate
+from holdfast.estimator.gate import InnovationGate, innovation_nis
 from holdfast.estimator.initializer import Initializer
 from holdfast.estimator.predictor import Predictor
 from holdfast.estimator.standstill import quiet_window
@@ -266,12 +267,14 @@ class Estimator:
     def _add_fix(self, key: int, fix: AntennaPosition) -> None:
         model = self._antennas[fix.sensor]
         nav, covariance = self._smoother.nav(fix.stamp_ns), self._smoother.covariance(fix.stamp_ns)
-        outcome = Outcome.INNOVATION
-        if self._gates[fix.sensor].passes(nav, covariance, model.p_I_G, fix.p_W_G, fix.covariance):
-            self._smoother.add(model.factor(key, fix))
-            outcome = Outcome.USED
-        else:
+        nis = innovation_nis(nav, covariance, model.p_I_G, fix.p_W_G, fix.covariance)
+        inflation = self._gates[fix.sensor].inflation(nis)
+        outcome = Outcome.USED
+        if inflation is None:
+            outcome = Outcome.INNOVATION
             self._tell(EventKind.REJECTED, fix.stamp_ns, fix.sensor, outcome)
+        else:
+            self._smoother.add(model.factor(key, replace(fix, covariance=fix.covariance * inflation)))
         self.counts[fix.sensor, outcome] += 1
 
     def _add_scan(self, key: int, scan: Pending) -> None:

@@ -5,24 +5,29 @@ import numpy as np
 
 from holdfast.messages import Array
 
+HOLD_BACK = 4.0  # in units of the limit on NIS: twice the gate in sigma
 MAX_IN_A_ROW = 5  # so many fixes in a row that contradict the estimate make the estimate suspect, not the fixes
 
 
 class InnovationGate:
-    """Holds back fixes whose normalised innovation squared (NIS) is too large: (21) in docs/math.md."""
+    """Weighs fixes by their normalised innovation squared (NIS): (21) in docs/math.md.
+
+    Up to the gate a fix counts in full; beyond it its covariance grows with the square of the excess, because the
+    estimate may be at fault as well as the fix; beyond twice the gate it is held back, unless it is the last of many.
+    """
 
     def __init__(self, gate_sigma: float) -> None:
         self._limit = gate_sigma**2
         self._in_a_row = 0
 
-    def passes(self, nav: gtsam.NavState, covariance: Array, p_I_G: Array, p_W_G: Array, fix_covariance: Array) -> bool:
-        """Judge one fix against the predicted state and its covariance (9, 9)."""
-        nis = innovation_nis(nav, covariance, p_I_G, p_W_G, fix_covariance)
-        if nis <= self._limit or self._in_a_row >= MAX_IN_A_ROW:
-            self._in_a_row = 0
-            return True
-        self._in_a_row += 1
-        return False
+    def inflation(self, nis: float) -> float | None:
+        """Return the factor on the covariance of a fix with this NIS, or None if the fix is held back."""
+        excess = nis / self._limit
+        if excess > HOLD_BACK and self._in_a_row < MAX_IN_A_ROW:
+            self._in_a_row += 1
+            return None
+        self._in_a_row = 0
+        return 1.0 if excess > HOLD_BACK else max(1.0, excess**2)
 
 
 def innovation_nis(nav: gtsam.NavState, covariance: Array, p_I_G: Array, p_W_G: Array, fix_covariance: Array) -> float:

@@ -47,7 +47,7 @@ class Smoother:
         isam.relinearizeSkip = 1
         isam.findUnusedFactorSlots = True
         self._smoother = gtsam.IncrementalFixedLagSmoother(self._config.lag_s, isam)
-        self._epoch_ns = to_grid(state.stamp_ns)
+        self._epoch_ns = self._newest_known_ns = to_grid(state.stamp_ns)
         self._nodes = Timeline()
         self._links: dict[int, Link] = {}  # by the stamp of the left node
         self._bias_stamps: dict[int, int] = {}  # bias epoch -> end of the last link that uses it
@@ -155,8 +155,12 @@ class Smoother:
         for link in new_links:
             graph.add(link.factor)
         try:
-            self._smoother.update(graph, self._new_values, self._new_stamps, self._removed_slots)
+            # Two steps keep the newest node at the root of the Bayes tree: only an update that marginalises nothing
+            # orders the new variables last, and then the next one (and the marginal) touches few cliques.
+            arrivals = dict.fromkeys(self._new_stamps, self._seconds(self._newest_known_ns))
+            self._smoother.update(graph, self._new_values, arrivals, self._removed_slots)
             slots = self._smoother.getISAM2Result().getNewFactorsIndices()
+            self._smoother.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), self._new_stamps)
             state = self._read_newest()
         except (RuntimeError, IndexError, ValueError) as error:
             self._reanchor()
@@ -165,6 +169,7 @@ class Smoother:
             link.slot = slot
         self._clear_pending()
         self._forget()
+        self._newest_known_ns = self.newest_ns
         self._state, self._tail = state, state.covariance
         return state
 
