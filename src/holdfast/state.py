@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # the judge and the recordings use this module without paying
 
 
 class Outcome(StrEnum):
-    """What became of one measurement; every measurement is counted under exactly one."""
+    """What became of one measurement; those that still wait for the IMU are not counted yet."""
 
     USED = "used"
     NOT_FINITE = "not_finite"
@@ -36,7 +36,7 @@ class Outcome(StrEnum):
     LARGE_COVARIANCE = "large_covariance"
     BEFORE_START = "before_start"
     NO_PREDECESSOR = "no_predecessor"
-    NOT_REACHED = "not_reached"
+    IGNORED = "ignored"
 
 
 class EventKind(StrEnum):
@@ -47,7 +47,8 @@ class EventKind(StrEnum):
     REJECTED = "rejected"
     LATE = "late"
     IMU_GAP = "imu_gap"
-    STANDSTILL = "standstill"
+    CLOCK_STEP = "clock_step"
+    ESTIMATE_SUSPECT = "estimate_suspect"
     OPTIMISER_FAULT = "optimiser_fault"
 
 

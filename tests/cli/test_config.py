@@ -189,6 +189,7 @@ def test_every_sensor_of_the_model_has_a_kind() -> None:
 
 
 def test_both_antennas_are_subscribed_as_gnss() -> None:
-    text = MACHINE.replace("  heading:", "  gnss_right: {topic: /right}\n  heading:")
+    text = MACHINE.replace("  heading:", "  gnss_right: {topic: /right, frame: right}\n  heading:")
+    text = text.replace("extrinsics: [", "extrinsics: [{parent: imu, child: right}, ")
     config: Config = parse_config(text)
     assert Subscription(topic="/right", sensor="gnss_right", kind="gnss") in subscriptions(config)

@@ -21,13 +21,14 @@ FULL = """\
 sensors:
   imu: {topic: /imu}
   gnss: {topic: /gnss}
-  gnss_right: {topic: /gnss2}
+  gnss_right: {topic: /gnss2, frame: right}
   lidar: {topic: /lidar}
   heading: {topic: /heading}
   joint: {topic: /joint}
 extrinsics:
   - {parent: imu, child: gnss, translation_m: [1, 2, 3], rotation_rpy_deg: [0, 0, 90]}
   - {parent: gnss, child: lidar}
+  - {parent: imu, child: right, translation_m: [1, -2, 3]}
 frames: {datum: {latitude_deg: 1, longitude_deg: 2, altitude_m: 3}}
 """
 
@@ -183,9 +184,10 @@ def test_anchors_serve_repeated_values_and_may_be_used_again() -> None:
 
 def test_a_section_in_part_keeps_the_defaults_of_its_place_and_a_bare_heading_keeps_them_all() -> None:
     text = (
-        MINIMAL + "  gnss:\n    topic: /g\n    robust_loss: {threshold: 4}\nextrinsics: [{parent: imu, child: gnss}]\n"
+        MINIMAL
+        + "  lidar:\n    topic: /l\n    robust_loss: {threshold: 4}\nextrinsics: [{parent: imu, child: lidar}]\n"
     )
-    loss = parse_config(text + "graph:\n").sensors.gnss.robust_loss  # type: ignore[union-attr]
+    loss = parse_config(text + "graph:\n").sensors.lidar.robust_loss  # type: ignore[union-attr]
     assert (loss.kind, loss.threshold) == ("huber", 4.0)
     assert parse_config(text + "graph:\n") == parse_config(text)
 
@@ -322,6 +324,18 @@ def test_a_validator_may_name_several_places_one_per_line(monkeypatch: pytest.Mo
         (2, "sensors.imu", "too few"),
         (1, "", "what the sensors say"),
     ]
+
+
+def test_two_antennas_in_one_frame_are_refused() -> None:
+    text = MINIMAL + "  gnss: {topic: /g}\n  gnss_right: {topic: /r}\nextrinsics: [{parent: imu, child: gnss}]\n"
+    (found,) = faults(text)
+    assert found.endswith("sensors.gnss_right.frame: two antennas cannot share one frame")
+
+
+def test_every_frame_that_cannot_be_reached_is_said_on_its_own_line() -> None:
+    found = faults(MINIMAL + "  gnss: {topic: /g}\n  lidar: {topic: /l}\n")
+    assert [line.split(": ")[0].split()[-1] for line in found] == ["sensors.gnss.frame", "sensors.lidar.frame"]
+    assert all("no transforms lead from 'imu'" in line for line in found)
 
 
 def test_every_section_of_the_model_is_reached_by_the_walk() -> None:

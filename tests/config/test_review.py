@@ -45,8 +45,8 @@ def test_a_long_time_offset_of_any_sensor_is_said() -> None:
     assert found(gnss=", time_offset_s: -0.6")[0].startswith("sensors.gnss.time_offset_s = -0.6: more than 0.5 s")
 
 
-def test_two_antennas_in_one_frame_are_said() -> None:
-    text = SENSORS.format(imu="", gnss="") + "  gnss_right: {topic: /g2}\n" + ARM
+def test_a_lidar_in_the_frame_of_the_antenna_is_said() -> None:
+    text = SENSORS.format(imu="", gnss="") + "  lidar: {topic: /l, frame: gnss}\n" + ARM
     assert warnings(parse_config(text)) == [
-        "sensors.gnss_right: is in the same frame 'gnss' as sensors.gnss: are they one device?"
+        "sensors.lidar: is in the same frame 'gnss' as sensors.gnss: are they one device?"
     ]

@@ -51,12 +51,13 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
 
     if rate is not None and not rate > 0:
         raise ConfigError(f"--rate {rate:g}: must be > 0")
+    check_window(start_s, duration_s)
     config = load_config(config_path)
     rules = [HoldOut.parse_every(text) for text in hold_out] + [HoldOut.parse_outage(text) for text in outage]
     check_sensors(rules, config)  # before the results of an earlier replay are overwritten
     with open_recording(recording) as opened:
         messages = opened.read(subscriptions(config), start_s, duration_s)
-        with Outputs(Path(output), config) as outputs:
+        with _naming_the_output(output), Outputs(Path(output), config) as outputs:
             run = Replay(config, outputs, rules)
             first, last = opened.start_ns, opened.end_ns
             failure: BaseException | None = None
@@ -74,6 +75,27 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     if not run.estimator.initialised:
         raise EstimatorError(f"{recording}: the estimator never started: {run.estimator.waiting_for}")
     print_summary(summary, output)
+
+
+def check_window(start_s: float, duration_s: float | None) -> None:
+    """Refuse a window that no recording can have.
+
+    Raises:
+        ConfigError: names the option.
+    """
+    if not start_s >= 0:
+        raise ConfigError(f"--start {start_s:g}: must be >= 0")
+    if duration_s is not None and not duration_s > 0:
+        raise ConfigError(f"--duration {duration_s:g}: must be > 0")
+
+
+@contextmanager
+def _naming_the_output(output: str) -> Iterator[None]:
+    """Turn a full disk and its like into one line."""
+    try:
+        yield
+    except OSError as error:
+        raise ConfigError(f"{error.filename or output}: cannot be written ({error.strerror or error})") from None
 
 
 def write_summary(run: "Replay", recording: str, warnings: list[str], folder: Path, finished: bool) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """The estimator on one page: a message comes in, it is checked, it becomes factors, an estimate goes out."""
 
 from bisect import insort
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -22,7 +22,11 @@ from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lidar import LidarModel
 from holdfast.state import Estimate, Event, EventKind, OptimisedState, Outcome
 
+MIN_STANDSTILL_PERIOD_NS = 100_000_000
 STANDARD_GRAVITY = 9.80665
+RECENT = 64  # stamps per sensor among which a duplicate is looked for
+MAX_HEADING_SIGMA_RAD = 1.0  # a heading that is less sure says nothing
+FUTURE_NS = 1_000_000_000  # further ahead of the IMU's clock a stamp is an error
 
 
 class Output(NamedTuple):
@@ -73,9 +77,9 @@ class Estimator:
         self._started = False
         self._pending: list[Pending] = []
         self._order = 0
-        self._last_standstill_ns = 0
+        self._recent: dict[str, deque[int]] = {}
+        self._next_standstill_ns = 0
         self._last_scan: tuple[int, gtsam.Pose3] | None = None
-        self._imu_arrival_ns = 0
         datum = config.frames.datum
         if datum is not None:
             self._set_datum(Geodetic(datum.latitude_deg, datum.longitude_deg, datum.altitude_m))
@@ -116,7 +120,8 @@ class Estimator:
         if isinstance(message, LidarPose):
             return self._process_lidar(message)
         if isinstance(message, Heading):
-            self._process_heading(message)
+            return self._process_heading(message)
+        self.counts[message.sensor, Outcome.IGNORED] += 1
         return Output()
 
     # --- IMU -----------------------------------------------------------------------------------------------------
@@ -127,13 +132,15 @@ class Estimator:
         if outcome is not Outcome.USED:
             return Output()
         was_heard_ns = self._buffer.latest_ns
+        if sample.stamp_ns + self._buffer.offset_ns < was_heard_ns:
+            self._start_over(sample)
         step = self._buffer.add(sample)
-        self._imu_arrival_ns = sample.arrival_ns
         stamp = self._buffer.latest_ns
         if not self._started:
             return Output()
         if self._buffer.gap_found_ns is not None:
             self._tell(EventKind.IMU_GAP, self._buffer.gap_found_ns, sample.sensor, "samples on a straight line")
+            self._smoother.mark_silent(self._buffer.gap_found_ns)
         elif stamp - was_heard_ns > self._buffer.max_gap_ns:
             silence = (stamp - was_heard_ns) * 1e-9
             self._tell(EventKind.IMU_GAP, was_heard_ns, sample.sensor, f"no samples for {silence:.3f} s")
@@ -148,14 +155,16 @@ class Estimator:
 
     def _process_fix(self, fix: GnssFix) -> Output:
         model = self._antennas[fix.sensor]
+        stamp = fix.stamp_ns + model.offset_ns
         outcome = model.check(fix)
+        if outcome is Outcome.USED:
+            outcome = self._check_stamp(stamp, fix)
         if outcome is not Outcome.USED:
             return self._reject(fix, outcome)
         point = Geodetic(fix.latitude_deg, fix.longitude_deg, fix.altitude_m)
         if self._world is None:
             self._set_datum(point)
         assert self._world is not None
-        stamp = fix.stamp_ns + model.offset_ns
         position = AntennaPosition(stamp, fix.sensor, self._world.to_enu(point), model.covariance(fix))
         if self._started:
             return self._enqueue(stamp, fix, position)
@@ -166,10 +175,12 @@ class Estimator:
 
     def _process_lidar(self, pose: LidarPose) -> Output:
         assert self._lidar is not None
+        stamp = pose.stamp_ns + self._lidar.offset_ns
         outcome = self._lidar.check(pose)
+        if outcome is Outcome.USED:
+            outcome = self._check_stamp(stamp, pose)
         if outcome is not Outcome.USED:
             return self._reject(pose, outcome)
-        stamp = pose.stamp_ns + self._lidar.offset_ns
         T_I0_I = self._lidar.T_I0_I(pose)
         if self._started:
             return self._enqueue(stamp, pose, T_I0_I)
@@ -180,17 +191,38 @@ class Estimator:
                 return self._try_to_start()
         return Output()
 
-    def _process_heading(self, heading: Heading) -> None:
+    def _process_heading(self, heading: Heading) -> Output:
         config = self.config.sensors.heading
         assert config is not None
-        outcome = Outcome.USED if np.isfinite(heading.yaw_rad) else Outcome.NOT_FINITE
-        self.counts[heading.sensor, outcome if self._started else Outcome.BEFORE_START] += 1
-        if outcome is Outcome.USED and not self._started and self._initializer is not None:
-            sigma = heading.sigma_rad if heading.sigma_rad else np.radians(config.default_sigma_deg)
-            yaw = heading.yaw_rad - np.radians(config.mounting_yaw_deg)
-            self._initializer.add_heading(heading.stamp_ns + round(config.time_offset_s * 1e9), yaw, sigma)
+        sigma = heading.sigma_rad or float(np.radians(config.default_sigma_deg))
+        if not (np.isfinite(heading.yaw_rad) and 0.0 < sigma < np.inf):
+            return self._reject(heading, Outcome.NOT_FINITE)
+        stamp = heading.stamp_ns + round(config.time_offset_s * 1e9)
+        if self._is_future(stamp, heading.arrival_ns):
+            return self._reject(heading, Outcome.CLOCK_JUMP)
+        if sigma > MAX_HEADING_SIGMA_RAD:
+            return self._reject(heading, Outcome.LARGE_COVARIANCE)
+        self.counts[heading.sensor, Outcome.IGNORED if self._started else Outcome.BEFORE_START] += 1
+        if not self._started and self._initializer is not None:
+            yaw = heading.yaw_rad - float(np.radians(config.mounting_yaw_deg))
+            self._initializer.add_heading(stamp, yaw, sigma)
+        return Output()
 
-    def _reject(self, message: GnssFix | LidarPose, outcome: Outcome) -> Output:
+    def _check_stamp(self, stamp_ns: int, message: GnssFix | LidarPose) -> Outcome:
+        recent = self._recent.setdefault(message.sensor, deque(maxlen=RECENT))
+        if stamp_ns in recent:
+            return Outcome.DUPLICATE
+        if self._is_future(stamp_ns, message.arrival_ns):
+            return Outcome.CLOCK_JUMP
+        recent.append(stamp_ns)
+        return Outcome.USED
+
+    def _is_future(self, stamp_ns: int, arrival_ns: int) -> bool:
+        """Whether a stamp is further ahead of the IMU's clock than silence of the IMU explains."""
+        heard = self._buffer.latest_ns
+        return heard > 0 and stamp_ns - heard > max(0, arrival_ns - self._buffer.arrival_ns) + FUTURE_NS
+
+    def _reject(self, message: GnssFix | LidarPose | Heading, outcome: Outcome) -> Output:
         self.counts[message.sensor, outcome] += 1
         self._tell(EventKind.REJECTED, message.stamp_ns, message.sensor, outcome)
         return Output()
@@ -201,11 +233,12 @@ class Estimator:
             self.counts[message.sensor, Outcome.LATE] += 1
             self._tell(EventKind.LATE, stamp_ns, message.sensor, f"{behind:.3f} s behind the newest state")
             return Output()
+        silence_ns = message.arrival_ns - self._buffer.arrival_ns
         self._order += 1
         insort(self._pending, Pending(stamp_ns, self._order, message.sensor, content))
         heard = self._buffer.latest_ns
-        if message.arrival_ns - self._imu_arrival_ns > self._buffer.max_gap_ns:
-            heard = max(heard, message.stamp_ns)  # the IMU is silent: do not wait for it
+        if silence_ns > self._buffer.max_gap_ns:
+            heard = max(heard, stamp_ns)  # the IMU is silent: do not wait for it
         return self._update(heard) if self._pending[0].stamp_ns <= heard else Output()
 
     # --- starting ------------------------------------------------------------------------------------------------
@@ -234,6 +267,17 @@ class Estimator:
         self._tell(EventKind.INITIALISED, state.stamp_ns, "", self._initializer.reason)
         return Output(None, state)
 
+    def _start_over(self, sample: ImuSample) -> None:
+        """Begin anew after the IMU's clock has gone back for good: no stamp of before compares with one of now."""
+        self._tell(EventKind.CLOCK_STEP, sample.stamp_ns, sample.sensor, "the clock has gone back: starting over")
+        self._buffer.clear()
+        self._pending.clear()
+        self._recent.clear()
+        self._last_scan, self._started = None, False
+        self._next_standstill_ns = 0
+        if self._initializer is not None:
+            self._begin(self._gravity)
+
     # --- optimising ----------------------------------------------------------------------------------------------
 
     def _update(self, reached_ns: int, estimate: Estimate | None = None) -> Output:
@@ -241,7 +285,7 @@ class Estimator:
         while self._pending and self._pending[0].stamp_ns <= reached_ns:
             self._add(self._pending.pop(0))
         if self._buffer.latest_ns - self._smoother.newest_ns > self._node_interval_ns:
-            self._smoother.node(self._buffer.latest_ns)
+            self._smoother.node(self._buffer.latest_ns // self._node_interval_ns * self._node_interval_ns)
         self._add_standstill()
         try:
             state = self._smoother.optimise()
@@ -273,6 +317,11 @@ class Estimator:
         if inflation is None:
             outcome = Outcome.INNOVATION
             self._tell(EventKind.REJECTED, fix.stamp_ns, fix.sensor, outcome)
+            if self._gates[fix.sensor].blames_estimate():
+                distance = float(np.linalg.norm(fix.p_W_G - nav.pose().transformFrom(model.p_I_G)))
+                self._tell(EventKind.ESTIMATE_SUSPECT, fix.stamp_ns, fix.sensor, f"{distance:.2f} m from the fixes")
+                self._smoother.loosen(distance)
+                self._last_scan = None
         else:
             self._smoother.add(model.factor(key, replace(fix, covariance=fix.covariance * inflation)))
         self.counts[fix.sensor, outcome] += 1
@@ -286,27 +335,40 @@ class Estimator:
             previous_key = self._smoother.node(previous[0])
             if previous_key is not None:
                 motion = previous[1].between(scan.content)
-                self._smoother.add(self._lidar.factor(previous_key, key, motion))
-                outcome = Outcome.USED
+                outcome = self._lidar.check_motion(motion, (scan.stamp_ns - previous[0]) * 1e-9)
+                if outcome is Outcome.USED:
+                    self._smoother.add(self._lidar.factor(previous_key, key, motion))
         self.counts[scan.sensor, outcome] += 1
 
     def _add_standstill(self) -> None:
-        config = self.config.standstill
-        if not config.enabled:
+        """Add zero-velocity factors at fixed times, in the middle of quiet windows that the IMU has passed.
+
+        The middle is at rest even if the machine creeps away at the end; fixed times do not depend on arrivals.
+        """
+        config, latest = self.config.standstill, self._buffer.latest_ns
+        half_ns = round(0.5e9 * config.window_s)
+        period_ns = max(half_ns, MIN_STANDSTILL_PERIOD_NS)
+        first = max(self._next_standstill_ns, -(-self._smoother.oldest_ns // period_ns) * period_ns)
+        if not config.enabled or first + half_ns > latest:
             return
-        newest = self._smoother.newest_ns
-        if quiet_window(config, self._buffer, newest, config.window_s) is None:
-            return
-        # the middle of a quiet window is at rest even if the machine creeps away at its end
-        stamp = self._smoother.last_before(newest - round(0.5 * config.window_s * 1e9))
-        if stamp is None or stamp <= self._last_standstill_ns:
-            return
-        speed = float(np.linalg.norm(self._smoother.nav(stamp).velocity()))
-        spread = float(np.sqrt(self._smoother.covariance(stamp)[6:9, 6:9].trace()))
-        if speed < config.max_speed_m_s + 3.0 * spread:
+        for stamp in range(first, latest - half_ns + 1, period_ns):
+            self._next_standstill_ns = stamp + period_ns
+            if stamp > self._smoother.newest_ns or not self._is_standing(stamp, half_ns):
+                continue
+            self._smoother.node(stamp)
             self._smoother.add_zero_velocity(stamp, config.velocity_sigma_m_s)
-            self._last_standstill_ns = stamp
             self.counts["standstill", Outcome.USED] += 1
+
+    def _is_standing(self, stamp_ns: int, half_ns: int) -> bool:
+        config = self.config.standstill
+        if quiet_window(config, self._buffer, stamp_ns + half_ns, config.window_s) is None:
+            return False
+        node = self._smoother.last_before(stamp_ns)
+        if node is None:
+            return False
+        speed = float(np.linalg.norm(self._smoother.nav(node).velocity()))
+        spread = float(np.sqrt(self._smoother.covariance(node)[6:9, 6:9].trace()))
+        return speed < config.max_speed_m_s + 3.0 * spread
 
     def _tell(self, kind: EventKind, stamp_ns: int, sensor: str, reason: str) -> None:
         self.event_counts[kind] += 1

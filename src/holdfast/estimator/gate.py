@@ -13,7 +13,7 @@ class InnovationGate:
     """Weighs fixes by their normalised innovation squared (NIS): (21) in docs/math.md.
 
     Up to the gate a fix counts in full; beyond it its covariance grows with the square of the excess, because the
-    estimate may be at fault as well as the fix; beyond twice the gate it is held back, unless it is the last of many.
+    estimate may be at fault as well as the fix; beyond twice the gate it is held back.
     """
 
     def __init__(self, gate_sigma: float) -> None:
@@ -23,11 +23,18 @@ class InnovationGate:
     def inflation(self, nis: float) -> float | None:
         """Return the factor on the covariance of a fix with this NIS, or None if the fix is held back."""
         excess = nis / self._limit
-        if excess > HOLD_BACK and self._in_a_row < MAX_IN_A_ROW:
+        if not excess <= HOLD_BACK:
             self._in_a_row += 1
             return None
         self._in_a_row = 0
-        return 1.0 if excess > HOLD_BACK else max(1.0, excess**2)
+        return max(1.0, excess**2)
+
+    def blames_estimate(self) -> bool:
+        """Whether so many fixes in a row were held back that the estimate is suspect; counting starts over if so."""
+        suspect = self._in_a_row >= MAX_IN_A_ROW
+        if suspect:
+            self._in_a_row = 0
+        return suspect
 
 
 def innovation_nis(nav: gtsam.NavState, covariance: Array, p_I_G: Array, p_W_G: Array, fix_covariance: Array) -> float:
@@ -35,11 +42,12 @@ def innovation_nis(nav: gtsam.NavState, covariance: Array, p_I_G: Array, p_W_G: 
     R_W_I = nav.attitude().matrix()
     innovation = p_W_G - nav.position() - R_W_I @ p_I_G
     H = np.zeros((3, 9))
-    H[:, :3] = -R_W_I @ _skew(p_I_G)
+    H[:, :3] = -R_W_I @ skew(p_I_G)
     H[:, 3:6] = R_W_I
     return float(innovation @ np.linalg.solve(H @ covariance @ H.T + fix_covariance, innovation))
 
 
-def _skew(v: Array) -> Array:
+def skew(v: Array) -> Array:
+    """Return the matrix (3, 3) of the cross product with v (3,)."""
     x, y, z = v
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

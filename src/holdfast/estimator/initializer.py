@@ -11,6 +11,7 @@ import gtsam
 import numpy as np
 
 from holdfast.config.model import Config
+from holdfast.estimator.gate import skew
 from holdfast.estimator.standstill import quiet_window
 from holdfast.graph.alignment import BatchAligner, level_attitude
 from holdfast.messages import Array
@@ -23,6 +24,8 @@ PLAUSIBLE_FORCE = (7.0, 13.0)  # [m/s^2] mean specific force of a machine on the
 MIN_TRAVEL_M = 2.0
 RETRY_NS = 1_000_000_000
 STANDING_SPEED_M_S = 0.1
+STANDSTILL_VELOCITY_SIGMA = 0.05  # [m/s]
+GRAVITY_SIGMA = 1e-3  # [m/s^2] between WGS84's normal gravity and the real one
 SIMULTANEOUS_NS = 20_000_000
 
 
@@ -50,7 +53,7 @@ class Initializer:
         self._bias_sigmas = np.repeat([imu.accelerometer_bias_sigma, imu.gyroscope_bias_sigma], 3)
         self._last_try_ns = 0
         self._noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
-        self.reason = "no IMU sample has come"
+        self.reason = "no usable GNSS fix has come" if antennas else "no IMU sample has come"
 
     def add_position(self, position: AntennaPosition) -> None:
         """Take in a checked fix."""
@@ -116,34 +119,33 @@ class Initializer:
         gyro_sigma = 2.0 * imu.gyroscope_noise_density / np.sqrt(self._config.initialisation.standstill_s) + 1e-5
         sigmas = np.repeat([imu.accelerometer_bias_sigma, gyro_sigma], 3)
         self._bias, self._bias_sigmas = bias, sigmas
+        self.reason = "standing still without a heading: give initialisation.heading_deg, a heading topic, or move"
         heading = self._heading(now_ns, level)
         if heading is None:
-            self.reason = "standing still without a heading: give initialisation.heading_deg, a heading topic, or move"
             return None
         yaw, yaw_sigma = heading
         R_W_I = gtsam.Rot3.Yaw(yaw).compose(level)
-        position, position_covariance = self._position(now_ns, R_W_I)
-        tilt = imu.accelerometer_bias_sigma / self._gravity
-        R = R_W_I.matrix()
-        covariance = np.zeros((15, 15))
-        covariance[:3, :3] = R.T @ np.diag([tilt**2, tilt**2, yaw_sigma**2]) @ R
-        covariance[3:6, 3:6] = R.T @ position_covariance @ R
-        covariance[6:9, 6:9] = np.eye(3) * 0.05**2
-        covariance[9:, 9:] = np.diag(sigmas**2)
+        position, position_covariance, arm = self._position(now_ns, R_W_I)
+        covariance = standstill_covariance(
+            force / np.linalg.norm(force), self._gravity, imu.accelerometer_bias_sigma, gyro_sigma, yaw_sigma,
+            imu.accelerometer_noise_density / self._config.initialisation.standstill_s**0.5,
+            R_W_I.matrix().T @ position_covariance @ R_W_I.matrix(), arm,
+        )  # fmt: skip
         self.reason = "standstill"
         nav = gtsam.NavState(R_W_I, position, np.zeros(3))
         return OptimisedState(now_ns, nav, bias, covariance, np.zeros(3))
 
-    def _position(self, now_ns: int, R_W_I: gtsam.Rot3) -> tuple[Array, Array]:
+    def _position(self, now_ns: int, R_W_I: gtsam.Rot3) -> tuple[Array, Array, Array]:
+        """Return p_W_I, its covariance in W, and the lever arm through which it was found."""
         if not self._antennas:
-            return np.zeros(3), np.eye(3) * 1e-4
+            return np.zeros(3), np.eye(3) * 1e-4, np.zeros(3)
         sensor = next(iter(self._antennas))
         since = now_ns - round(self._config.initialisation.standstill_s * 1e9)
         fixes = [p for p in self._positions if p.sensor == sensor and p.stamp_ns >= since]
         fixes = fixes or [p for p in self._positions if p.sensor == sensor][-1:]
         mean: Array = np.mean([p.p_W_G for p in fixes], axis=0)
         position: Array = mean - R_W_I.rotate(self._antennas[sensor].p_I_G)
-        return position, fixes[-1].covariance
+        return position, fixes[-1].covariance, self._antennas[sensor].p_I_G
 
     def _heading(self, now_ns: int, level: gtsam.Rot3) -> tuple[float, float] | None:
         """Return the heading of the IMU's x axis and its sigma [rad], from the first source that there is."""
@@ -236,3 +238,45 @@ class Initializer:
             if t0 <= stamp_ns <= t1:
                 return T0.slerp((stamp_ns - t0) / (t1 - t0), T1)
         return None
+
+
+def standstill_covariance(  # noqa: PLR0917 (one number per source of doubt)
+    up: Array,
+    gravity: float,
+    accel_bias_sigma: float,
+    gyro_bias_sigma: float,
+    yaw_sigma: float,
+    accel_noise: float,
+    position_covariance: Array,
+    arm: Array,
+) -> Array:
+    """Return the covariance (15, 15) of a state found at standstill: (23) in docs/math.md.
+
+    Tilt is known as well as the accelerometer's bias across gravity, and is wrong together with it; position is wrong
+    together with attitude through the lever arm.
+
+    Args:
+        up: (3,) unit vector of the specific force in I.
+        gravity: [m/s^2].
+        accel_bias_sigma: [m/s^2].
+        gyro_bias_sigma: [rad/s] after the mean was taken.
+        yaw_sigma: [rad].
+        accel_noise: [m/s^2] of the mean specific force.
+        position_covariance: (3, 3) of the antenna, in I [m^2].
+        arm: (3,) lever arm p_I_G [m].
+    """
+    along = np.outer(up, up)
+    across = np.eye(3) - along
+    up_cross, arm_cross = skew(up), skew(arm)
+    tilt_noise = (accel_noise / gravity) ** 2
+    P = np.zeros((15, 15))
+    P[:3, :3] = ((accel_bias_sigma / gravity) ** 2 + tilt_noise) * across + yaw_sigma**2 * along
+    P[9:12, 9:12] = accel_bias_sigma**2 * across + (accel_noise**2 + GRAVITY_SIGMA**2) * along
+    P[:3, 9:12] = accel_bias_sigma**2 / gravity * up_cross
+    P[3:6, 3:6] = position_covariance + arm_cross @ P[:3, :3] @ arm_cross.T
+    P[3:6, :3] = arm_cross @ P[:3, :3]
+    P[3:6, 9:12] = arm_cross @ P[:3, 9:12]
+    P[6:9, 6:9] = np.eye(3) * STANDSTILL_VELOCITY_SIGMA**2
+    P[12:, 12:] = np.eye(3) * gyro_bias_sigma**2
+    P[:3, 3:6], P[9:12, 3:6], P[9:12, :3] = P[3:6, :3].T, P[3:6, 9:12].T, P[:3, 9:12].T
+    return P

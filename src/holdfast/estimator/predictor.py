@@ -10,7 +10,7 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.estimator.odometry_frame import OdometryFrame
 from holdfast.messages import Array
-from holdfast.sensors.imu import ImuBuffer, ImuNoise, MotionModel, Step
+from holdfast.sensors.imu import ImuBuffer, ImuNoise, MotionModel, Step, integrate
 from holdfast.state import Estimate, OptimisedState
 
 FOLD_S = 1.0  # the walk of the biases enters the covariance this often
@@ -73,16 +73,16 @@ class Predictor:
         self._nav = self._pim.predict(self._base, state.bias)
 
     def _integrate(self, step: Step) -> None:
-        self._pim.integrateMeasurement(step.specific_force, step.angular_velocity, step.dt_s)
-        self._rate = step.angular_velocity - self._gyro_bias
+        integrate(self._pim, step, self._bias_accel, self._bias_gyro)
+        self._rate = step.angular_velocity - self._bias_gyro
         self._from_imu = True
 
     def _begin(self, stamp_ns: int, nav: gtsam.NavState, covariance: Array) -> None:
         """Make a state the base of what follows; the noise is that of the motion at the newest sample."""
         bias = self._state.bias
         self._stamp_ns, self._base, self._base_covariance = stamp_ns, nav, covariance
-        self._gyro_bias = bias.gyroscope()
-        force = self._buffer.latest_force() - bias.accelerometer()
+        self._bias_accel, self._bias_gyro = bias.accelerometer(), bias.gyroscope()
+        force = self._buffer.latest_force() - self._bias_accel
         self._pim = gtsam.PreintegratedImuMeasurements(self._noise.params(force, self._rate, nav.attitude()), bias)
 
     def _predict(self, pim: gtsam.PreintegratedImuMeasurements) -> tuple[gtsam.NavState, Array]:

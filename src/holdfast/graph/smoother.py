@@ -58,10 +58,7 @@ class Smoother:
         key = self._nodes.insert(self._epoch_ns)
         bias_key = self._bias_key(self._epoch_ns, state.bias)
         self._insert(key, self._epoch_ns, state.nav)
-        covariance = state.covariance
-        self.add(gtsam.PriorFactorNavState(key, state.nav, gtsam.noiseModel.Gaussian.Covariance(covariance[:9, :9])))
-        prior = gtsam.noiseModel.Gaussian.Covariance(covariance[9:, 9:])
-        self.add(gtsam.PriorFactorConstantBias(bias_key, state.bias, prior))
+        self.add(_joint_prior(key, bias_key, state))
 
     def _relinearize_thresholds(self) -> gtsam.ISAM2ThresholdMap:
         """Relinearise for a change of attitude; position, velocity and bias enter (almost) linearly."""
@@ -126,9 +123,28 @@ class Smoother:
         if stamp == self.newest_ns:
             return self._tail[:9, :9]
         while stamp in self._new_navs:
+            if stamp == self.oldest_ns:
+                return self._state.covariance[:9, :9]
             stamp = self._nodes.before(stamp)
         covariance: Array = self._smoother.marginalCovariance(self._nodes.key(stamp))
         return covariance
+
+    def mark_silent(self, since_ns: int) -> None:
+        """Put the motion model in place of IMU factors after a time: the samples under them were no measurements."""
+        since_ns = to_grid(since_ns)
+        if self.oldest_ns < since_ns < self.newest_ns:
+            self.node(since_ns)
+        for link in [link for link in self._links.values() if link.end_ns > since_ns and not link.is_gap]:
+            if link.slot is not None:
+                self._removed_slots.append(link.slot)
+            self._join(link.start_ns, link.end_ns, link.bias_key, True, self._nav(link.start_ns))
+
+    def loosen(self, position_sigma_m: float) -> None:
+        """Start anew at the newest state with its position in doubt by so much; pending factors are lost."""
+        state = self._state
+        covariance = state.covariance.copy()
+        covariance[3:6, 3:6] += np.eye(3) * min(position_sigma_m**2, MAX_VARIANCE)
+        self.start(OptimisedState(state.stamp_ns, state.nav, state.bias, covariance, state.angular_velocity))
 
     def settled(self) -> list[tuple[int, gtsam.NavState]]:
         """Return the nodes, with stamps, that have almost reached the end of the window since the last call."""
@@ -236,7 +252,10 @@ class Smoother:
         key = self._nodes.insert(stamp_ns)
         predicted = self._join(left_ns, stamp_ns, old.bias_key, old.is_gap, nav).predict(nav, self._state.bias)
         self._insert(key, stamp_ns, predicted)
-        self._join(stamp_ns, old.end_ns, old.bias_key, old.is_gap, predicted)
+        # the epoch in which the second half begins, as if the node had come in its turn
+        epoch = (stamp_ns - self._epoch_ns) // BIAS_EPOCH_NS
+        bias_key = gtsam.symbol("b", epoch) if epoch in self._bias_stamps else old.bias_key
+        self._join(stamp_ns, old.end_ns, bias_key, old.is_gap, predicted)
         return key
 
     def _join(
@@ -299,3 +318,15 @@ class Smoother:
             self._links.pop(stamp, None)
         for epoch in [epoch for epoch, stamp in self._bias_stamps.items() if stamp < horizon]:
             del self._bias_stamps[epoch]
+
+
+def _joint_prior(key: int, bias_key: int, state: OptimisedState) -> gtsam.NonlinearFactor:
+    """Return the prior on a state and its bias with their full covariance (15, 15), correlations included."""
+    sqrt_information = np.linalg.cholesky(np.linalg.inv(state.covariance)).T
+    linear = gtsam.JacobianFactor(
+        key, sqrt_information[:, :9], bias_key, sqrt_information[:, 9:], np.zeros(15), gtsam.noiseModel.Unit.Create(15)
+    )
+    at = gtsam.Values()
+    at.insert(key, state.nav)
+    at.insert(bias_key, state.bias)
+    return gtsam.LinearContainerFactor(linear, at)

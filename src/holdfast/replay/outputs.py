@@ -44,7 +44,7 @@ class Outputs:
                 self._mcap = stack.enter_context(McapWriter(folder / "estimates.mcap"))
                 self._events = stack.enter_context((folder / "events.jsonl").open("w", encoding="utf-8"))
             except OSError as error:
-                raise ConfigError(f"{error.filename}: cannot be written ({error.strerror})") from None
+                raise ConfigError(f"{error.filename or folder}: cannot be written ({error.strerror})") from None
             self._stack = stack.pop_all()
         frames = config.frames
         self._in_world = OdometryEncoder(frames.world, imu.frame)

@@ -10,6 +10,7 @@ from holdfast.messages import Array, FixStatus, GnssFix
 from holdfast.sensors.noise import noise_model
 from holdfast.state import Outcome
 
+MAX_ALTITUDE_M = 1e5
 MIN_STATUS = {"fix": FixStatus.FIX, "sbas": FixStatus.SBAS, "gbas": FixStatus.GBAS}
 
 
@@ -37,7 +38,7 @@ class GnssModel:
             return Outcome.LOW_STATUS if fix.status == FixStatus.NO_FIX else Outcome.NOT_FINITE
         if fix.status < MIN_STATUS[self._config.min_status]:
             return Outcome.LOW_STATUS
-        if abs(fix.latitude_deg) > 90.0 or abs(fix.longitude_deg) > 360.0:
+        if abs(fix.latitude_deg) > 90.0 or abs(fix.longitude_deg) > 360.0 or abs(fix.altitude_m) > MAX_ALTITUDE_M:
             return Outcome.OUT_OF_RANGE
         if fix.covariance is None:
             return Outcome.NO_COVARIANCE if self._config.default_sigma_m is None else Outcome.USED

@@ -8,6 +8,8 @@ from holdfast.messages import Array, LidarPose
 from holdfast.sensors.noise import noise_model
 from holdfast.state import Outcome
 
+MAX_DISTANCE_M = 1e6
+MAX_SPEED_M_S = 100.0
 FREE_VELOCITY = 1e6  # [m/s]: a relative pose says nothing about the velocity part of a NavState
 
 
@@ -24,7 +26,14 @@ class LidarModel:
     def check(self, pose: LidarPose) -> Outcome:
         """Say whether a pose can be used."""
         finite = np.isfinite(pose.position).all() and np.isfinite(pose.quaternion).all()
-        return Outcome.USED if finite else Outcome.NOT_FINITE
+        if not finite:
+            return Outcome.NOT_FINITE
+        return Outcome.USED if abs(pose.position).max() <= MAX_DISTANCE_M else Outcome.OUT_OF_RANGE
+
+    def check_motion(self, motion: gtsam.Pose3, duration_s: float) -> Outcome:
+        """Say whether a machine can have moved like this between two scans."""
+        possible = np.linalg.norm(motion.translation()) <= MAX_SPEED_M_S * duration_s
+        return Outcome.USED if possible else Outcome.OUT_OF_RANGE
 
     def T_I0_I(self, pose: LidarPose) -> gtsam.Pose3:
         """Return the pose of the IMU in the frame where the IMU was when the odometry started: T_I_L T_L0_L T_L_I."""

@@ -1,0 +1,246 @@
+# ruff: noqa: PLR0917 - how a sensor measures is many small choices with defaults
+"""A machine whose motion is known in closed form, and what perfect or noisy sensors on it would say.
+
+It stands, sets off smoothly and then drives a circle of 1.5 m radius at 1.5 m/s and 1 rad/s, rising, falling, rolling
+and pitching. Everything is a function of a phase that is zero at standstill and grows by 1 per second at full speed.
+"""
+
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+
+from holdfast.config.model import Config
+from holdfast.estimator.estimator import Estimator
+from holdfast.geometry.earth import Geodetic, enu_to_geodetic, gravity
+from holdfast.messages import FixStatus, GnssFix, ImuSample, LidarPose
+
+DATUM = Geodetic(47.4, 8.5, 450.0)
+G = gravity(DATUM.latitude_deg, DATUM.altitude_m)
+UP = np.array([0.0, 0.0, G])
+HEADING_DEG = float(np.degrees(0.3))
+EPOCH_NS = 1_700_000_000_000_000_000
+
+ARM = np.array([0.4, -0.5, 1.2])
+ARM_RIGHT = np.array([-0.7, -1.9, 1.1])
+T_I_L = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.1, -0.2, 2.0), np.array([0.8, 0.3, 0.9]))
+
+
+def ns(t):
+    """Seconds of the motion to a stamp."""
+    return EPOCH_NS + round(t * 1e9)
+
+
+def seconds(stamp_ns):
+    return (stamp_ns - EPOCH_NS) * 1e-9
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Stands until `start_s`, is at full speed after another `ramp_s`; `speed` scales phase against time."""
+
+    start_s: float = 2.5
+    ramp_s: float = 2.0
+    speed: float = 1.0
+    yaw_rad: float = 0.3
+    roll_rad: float = 0.05
+    pitch_rad: float = -0.08
+    radius_m: float = 1.5
+    tilt: float = 1.0
+
+    def phase(self, t):
+        """Phase and its first two derivatives: the rate is a smooth step of fifth order."""
+        x = np.clip((t - self.start_s) / self.ramp_s, 0.0, 1.0)
+        ramp = self.ramp_s * (x**6 - 3.0 * x**5 + 2.5 * x**4)
+        phase = ramp + max(0.0, t - self.start_s - self.ramp_s)
+        rate = 6.0 * x**5 - 15.0 * x**4 + 10.0 * x**3
+        return self.speed * np.array([phase, rate, (30.0 * x**4 - 60.0 * x**3 + 30.0 * x**2) / self.ramp_s])
+
+    def _euler(self, u):
+        """Roll, pitch and yaw, and their derivatives by phase."""
+        angles = [
+            self.roll_rad + 0.15 * self.tilt * np.sin(1.3 * u),
+            self.pitch_rad + 0.1 * self.tilt * np.sin(0.9 * u),
+            self.yaw_rad + u,
+        ]
+        return angles, [0.195 * self.tilt * np.cos(1.3 * u), 0.09 * self.tilt * np.cos(0.9 * u), 1.0]
+
+    def nav(self, t):
+        u, du, _ = self.phase(t)
+        r, a = self.radius_m, self.yaw_rad
+        position = [r * (np.sin(a + u) - np.sin(a)), r * (np.cos(a) - np.cos(a + u)), 0.2 * np.sin(0.7 * u)]
+        velocity = np.array([r * np.cos(a + u), r * np.sin(a + u), 0.14 * np.cos(0.7 * u)]) * du
+        return gtsam.NavState(gtsam.Rot3.RzRyRx(*self._euler(u)[0]), np.array(position), velocity)
+
+    def pose(self, t):
+        return self.nav(t).pose()
+
+    def readings(self, t):
+        """Specific force [m/s^2] and angular velocity [rad/s] of I."""
+        u, du, ddu = self.phase(t)
+        r, a = self.radius_m, self.yaw_rad
+        first = np.array([r * np.cos(a + u), r * np.sin(a + u), 0.14 * np.cos(0.7 * u)])
+        second = np.array([-r * np.sin(a + u), r * np.cos(a + u), -0.098 * np.sin(0.7 * u)])
+        (roll, pitch, _), (d_roll, d_pitch, d_yaw) = self._euler(u)
+        rate = np.array(
+            [
+                d_roll - np.sin(pitch) * d_yaw,
+                np.cos(roll) * d_pitch + np.sin(roll) * np.cos(pitch) * d_yaw,
+                -np.sin(roll) * d_pitch + np.cos(roll) * np.cos(pitch) * d_yaw,
+            ]
+        )
+        return self.nav(t).attitude().unrotate(second * du**2 + first * ddu + UP), rate * du
+
+
+@dataclass(frozen=True)
+class Twist:
+    """Constant twist from `gtsam.ConstantTwistScenario`, which owes nothing to `Drive`."""
+
+    scenario: gtsam.ConstantTwistScenario
+
+    def nav(self, t):
+        return self.scenario.navState(t)
+
+    def pose(self, t):
+        return self.scenario.pose(t)
+
+    def readings(self, t):
+        force = self.scenario.rotation(t).unrotate(self.scenario.acceleration_n(t) + UP)
+        return force, self.scenario.omega_b(t)
+
+
+def tilted_circle(speed_m_s=1.5, turn_rad_s=1.0):
+    """Climbing circle around an axis that is not the vertical."""
+    axis = np.array([0.2, -0.3, 0.93])
+    start = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.2, 0.3, -0.7), np.array([1.0, 2.0, 3.0]))
+    rate = turn_rad_s * axis / np.linalg.norm(axis)
+    return Twist(gtsam.ConstantTwistScenario(rate, np.array([speed_m_s, 0.0, 0.0]), start))
+
+
+# --- sensors ----------------------------------------------------------------------------------------------------------
+
+
+def imu(motion, start_s, end_s, hz=100.0, rng=None, densities=(2e-3, 2e-4), bias=None, phase_s=0.0, walk=None):
+    """Samples in [start, end]; `bias` is (6,) accelerometer, gyroscope; `walk` the densities of its random walk."""
+    bias = np.zeros(6) if bias is None else np.array(bias, dtype=float)
+    samples = []
+    for k in range(round((end_s - start_s) * hz) + 1):
+        t = start_s + phase_s + k / hz
+        force, rate = motion.readings(t)
+        if rng is None:
+            force = force + 1e-9 * (-1) ** k  # the same digits for seconds would be a dead sensor
+        else:
+            force = force + rng.normal(0.0, densities[0] * np.sqrt(hz), 3)
+            rate = rate + rng.normal(0.0, densities[1] * np.sqrt(hz), 3)
+            if walk is not None:
+                bias = bias + rng.normal(0.0, np.repeat(walk, 3) / np.sqrt(hz))
+        samples.append(ImuSample(ns(t), ns(t), "imu", rate + bias[3:], force + bias[:3]))
+    return samples
+
+
+def fix_at(motion, t, noise=None, sigma=(0.01, 0.01, 0.02), arm=ARM, sensor="gnss", delay_s=0.0, stamp_shift_s=0.0):
+    pose = motion.pose(t)
+    p_W_G = pose.transformFrom(arm) + (0.0 if noise is None else noise)
+    stamp = ns(t + stamp_shift_s)
+    covariance = np.diag(np.square(sigma))
+    return GnssFix(stamp, ns(t + delay_s), sensor, *enu_to_geodetic(p_W_G, DATUM), covariance, FixStatus.GBAS)
+
+
+def fixes(motion, start_s, end_s, hz=10.0, rng=None, sigma=(0.01, 0.01, 0.02), phase_s=0.0, **how):
+    times = start_s + phase_s + np.arange(int((end_s - start_s) * hz + 1e-6) + 1) / hz
+    noises = [None] * len(times) if rng is None else rng.normal(0.0, sigma, (len(times), 3))
+    return [fix_at(motion, t, noise, sigma, **how) for t, noise in zip(times, noises, strict=True)]
+
+
+def scans(motion, start_s, end_s, hz=5.0, rng=None, sigma=(0.002, 0.02), phase_s=0.0, delay_s=0.0, stamp_shift_s=0.0):
+    """The lidar's track; noise (rotation [rad], translation [m]) is that of each motion between two scans."""
+    times = start_s + phase_s + np.arange(int((end_s - start_s) * hz + 1e-6) + 1) / hz
+    track, before, messages = gtsam.Pose3(), None, []
+    for t in times:
+        here = motion.pose(t) * T_I_L
+        if before is not None:
+            track = track * before.between(here)
+            if rng is not None:
+                track = track * gtsam.Pose3.Expmap(rng.normal(0.0, np.repeat(sigma, 3)))
+        before = here
+        q = track.rotation().toQuaternion()
+        xyzw = np.array([q.x(), q.y(), q.z(), q.w()])
+        stamp = ns(t + stamp_shift_s)
+        messages.append(LidarPose(stamp, ns(t + delay_s), "lidar", track.translation(), xyzw, None))
+    return messages
+
+
+def late(messages, delays_s):
+    """The same messages, each arriving later."""
+    return [replace(m, arrival_ns=m.arrival_ns + round(d * 1e9)) for m, d in zip(messages, delays_s, strict=True)]
+
+
+def in_order(*streams):
+    """All messages in the order of arrival; at the same instant the IMU comes first."""
+    return sorted((m for stream in streams for m in stream), key=lambda m: (m.arrival_ns, m.sensor != "imu", m.sensor))
+
+
+# --- configuration and running ----------------------------------------------------------------------------------------
+
+
+def machine(lidar=True, gnss=True, right=False, heading=False, heading_deg=HEADING_DEG, **sections):
+    """Configuration of the machine; keyword arguments are sections, or `imu_`, `gnss_`, `lidar_` settings."""
+    rotation = tuple(tuple(row) for row in T_I_L.rotation().matrix())
+    sensors = {"imu": {"topic": "/imu", "motion_error_ratio": 0.0} | sections.pop("imu_", {})}
+    if gnss:
+        sensors["gnss"] = {"topic": "/gnss"} | sections.pop("gnss_", {})
+    if right:
+        sensors["gnss_right"] = {"topic": "/right", "frame": "right"}
+    if lidar:
+        sensors["lidar"] = {"topic": "/lidar"} | sections.pop("lidar_", {})
+    if heading:
+        sensors["heading"] = {"topic": "/heading"} | sections.pop("heading_", {})
+    extrinsics = [
+        {"parent": "imu", "child": "gnss", "translation_m": tuple(ARM)},
+        {"parent": "imu", "child": "right", "translation_m": tuple(ARM_RIGHT)},
+        {
+            "parent": "imu",
+            "child": "lidar",
+            "translation_m": tuple(T_I_L.translation()),
+            "rotation_matrix": rotation,
+        },
+    ]
+    start = {"heading_deg": heading_deg} | sections.pop("initialisation", {})
+    return Config.model_validate(
+        {
+            "sensors": sensors,
+            "extrinsics": extrinsics,
+            "initialisation": start,
+            "frames": {"datum": DATUM._asdict()},
+            **sections,
+        }
+    )
+
+
+def run(config, messages):
+    """Return the estimator after all messages, and what it said to each."""
+    estimator = Estimator(config)
+    return estimator, [estimator.process(message) for message in messages]
+
+
+def estimates(outputs):
+    return [output.estimate for output in outputs if output.estimate is not None]
+
+
+def miss(motion, estimate):
+    """Position [m], rotation [rad] and velocity [m/s] by which an estimate, or an optimised state, misses the truth."""
+    truth = motion.nav(seconds(estimate.stamp_ns))
+    return apart(truth, estimate.nav)
+
+
+def apart(a, b):
+    return (
+        float(np.linalg.norm(a.position() - b.position())),
+        float(np.linalg.norm(a.attitude().logmap(b.attitude()))),
+        float(np.linalg.norm(a.velocity() - b.velocity())),
+    )
+
+
+def error(motion, estimate):
+    """Tangent (9,) that leads from an estimate to the truth: what `covariance` speaks of."""
+    return estimate.nav.localCoordinates(motion.nav(seconds(estimate.stamp_ns)))

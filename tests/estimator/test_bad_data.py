@@ -1,0 +1,243 @@
+"""Data that cannot be: counted under its reason, and the estimator goes on and stays accurate."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from motion import Drive, estimates, fixes, imu, in_order, machine, miss, ns, run, scans
+
+from holdfast.estimator.estimator import Estimator
+from holdfast.state import EventKind, Outcome
+
+FROM_1970_NS, FROM_2100_NS = 86_400_000_000_000, 4_102_444_800_000_000_000
+END_S = 9.0
+ACCURATE_M = 0.05  # five sigma of one fix
+
+
+def recorded(seed=1):
+    rng = np.random.default_rng(seed)
+    drive = Drive()
+    return drive, {
+        "imu": imu(drive, 0.0, END_S, 100.0, rng),
+        "gnss": fixes(drive, 0.0, END_S, 10.0, rng, phase_s=0.0137),
+        "lidar": scans(drive, 0.0, END_S, 5.0, rng, phase_s=0.0071),
+    }
+
+
+def at(messages, t):
+    return next(k for k, m in enumerate(messages) if m.stamp_ns >= ns(t))
+
+
+def spoilt(message, name, value):
+    array = getattr(message, name)
+    if isinstance(array, float):
+        return replace(message, **{name: value})
+    broken = array.copy()
+    broken[0] = value
+    return replace(message, **{name: broken})
+
+
+def survives(streams, drive):
+    """Run to the end; it must be alive and accurate there."""
+    estimator, outputs = run(machine(), in_order(*streams.values()))
+    given = estimates(outputs)
+    assert given[-1].stamp_ns == streams["imu"][-1].stamp_ns
+    assert all(np.isfinite(e.covariance).all() and np.isfinite(e.nav.matrix()).all() for e in given)
+    late = [miss(drive, e)[0] for e in given if e.stamp_ns > ns(END_S - 1.0)]
+    assert len(late) > 90 and max(late) < ACCURATE_M
+    return estimator
+
+
+@pytest.mark.parametrize(
+    ("sensor", "field", "value", "outcome"),
+    [
+        ("imu", "specific_force", np.nan, Outcome.NOT_FINITE),
+        ("imu", "angular_velocity", np.inf, Outcome.NOT_FINITE),
+        ("imu", "specific_force", 1e300, Outcome.OUT_OF_RANGE),
+        ("imu", "angular_velocity", -1e4, Outcome.OUT_OF_RANGE),
+        ("gnss", "latitude_deg", np.nan, Outcome.NOT_FINITE),
+        ("gnss", "altitude_m", np.inf, Outcome.NOT_FINITE),
+        ("gnss", "latitude_deg", 1e300, Outcome.OUT_OF_RANGE),
+        ("gnss", "longitude_deg", -1e300, Outcome.OUT_OF_RANGE),
+        ("gnss", "latitude_deg", -47.0, Outcome.INNOVATION),
+        ("lidar", "position", np.nan, Outcome.NOT_FINITE),
+        ("lidar", "quaternion", np.inf, Outcome.NOT_FINITE),
+    ],
+)
+def test_a_measurement_that_cannot_be_is_counted_and_survived(sensor, field, value, outcome):
+    drive, streams = recorded()
+    for t in (5.0, 5.5, 6.0):
+        k = at(streams[sensor], t)
+        streams[sensor][k] = spoilt(streams[sensor][k], field, value)
+    estimator = survives(streams, drive)
+    assert estimator.counts[sensor, outcome] == 3
+    if sensor != "imu":
+        told = [e for e in estimator.events if e.kind is EventKind.REJECTED and e.sensor == sensor]
+        assert [e.reason for e in told] == [outcome] * 3
+
+
+def test_an_absurd_altitude_is_out_of_range():
+    drive, streams = recorded()
+    for k in range(at(streams["gnss"], 5.0), at(streams["gnss"], 6.0)):
+        streams["gnss"][k] = replace(streams["gnss"][k], altitude_m=1e300)
+    assert survives(streams, drive).counts["gnss", Outcome.OUT_OF_RANGE] == 10
+
+
+def test_a_first_fix_with_an_absurd_altitude_does_not_become_the_datum():
+    _drive, streams = recorded()
+    config = machine()
+    config = config.model_copy(update={"frames": config.frames.model_copy(update={"datum": None})})
+    streams["gnss"][0] = replace(streams["gnss"][0], altitude_m=1e300)
+    estimator, outputs = run(config, in_order(*streams.values()))
+    assert estimator.datum is not None and abs(estimator.datum.altitude_m) < 1e4
+    assert estimates(outputs)
+
+
+@pytest.mark.parametrize("value", [1e3, 1e9, 1e300])
+def test_a_lidar_that_jumps_is_survived(value):
+    drive, streams = recorded()
+    k = at(streams["lidar"], 5.0)
+    streams["lidar"][k] = spoilt(streams["lidar"][k], "position", value)
+    survives(streams, drive)
+
+
+def test_a_covariance_of_absurd_size_is_survived():
+    drive, streams = recorded()
+    k = at(streams["gnss"], 5.0)
+    fix = streams["gnss"][k]
+    streams["gnss"][k] = replace(fix, covariance=np.diag([1e-4, 1e-4, 1e300]))
+    streams["gnss"][k + 1] = replace(streams["gnss"][k + 1], covariance=np.full((3, 3), 1e-4))
+    streams["gnss"][k + 2] = replace(
+        streams["gnss"][k + 2], covariance=np.array([[1e-4, 9, 0], [9, 1e-4, 0], [0, 0, 1]])
+    )
+    estimator = survives(streams, drive)
+    assert estimator.counts["gnss", Outcome.USED] > 60
+
+
+@pytest.mark.parametrize(
+    ("stamp_ns", "outcome"), [(FROM_1970_NS, Outcome.BACKWARD), (FROM_2100_NS, Outcome.CLOCK_JUMP)]
+)
+def test_imu_samples_from_another_century_are_counted_and_survived(stamp_ns, outcome):
+    drive, streams = recorded()
+    k = at(streams["imu"], 5.0)
+    streams["imu"][k] = replace(streams["imu"][k], stamp_ns=stamp_ns)
+    estimator = survives(streams, drive)
+    assert estimator.counts["imu", outcome] == 1
+
+
+@pytest.mark.parametrize("ahead_s", [10.0, 59.0])
+def test_one_imu_sample_from_the_future_does_not_poison_the_rest(ahead_s):
+    drive, streams = recorded()
+    k = at(streams["imu"], 5.0)
+    streams["imu"][k] = replace(streams["imu"][k], stamp_ns=streams["imu"][k].stamp_ns + round(ahead_s * 1e9))
+    survives(streams, drive)
+
+
+def test_a_first_imu_sample_from_the_future_does_not_poison_the_rest():
+    drive, streams = recorded()
+    streams["imu"][0] = replace(streams["imu"][0], stamp_ns=FROM_2100_NS)
+    survives(streams, drive)
+
+
+@pytest.mark.parametrize("sensor", ["gnss", "lidar"])
+def test_a_measurement_from_1970_is_late(sensor):
+    drive, streams = recorded()
+    k = at(streams[sensor], 5.0)
+    streams[sensor][k] = replace(streams[sensor][k], stamp_ns=FROM_1970_NS)
+    assert survives(streams, drive).counts[sensor, Outcome.LATE] == 1
+
+
+@pytest.mark.parametrize("sensor", ["gnss", "lidar"])
+def test_a_measurement_from_2100_is_counted(sensor):
+    drive, streams = recorded()
+    k = at(streams[sensor], 5.0)
+    streams[sensor][k] = replace(streams[sensor][k], stamp_ns=FROM_2100_NS)
+    estimator = survives(streams, drive)
+    waiting = sum(p.sensor == sensor for p in estimator._pending)
+    assert sum(n for (name, _), n in estimator.counts.items() if name == sensor) + waiting == len(streams[sensor])
+    assert estimator.counts[sensor, Outcome.CLOCK_JUMP] == 1
+    assert not [p for p in estimator._pending if p.stamp_ns == FROM_2100_NS]
+
+
+def test_a_fix_from_the_future_does_not_lead_the_state_away_while_the_imu_is_silent():
+    drive, streams = recorded()
+    streams["imu"] = [s for s in streams["imu"] if not ns(5.0) < s.stamp_ns < ns(5.6)]
+    k = at(streams["gnss"], 5.4)
+    streams["gnss"][k] = replace(streams["gnss"][k], stamp_ns=streams["gnss"][k].stamp_ns + 3_600_000_000_000)
+    survives(streams, drive)
+
+
+@pytest.mark.parametrize("sensor", ["gnss", "lidar"])
+def test_a_measurement_from_2100_does_not_keep_others_waiting(sensor):
+    drive, streams = recorded()
+    k = at(streams[sensor], 5.0)
+    streams[sensor].insert(k, replace(streams[sensor][k], stamp_ns=FROM_2100_NS))
+    estimator = survives(streams, drive)
+    clean, _ = run(machine(), in_order(*recorded()[1].values()))
+    assert estimator.counts[sensor, Outcome.USED] == clean.counts[sensor, Outcome.USED]
+
+
+def test_an_imu_sample_that_comes_twice_changes_nothing():
+    _drive, streams = recorded()
+    clean = estimates(run(machine(), in_order(*streams.values()))[1])
+    twice = [copy for s in streams["imu"] for copy in (s, s)]
+    estimator, outputs = run(machine(), in_order(twice, streams["gnss"], streams["lidar"]))
+    assert estimator.counts["imu", Outcome.DUPLICATE] == len(streams["imu"])
+    for a, b in zip(clean, estimates(outputs), strict=True):
+        assert (a.nav.matrix() == b.nav.matrix()).all()
+
+
+@pytest.mark.parametrize("sensor", ["gnss", "lidar"])
+def test_a_measurement_that_comes_twice_is_used_once(sensor):
+    _drive, streams = recorded()
+    clean = run(machine(), in_order(*streams.values()))[1]
+    plain = estimates(clean)[-1]
+    streams[sensor] = [copy for m in streams[sensor] for copy in (m, replace(m, arrival_ns=m.arrival_ns + 1_000_000))]
+    estimator, outputs = run(machine(), in_order(*streams.values()))
+    assert estimator.counts[sensor, Outcome.DUPLICATE] > 30
+    again = estimates(outputs)[-1]
+    assert np.trace(again.covariance) == pytest.approx(np.trace(plain.covariance), rel=0.01)
+
+
+def test_scans_in_the_wrong_order_are_survived():
+    drive, streams = recorded()
+    k = at(streams["lidar"], 5.0)
+    streams["lidar"][k] = replace(streams["lidar"][k], arrival_ns=streams["lidar"][k].arrival_ns + 300_000_000)
+    estimator = survives(streams, drive)
+    total = sum(n for (name, _), n in estimator.counts.items() if name == "lidar")
+    assert total + sum(p.sensor == "lidar" for p in estimator._pending) == len(streams["lidar"])
+
+
+def test_every_measurement_is_counted_under_exactly_one_outcome():
+    drive, streams = recorded()
+    estimator = survives(streams, drive)
+    for sensor, messages in streams.items():
+        counted = sum(n for (name, _), n in estimator.counts.items() if name == sensor)
+        assert counted + sum(p.sensor == sensor for p in estimator._pending) == len(messages)
+
+
+@pytest.mark.parametrize("off_m", [20.0, 100.0, 1e6])
+def test_six_fixes_that_are_far_off_do_harm_for_a_while_only(off_m):
+    drive, streams = recorded()
+    k = at(streams["gnss"], 4.0)
+    for j in range(k, k + 6):
+        streams["gnss"][j] = replace(streams["gnss"][j], altitude_m=streams["gnss"][j].altitude_m + off_m)
+    _, outputs = run(machine(), in_order(*streams.values()))
+    given = estimates(outputs)
+    position, rotation, _ = miss(drive, given[-1])  # 40 good fixes later
+    assert position < 0.1
+    assert rotation < np.radians(5.0)
+
+
+@pytest.mark.parametrize("kind", ["imu", "gnss", "lidar"])
+def test_before_the_start_absurd_data_do_not_stop_it(kind):
+    drive, streams = recorded()
+    fields = {"imu": ("specific_force", np.nan), "gnss": ("latitude_deg", np.nan), "lidar": ("position", np.inf)}
+    for k in range(5):
+        streams[kind][k] = spoilt(streams[kind][k], *fields[kind])
+    survives(streams, drive)
+
+
+def test_no_message_at_all_leaves_an_estimator_that_says_what_it_waits_for():
+    estimator = Estimator(machine())
+    assert not estimator.initialised and estimator.waiting_for == "no usable GNSS fix has come"

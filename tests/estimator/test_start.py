@@ -1,0 +1,237 @@
+"""Coming up: at standstill and in motion, with every source of heading; and what is refused, with its reason."""
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from motion import (
+    ARM,
+    ARM_RIGHT,
+    UP,
+    Drive,
+    apart,
+    estimates,
+    fixes,
+    imu,
+    in_order,
+    machine,
+    miss,
+    ns,
+    run,
+    scans,
+    seconds,
+)
+
+from holdfast.messages import Heading
+from holdfast.state import EventKind, Outcome
+
+STANDING = Drive(start_s=100.0)
+TRUTH = STANDING.nav(0.0)
+
+
+def standing(seed=1, bias=None, end_s=3.0, densities=(2e-3, 2e-4)):
+    return imu(STANDING, 0.0, end_s, 100.0, np.random.default_rng(seed), densities, bias)
+
+
+def first_state(outputs):
+    return next(o.optimised for o in outputs if o.optimised is not None)
+
+
+def yaw_of(nav):
+    return nav.attitude().rpy()[2]
+
+
+def without_heading(**sections):
+    return machine(initialisation={"heading_deg": None}, **sections)
+
+
+# --- at standstill ----------------------------------------------------------------------------------------------------
+
+
+def test_gravity_gives_roll_and_pitch_the_configuration_heading_and_the_lever_arm_position():
+    _, outputs = run(machine(), in_order(standing(), fixes(STANDING, 0.0, 3.0, rng=np.random.default_rng(2))))
+    state = first_state(outputs)
+    position, rotation, velocity = apart(TRUTH, state.nav)
+    # 11 fixes in the second that is averaged; 100 samples of 0.02 m/s^2 against gravity
+    assert position < 5.0 * np.linalg.norm([0.01, 0.01, 0.02]) / np.sqrt(10.0)
+    assert rotation < 5.0 * 0.02 / np.sqrt(100.0) / 9.8
+    assert velocity == 0.0
+
+
+def test_the_bias_of_the_gyroscope_is_found_within_its_noise():
+    bias = [0.0, 0.0, 0.0, 0.004, -0.003, 0.002]
+    for seed in range(5):
+        _, outputs = run(machine(), in_order(standing(seed, bias), fixes(STANDING, 0.0, 3.0)))
+        assert abs(first_state(outputs).bias.gyroscope() - bias[3:]).max() < 4.0 * 2e-4 / np.sqrt(1.0)
+
+
+def test_the_bias_of_the_accelerometer_is_found_along_gravity():
+    R = TRUTH.attitude()
+    along = R.unrotate(np.array([0.0, 0.0, 0.07]))
+    _, outputs = run(machine(), in_order(standing(1, [*along, 0, 0, 0]), fixes(STANDING, 0.0, 3.0)))
+    found = first_state(outputs).bias.accelerometer()
+    assert np.linalg.norm(found - along) < 4.0 * 0.02 / np.sqrt(100.0)
+
+
+def test_a_heading_message_is_believed_before_the_configuration():
+    message = Heading(ns(0.5), ns(0.5), "heading", 0.3 + np.radians(30.0), 0.01)
+    config = machine(heading=True, heading_={"mounting_yaw_deg": 30.0}, heading_deg=170.0)
+    _, outputs = run(config, in_order(standing(), fixes(STANDING, 0.0, 3.0), [message]))
+    assert yaw_of(first_state(outputs).nav) == pytest.approx(0.3, abs=1e-9)
+
+
+@pytest.mark.parametrize("yaw_rad", [-3.0, -1.2, 0.0, 2.5])
+def test_two_antennas_give_the_heading_though_they_are_not_mounted_square(yaw_rad):
+    still = Drive(start_s=100.0, yaw_rad=yaw_rad)
+    rng = np.random.default_rng(4)
+    left = fixes(still, 0.0, 3.0, rng=rng)
+    right = fixes(still, 0.0, 3.0, rng=rng, arm=ARM_RIGHT, sensor="gnss_right")
+    samples = imu(still, 0.0, 3.0, 100.0, np.random.default_rng(5))
+    _, outputs = run(without_heading(right=True), in_order(samples, left, right))
+    state = first_state(outputs)
+    length = np.linalg.norm((ARM_RIGHT - ARM)[:2])
+    off = np.arctan2(np.sin(yaw_of(state.nav) - yaw_rad), np.cos(yaw_of(state.nav) - yaw_rad))
+    assert abs(off) < 4.0 * 0.01 * np.sqrt(2.0) / length / np.sqrt(10.0)
+    sigma = np.sqrt((state.nav.attitude().matrix() @ state.covariance[:3, :3] @ state.nav.attitude().matrix().T)[2, 2])
+    assert 0.2 * 0.01 / length < sigma < 3.0 * 0.01 / length
+
+
+def test_antennas_at_another_distance_than_the_extrinsics_say_are_refused_with_both_lengths():
+    rng = np.random.default_rng(4)
+    left = fixes(STANDING, 0.0, 3.0, rng=rng)
+    right = fixes(STANDING, 0.0, 3.0, rng=rng, arm=ARM + 1.5 * (ARM_RIGHT - ARM), sensor="gnss_right")
+    estimator, _ = run(without_heading(right=True), in_order(standing(), left, right))
+    assert not estimator.initialised
+    length = np.linalg.norm(ARM_RIGHT - ARM)
+    reasons = [event.reason for event in estimator.events] + [estimator.waiting_for]
+    expected = f"the antennas are {1.5 * length:.2f} m apart, the extrinsics say {length:.2f} m"
+    assert any(expected[:20] in reason and expected[-28:] in reason for reason in reasons)
+
+
+def test_standing_still_without_a_heading_asks_for_one():
+    estimator, _ = run(without_heading(), in_order(standing(), fixes(STANDING, 0.0, 3.0)))
+    assert not estimator.initialised
+    assert estimator.waiting_for.startswith("standing still without a heading")
+    assert estimator.counts["gnss", Outcome.BEFORE_START] == 31
+
+
+def test_without_gnss_the_world_begins_where_the_machine_stands():
+    _, outputs = run(without_heading(gnss=False), in_order(standing(), scans(STANDING, 0.0, 3.0)))
+    state = first_state(outputs)
+    assert np.linalg.norm(state.nav.position()) < 1e-9 and abs(yaw_of(state.nav)) < 1e-9
+
+
+def test_an_accelerometer_in_g_is_refused_with_the_hint():
+    samples = [replace(s, specific_force=s.specific_force / 9.80665) for s in standing()]
+    estimator, _ = run(machine(), in_order(samples, fixes(STANDING, 0.0, 3.0)))
+    assert not estimator.initialised
+    assert "mean specific force is 1.00 m/s^2" in estimator.waiting_for
+    assert "is the accelerometer in g?" in estimator.waiting_for
+
+
+@pytest.mark.parametrize("gnss_hz", [1.0, 10.0])
+def test_an_even_drive_is_as_quiet_as_standstill_but_gnss_says_otherwise(gnss_hz):
+    """1.5 m/s straight ahead, from the first sample on."""
+    even = gtsam.ConstantTwistScenario(np.zeros(3), np.array([1.5, 0.0, 0.0]), gtsam.Pose3())
+
+    class Even:
+        def nav(self, t):
+            return even.navState(t)
+
+        def pose(self, t):
+            return even.pose(t)
+
+        def readings(self, _):
+            return UP, np.zeros(3)
+
+    samples = imu(Even(), 0.0, 6.0, 100.0, np.random.default_rng(1))
+    estimator, outputs = run(machine(heading_deg=0.0), in_order(samples, fixes(Even(), 0.0, 6.0, gnss_hz)))
+    standing_claims = [e for e in estimator.events if e.kind is EventKind.INITIALISED and e.reason == "standstill"]
+    assert not standing_claims
+    if estimator.initialised:
+        assert np.linalg.norm(first_state(outputs).nav.velocity() - [1.5, 0.0, 0.0]) < 0.1
+
+
+def test_nothing_comes_up_before_the_imu_was_heard_for_the_whole_standstill():
+    _, outputs = run(machine(), in_order(standing(), fixes(STANDING, 0.0, 3.0)))
+    assert 1.0 <= seconds(first_state(outputs).stamp_ns) <= 1.2
+
+
+# --- in motion --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("lidar", [False, True])
+@pytest.mark.parametrize("yaw_rad", [0.3, 2.8])
+def test_in_motion_gnss_and_imu_give_all_with_or_without_the_lidars_track(lidar, yaw_rad):
+    drive = Drive(start_s=-4.0, yaw_rad=yaw_rad)
+    rng = np.random.default_rng(6)
+    streams = [imu(drive, 0.0, 12.0, 100.0, rng), fixes(drive, 0.0, 12.0, rng=rng, phase_s=0.013)]
+    if lidar:
+        streams.append(scans(drive, 0.0, 12.0, rng=rng, phase_s=0.007))
+    estimator, outputs = run(without_heading(lidar=lidar), in_order(*streams))
+    assert estimator.initialised
+    state = first_state(outputs)
+    assert seconds(state.stamp_ns) < 8.0
+    step = state.nav.localCoordinates(drive.nav(seconds(state.stamp_ns)))
+    assert (abs(step) < 4.0 * np.sqrt(np.diag(state.covariance)[:9]) + 1e-3).all()
+    position, rotation, velocity = miss(drive, estimates(outputs)[-1])
+    assert position < 0.05 and rotation < np.radians(2.0) and velocity < 0.1
+
+
+def test_a_straight_slow_creep_is_too_short_for_a_heading():
+    """Less than two metres: the motion is told, no heading is guessed."""
+
+    class Creep:
+        def nav(self, t):
+            return gtsam.NavState(gtsam.Rot3(), np.array([0.3 * t, 0.0, 0.0]), np.array([0.3, 0.0, 0.0]))
+
+        def pose(self, t):
+            return self.nav(t).pose()
+
+        def readings(self, _):
+            return UP, np.zeros(3)
+
+    rng = np.random.default_rng(3)
+    messages = in_order(imu(Creep(), 0.0, 6.0, 100.0, rng), fixes(Creep(), 0.0, 6.0, rng=rng))
+    estimator, outputs = run(without_heading(lidar=False), messages)
+    assert not estimator.initialised and not estimates(outputs)
+    assert "a heading from motion needs 2.0 m" in estimator.waiting_for
+
+
+def test_an_even_straight_drive_fits_every_heading_and_is_refused():
+    """Ten metres without any acceleration: the accelerometer cannot tell which way the machine points."""
+
+    class Even:
+        def nav(self, t):
+            return gtsam.NavState(gtsam.Rot3(), np.array([1.0 * t, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
+
+        def pose(self, t):
+            return self.nav(t).pose()
+
+        def readings(self, _):
+            return UP, np.zeros(3)
+
+    rng = np.random.default_rng(3)
+    messages = in_order(imu(Even(), 0.0, 10.0, 100.0, rng), fixes(Even(), 0.0, 10.0, rng=rng))
+    estimator, _ = run(without_heading(lidar=False), messages)
+    assert not estimator.initialised
+    assert "heading" in estimator.waiting_for
+
+
+def test_moving_without_gnss_says_that_it_must_start_at_standstill():
+    drive = Drive(start_s=-4.0)
+    streams = in_order(imu(drive, 0.0, 4.0, 100.0, np.random.default_rng(1)), scans(drive, 0.0, 4.0))
+    estimator, _ = run(without_heading(gnss=False), streams)
+    assert estimator.waiting_for == "moving, and no GNSS is configured: start at standstill"
+
+
+@pytest.mark.parametrize("sigma_rad", [np.nan, np.inf, 1e300])
+def test_a_heading_with_an_absurd_sigma_does_not_spoil_the_start(sigma_rad):
+    message = Heading(ns(0.5), ns(0.5), "heading", 0.3, sigma_rad)
+    drive = Drive()
+    rng = np.random.default_rng(1)
+    messages = in_order(imu(drive, 0.0, 9.0, 100.0, rng), fixes(drive, 0.0, 9.0, rng=rng), [message])
+    _, outputs = run(machine(heading=True, lidar=False), messages)
+    assert all(np.isfinite(e.covariance).all() for e in estimates(outputs))
+    assert miss(drive, estimates(outputs)[-1])[0] < 0.05

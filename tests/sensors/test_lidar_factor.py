@@ -1,0 +1,117 @@
+"""Lidar odometry: its motion as the IMU sees it, through the extrinsics, with the noise carried along."""
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from motion import T_I_L, Drive, scans, tilted_circle
+from numeric import assert_jacobians, residual
+
+from holdfast.config.model import LidarConfig
+from holdfast.sensors.lidar import LidarModel
+from holdfast.state import Outcome
+
+XI, XJ = gtsam.symbol("x", 0), gtsam.symbol("x", 1)
+CONFIG = LidarConfig(topic="/lidar", robust_loss={"kind": "none"})
+MODEL = LidarModel(CONFIG, T_I_L)
+
+
+def pair(nav_i, nav_j):
+    values = gtsam.Values()
+    values.insert(XI, nav_i)
+    values.insert(XJ, nav_j)
+    return values
+
+
+@pytest.mark.parametrize("motion", [tilted_circle(), Drive(start_s=-3.0)])
+def test_the_track_of_the_lidar_becomes_the_track_of_the_imu(motion):
+    for k, scan in enumerate(scans(motion, 0.0, 3.0)):
+        expected = motion.pose(0.0).between(motion.pose(k / 5.0))
+        assert MODEL.T_I0_I(scan).equals(expected, 1e-9)
+
+
+def test_the_factor_is_zero_at_the_truth_whatever_the_velocity():
+    motion = tilted_circle()
+    first, second = scans(motion, 1.0, 1.2)
+    factor = MODEL.factor(XI, XJ, MODEL.T_I0_I(first).between(MODEL.T_I0_I(second)))
+    truth = pair(motion.nav(1.0), motion.nav(1.2))
+    np.testing.assert_allclose(residual(factor, truth)[:6], np.zeros(6), atol=1e-7)
+    # 3 m/s against a sigma of 1e6 m/s
+    np.testing.assert_allclose(residual(factor, truth)[6:], np.zeros(3), atol=1e-5)
+
+
+def test_the_residual_counts_sigmas_of_the_motion_seen_by_the_lidar():
+    """Without extrinsics: 0.03 m along x at sigma 0.02 m, 0.004 rad at 0.002 rad."""
+    model = LidarModel(CONFIG.model_copy(update={"drift_ratio": 0.0}), gtsam.Pose3())
+    motion = gtsam.Pose3(gtsam.Rot3.Yaw(0.1), np.array([0.3, 0.0, 0.0]))
+    factor = model.factor(XI, XJ, motion)
+    shifted = motion * gtsam.Pose3(gtsam.Rot3(), np.array([0.03, 0.0, 0.0]))
+    assert factor.error(pair(gtsam.NavState(), gtsam.NavState(shifted, np.zeros(3)))) == pytest.approx(0.5 * 1.5**2)
+    turned = motion * gtsam.Pose3(gtsam.Rot3.Yaw(0.004), np.zeros(3))
+    assert factor.error(pair(gtsam.NavState(), gtsam.NavState(turned, np.zeros(3)))) == pytest.approx(0.5 * 2.0**2)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=50)
+def test_the_factor_has_the_jacobians_that_it_claims(seed):
+    rng = np.random.default_rng(seed)
+    navs = [
+        gtsam.NavState(gtsam.Rot3.Expmap(rng.normal(0.0, 1.0, 3)), rng.normal(0.0, 5.0, 3), rng.normal(0.0, 2.0, 3))
+        for _ in range(2)
+    ]
+    motion = navs[0].pose().between(navs[1].pose()) * gtsam.Pose3.Expmap(rng.normal(0.0, 0.02, 6))
+    assert_jacobians(MODEL.factor(XI, XJ, motion), pair(*navs))
+
+
+def test_the_noise_is_carried_from_the_lidar_to_the_imu():
+    """Sampled: noise at the lidar, seen at the IMU, has the covariance that the factor weighs with."""
+    motion = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.02, -0.05, 0.3), np.array([0.4, 0.1, 0.02]))
+    drift = CONFIG.drift_ratio * np.linalg.norm(motion.translation())
+    sigmas = np.repeat([CONFIG.rotation_sigma_rad, np.hypot(CONFIG.translation_sigma_m, drift)], 3)
+    rng = np.random.default_rng(5)
+    T_L_motion = T_I_L.inverse() * motion * T_I_L
+    count = 20_000
+    noisy = [T_I_L * T_L_motion * gtsam.Pose3.Expmap(e) * T_I_L.inverse() for e in rng.normal(0.0, sigmas, (count, 6))]
+    seen = np.array([gtsam.Pose3.Logmap(motion.between(sample)) for sample in noisy])
+    claimed = MODEL.covariance(motion)
+    scale = np.sqrt(np.diag(claimed))
+    correlation = claimed / np.outer(scale, scale)
+    # a sample covariance is uncertain by sqrt(2 / N); five of those
+    np.testing.assert_allclose(np.cov(seen.T) / np.outer(scale, scale), correlation, atol=5.0 * np.sqrt(2.0 / count))
+    assert abs(correlation[:3, 3:]).max() > 0.01  # the lever arm couples turn and motion
+
+
+def test_the_weight_falls_with_the_distance_and_not_with_the_turn():
+    near = MODEL.covariance(gtsam.Pose3(gtsam.Rot3.Yaw(1.0), np.zeros(3)))
+    far = MODEL.covariance(gtsam.Pose3(gtsam.Rot3(), np.array([40.0, 0.0, 0.0])))
+    # 0.5 % of 40 m on top of 2 cm
+    assert far[3, 3] - near[3, 3] == pytest.approx(0.2**2, rel=1e-6)
+    np.testing.assert_allclose(far[:3, :3], near[:3, :3])
+
+
+def test_velocity_is_free():
+    motion = tilted_circle()
+    factor = MODEL.factor(XI, XJ, motion.pose(0.0).between(motion.pose(0.2)))
+    still = pair(
+        gtsam.NavState(motion.pose(0.0), np.zeros(3)), gtsam.NavState(motion.pose(0.2), np.array([30.0, 0.0, 0.0]))
+    )
+    assert factor.error(still) < 1e-8
+
+
+@pytest.mark.parametrize("field", ["position", "quaternion"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_pose_that_is_not_finite_is_refused(field, value):
+    scan = scans(Drive(), 0.0, 0.1)[0]
+    broken = getattr(scan, field).copy()
+    broken[1] = value
+    assert MODEL.check(scan) is Outcome.USED
+    assert MODEL.check(replace(scan, **{field: broken})) is Outcome.NOT_FINITE
+
+
+@pytest.mark.parametrize("value", [1e300, -1e12])
+def test_a_position_beyond_any_site_is_out_of_range(value):
+    scan = scans(Drive(), 0.0, 0.1)[0]
+    assert MODEL.check(replace(scan, position=np.array([0.0, value, 0.0]))) is Outcome.OUT_OF_RANGE
