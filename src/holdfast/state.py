@@ -31,6 +31,7 @@ class Outcome(StrEnum):
     CLOCK_JUMP = "clock_jump"
     LATE = "late"
     INNOVATION = "innovation"
+    CONTRADICTED = "contradicted"
     LOW_STATUS = "low_status"
     NO_COVARIANCE = "no_covariance"
     LARGE_COVARIANCE = "large_covariance"

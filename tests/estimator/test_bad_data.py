@@ -72,8 +72,10 @@ def test_a_measurement_that_cannot_be_is_counted_and_survived(sensor, field, val
     estimator = survives(streams, drive)
     assert estimator.counts[sensor, outcome] == 3
     if sensor != "imu":
-        told = [e for e in estimator.events if e.kind is EventKind.REJECTED and e.sensor == sensor]
-        assert [e.reason for e in told] == [outcome] * 3
+        # one good fix in a thousand is beyond the gate, and then contradicted by its successors
+        told = [e.reason for e in estimator.events if e.kind is EventKind.REJECTED and e.sensor == sensor]
+        assert [reason for reason in told if reason != Outcome.CONTRADICTED] == [outcome] * 3
+        assert estimator.counts[sensor, Outcome.CONTRADICTED] <= 1
 
 
 def test_an_absurd_altitude_is_out_of_range():

@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from motion import Drive, estimates, fix_at, fixes, imu, in_order, machine, miss, ns, run
 
 from holdfast.estimator.gate import HOLD_BACK, MAX_IN_A_ROW, InnovationGate, innovation_nis
+from holdfast.state import Outcome
 
 NAV = gtsam.NavState(gtsam.Rot3.Yaw(np.pi / 2), np.array([10.0, 20.0, 30.0]), np.zeros(3))
 ARM = np.array([2.0, 0.0, 0.0])  # in W: 2 m to the north
@@ -78,3 +80,19 @@ def test_a_good_fix_starts_the_count_anew():
 
 def test_a_nis_that_is_not_a_number_is_held_back():
     assert InnovationGate(3.0).inflation(float("nan")) is None
+
+
+def test_a_fix_that_its_successors_contradict_is_taken_out_again(monkeypatch):
+    """The gate is made to believe everything; one fix in the drive is 30 sigma off."""
+    monkeypatch.setattr(InnovationGate, "inflation", lambda *_: 1.0)
+    drive = Drive()
+    rng = np.random.default_rng(5)
+    good = fixes(drive, 0.0, 8.0, 5.0, rng)
+    index = next(k for k, fix in enumerate(good) if fix.stamp_ns > ns(6.0))
+    wrong = fix_at(drive, (good[index].stamp_ns - ns(0.0)) * 1e-9, np.array([0.3, 0.0, 0.0]))
+    messages = in_order(imu(drive, 0.0, 8.0, 100.0, rng), good[:index], [wrong], good[index + 1 :])
+    estimator, outputs = run(machine(lidar=False), messages)
+    assert estimator.counts["gnss", Outcome.CONTRADICTED] == 1
+    (event,) = [e for e in estimator.events if e.reason == Outcome.CONTRADICTED]
+    assert event.stamp_ns == wrong.stamp_ns
+    assert miss(drive, estimates(outputs)[-1])[0] < 0.05  # five sigma of one fix

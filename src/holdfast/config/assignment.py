@@ -81,9 +81,14 @@ def assign(topics: Iterable[Topic], types: Mapping[str, Collection[str]]) -> dic
     """
     remaining = {topic.topic: topic for topic in topics}
     guesses = {}
+    imus = [topic.topic for topic in remaining.values() if topic.type in types.get("imu", ())]
+    only_imu = imus[0] if len(imus) == 1 else None  # whatever its name says: without an IMU nothing works
     for sensor, rule in RULES.items():
         allowed = types.get(rule.kind, ())
-        guess = _choose(rule, [topic for topic in remaining.values() if topic.type in allowed], allowed)
+        candidates = [topic for topic in remaining.values() if topic.type in allowed]
+        if sensor != "imu":
+            candidates = [topic for topic in candidates if topic.topic != only_imu]
+        guess = _choose(rule, candidates, allowed)
         guesses[sensor] = guess
         if guess.topic is not None:
             del remaining[guess.topic]

@@ -22,6 +22,7 @@ from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lidar import LidarModel
 from holdfast.state import Estimate, Event, EventKind, OptimisedState, Outcome
 
+NO_DOUBT = np.zeros((9, 9))
 MIN_STANDSTILL_PERIOD_NS = 100_000_000
 STANDARD_GRAVITY = 9.80665
 RECENT = 64  # stamps per sensor among which a duplicate is looked for
@@ -78,6 +79,7 @@ class Estimator:
         self._pending: list[Pending] = []
         self._order = 0
         self._recent: dict[str, deque[int]] = {}
+        self._fixes: deque[tuple[int, AntennaPosition]] = deque()  # in the window, with the handles of their factors
         self._next_standstill_ns = 0
         self._last_scan: tuple[int, gtsam.Pose3] | None = None
         datum = config.frames.datum
@@ -273,6 +275,7 @@ class Estimator:
         self._buffer.clear()
         self._pending.clear()
         self._recent.clear()
+        self._fixes.clear()
         self._last_scan, self._started = None, False
         self._next_standstill_ns = 0
         if self._initializer is not None:
@@ -282,8 +285,11 @@ class Estimator:
 
     def _update(self, reached_ns: int, estimate: Estimate | None = None) -> Output:
         """Add every measurement whose time the IMU has reached, optimise once, and re-propagate to the present."""
+        found_fix = False
         while self._pending and self._pending[0].stamp_ns <= reached_ns:
-            self._add(self._pending.pop(0))
+            pending = self._pending.pop(0)
+            found_fix = found_fix or isinstance(pending.content, AntennaPosition)
+            self._add(pending)
         if self._buffer.latest_ns - self._smoother.newest_ns > self._node_interval_ns:
             self._smoother.node(self._buffer.latest_ns // self._node_interval_ns * self._node_interval_ns)
         self._add_standstill()
@@ -293,6 +299,9 @@ class Estimator:
             self._tell(EventKind.OPTIMISER_FAULT, self._smoother.newest_ns, "", str(fault))
             state = self._smoother.state
             self._last_scan = None
+            self._fixes.clear()
+        if found_fix:
+            self._retract_worst()
         self._predictor.anchor(state)
         self._buffer.forget_before(self._smoother.oldest_ns - self._node_interval_ns)
         return Output(estimate, state, self._smoother.settled())
@@ -321,10 +330,36 @@ class Estimator:
                 distance = float(np.linalg.norm(fix.p_W_G - nav.pose().transformFrom(model.p_I_G)))
                 self._tell(EventKind.ESTIMATE_SUSPECT, fix.stamp_ns, fix.sensor, f"{distance:.2f} m from the fixes")
                 self._smoother.loosen(distance)
+                self._fixes.clear()
                 self._last_scan = None
         else:
-            self._smoother.add(model.factor(key, replace(fix, covariance=fix.covariance * inflation)))
+            handle = self._smoother.add(model.factor(key, replace(fix, covariance=fix.covariance * inflation)))
+            self._fixes.append((handle, fix))
         self.counts[fix.sensor, outcome] += 1
+
+    def _retract_worst(self) -> None:
+        """Take out the fix that later ones contradict most, if its residual is beyond the gate: (21) in docs/math.md.
+
+        A fix that looked plausible when it came may stand alone once its successors are in.
+        """
+        while self._fixes and self._fixes[0][1].stamp_ns < self._smoother.oldest_ns:
+            self._fixes.popleft()
+        worst, worst_nis = None, 0.0
+        for entry in self._fixes:
+            fix = entry[1]
+            nav, arm = self._smoother.nav(fix.stamp_ns), self._antennas[fix.sensor].p_I_G
+            nis = innovation_nis(nav, NO_DOUBT, arm, fix.p_W_G, fix.covariance)
+            if nis > worst_nis:
+                worst, worst_nis = entry, nis
+        if worst is None or worst is self._fixes[-1]:
+            return  # the newest has no successor yet, and may be what pulls at the others
+        handle, fix = worst
+        if worst_nis > self._gates[fix.sensor].limit:
+            self._fixes.remove(worst)
+            self._smoother.retract(handle)
+            self.counts[fix.sensor, Outcome.USED] -= 1
+            self.counts[fix.sensor, Outcome.CONTRADICTED] += 1
+            self._tell(EventKind.REJECTED, fix.stamp_ns, fix.sensor, Outcome.CONTRADICTED)
 
     def _add_scan(self, key: int, scan: Pending) -> None:
         assert self._lidar is not None

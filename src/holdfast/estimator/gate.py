@@ -17,12 +17,12 @@ class InnovationGate:
     """
 
     def __init__(self, gate_sigma: float) -> None:
-        self._limit = gate_sigma**2
+        self.limit = gate_sigma**2
         self._in_a_row = 0
 
     def inflation(self, nis: float) -> float | None:
         """Return the factor on the covariance of a fix with this NIS, or None if the fix is held back."""
-        excess = nis / self._limit
+        excess = nis / self.limit
         if not excess <= HOLD_BACK:
             self._in_a_row += 1
             return None

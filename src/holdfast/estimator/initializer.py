@@ -250,7 +250,7 @@ def standstill_covariance(  # noqa: PLR0917 (one number per source of doubt)
     position_covariance: Array,
     arm: Array,
 ) -> Array:
-    """Return the covariance (15, 15) of a state found at standstill: (23) in docs/math.md.
+    """Return the covariance (15, 15) of a state found at standstill: (22) in docs/math.md.
 
     Tilt is known as well as the accelerometer's bias across gravity, and is wrong together with it; position is wrong
     together with attitude through the lever arm.

@@ -51,7 +51,8 @@ class Smoother:
         self._nodes = Timeline()
         self._links: dict[int, Link] = {}  # by the stamp of the left node
         self._bias_stamps: dict[int, int] = {}  # bias epoch -> end of the last link that uses it
-        self._settled_ns = 0
+        self._settled_ns = self._added = 0
+        self._slots: dict[int, int] = {}  # handle of a factor -> its index in the smoother
         self._clear_pending()
         self._state = state
         self._tail: Array = state.covariance  # of the newest node and the bias, new nodes included
@@ -99,9 +100,18 @@ class Smoother:
             key = self._extend(milestone, is_gap)
         return key
 
-    def add(self, factor: gtsam.NonlinearFactor) -> None:
-        """Add a factor on existing nodes; it takes effect with the next `optimise`."""
+    def add(self, factor: gtsam.NonlinearFactor) -> int:
+        """Add a factor on existing nodes; it takes effect with the next `optimise`. Return a handle to `retract` it."""
         self._new_factors.append(factor)
+        self._added += 1
+        self._new_handles.append(self._added)
+        return self._added
+
+    def retract(self, handle: int) -> None:
+        """Take a factor out again with the next `optimise`, if it is still in the window."""
+        slot = self._slots.pop(handle, None)
+        if slot is not None:
+            self._removed_slots.append(slot)
 
     def add_zero_velocity(self, stamp_ns: int, sigma_m_s: float) -> None:
         """Add the zero-velocity factor to the node at a time: a prior on `NavState` with free pose."""
@@ -181,6 +191,7 @@ class Smoother:
         except (RuntimeError, IndexError, ValueError) as error:
             self._reanchor()
             raise OptimiserError(str(error).strip().splitlines()[0]) from error
+        self._slots.update(zip(self._new_handles, slots, strict=False))
         for link, slot in zip(new_links, slots[len(self._new_factors) :], strict=True):
             link.slot = slot
         self._clear_pending()
@@ -306,6 +317,7 @@ class Smoother:
 
     def _clear_pending(self) -> None:
         self._new_factors: list[gtsam.NonlinearFactor] = []
+        self._new_handles: list[int] = []
         self._new_values = gtsam.Values()
         self._new_navs: dict[int, gtsam.NavState] = {}
         self._new_stamps: dict[SupportsInt | SupportsIndex, SupportsFloat | SupportsIndex] = {}

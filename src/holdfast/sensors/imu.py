@@ -296,7 +296,7 @@ def integrate(pim: gtsam.PreintegratedImuMeasurements, step: Step, bias_accel: A
     """Add a step to a preintegrated measurement, the specific force turned to the middle of the step.
 
     GTSAM rotates a reading by the attitude at the start of its step, which is wrong by half a step of turning (1.7 m
-    after 10 s at 1 rad/s, tilted, and 100 Hz): (5) in docs/math.md. The biases are (3,) [m/s^2] and [rad/s].
+    after 10 s at 1 rad/s, tilted, and 100 Hz): (4) in docs/math.md. The biases are (3,) [m/s^2] and [rad/s].
     """
     half_turn = gtsam.Rot3.Expmap(0.5 * step.dt_s * (step.angular_velocity - bias_gyro))
     force = half_turn.rotate(step.specific_force - bias_accel) + bias_accel
