@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from holdfast.cli.replay import check_window, progress_bar
+from holdfast.cli.progress import progress_bar
+from holdfast.cli.replay import check_window
 from holdfast.errors import ConfigError, HoldfastError
 
 if TYPE_CHECKING:

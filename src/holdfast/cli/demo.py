@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from holdfast.cli.replay import progress_bar, write_summary
+from holdfast.cli.progress import progress_bar
+from holdfast.cli.replay import write_summary
 from holdfast.errors import HoldfastError
 
 if TYPE_CHECKING:

@@ -2,18 +2,18 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from holdfast.cli.progress import progress_bar
+
 if TYPE_CHECKING:
     from rich.console import Console
 
     from holdfast.recording.inspection import Inspection, TopicFindings
-    from holdfast.recording.source import Recording
 
 PIPE_WIDTH = 160  # a pipe has no width of its own
 
@@ -33,7 +33,10 @@ def info(recording: str, start_s: float, duration_s: float | None, as_json: bool
     from holdfast.recording.problems import list_problems
     from holdfast.recording.source import open_recording
 
-    with open_recording(recording) as opened, _progress(opened) as progress:
+    with (
+        open_recording(recording) as opened,
+        progress_bar("reading", opened.start_ns, opened.end_ns) as progress,
+    ):
         inspection = inspect(opened, start_s, duration_s, progress)
     problems = list_problems(inspection)
     if as_json:
@@ -42,21 +45,6 @@ def info(recording: str, start_s: float, duration_s: float | None, as_json: bool
         _print(inspection, problems)
     if inspection.damage is not None:
         raise inspection.damage
-
-
-@contextmanager
-def _progress(recording: "Recording") -> Iterator[Callable[[int], None] | None]:
-    """Show a bar on a terminal, nothing in a pipe."""
-    begin_ns, end_ns = recording.start_ns, recording.end_ns
-    if not sys.stderr.isatty() or begin_ns is None or end_ns is None:
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("reading", total=max(end_ns - begin_ns, 1))
-        yield lambda arrival_ns: bar.update(task, completed=arrival_ns - begin_ns)
 
 
 def _to_json(inspection: "Inspection", problems: list[str]) -> dict[str, Any]:

@@ -1,14 +1,14 @@
 """`holdfast replay`: a recording in, trajectories, ROS messages, events and a summary out."""
 
 import json
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from holdfast.cli.progress import progress_bar
 from holdfast.errors import ConfigError, EstimatorError, HoldfastError
 
 if TYPE_CHECKING:
@@ -105,20 +105,6 @@ def write_summary(run: "Replay", recording: str, warnings: list[str], folder: Pa
     summary = summarise_replay(run, recording, warnings, finished)
     (folder / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     return summary
-
-
-@contextmanager
-def progress_bar(title: str, begin_ns: int | None, end_ns: int | None) -> Iterator[Callable[[int], None] | None]:
-    """Show how far a recording has been read, on a terminal; nothing in a pipe."""
-    if not sys.stderr.isatty() or begin_ns is None or end_ns is None:
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(title, total=max(end_ns - begin_ns, 1))
-        yield lambda arrival_ns: bar.update(task, completed=arrival_ns - begin_ns)
 
 
 def print_summary(summary: dict[str, Any], output: str) -> None:

@@ -13,7 +13,7 @@ from holdfast.config.model import Config
 from holdfast.estimator.gate import InnovationGate, innovation_nis
 from holdfast.estimator.initializer import Initializer
 from holdfast.estimator.predictor import Predictor
-from holdfast.estimator.standstill import quiet_window
+from holdfast.estimator.standstill import StandstillUpdates
 from holdfast.geometry.earth import Geodetic, LocalFrame, gravity
 from holdfast.graph.smoother import OptimiserError, Smoother
 from holdfast.messages import GnssFix, Heading, ImuSample, LidarPose, Message
@@ -23,7 +23,6 @@ from holdfast.sensors.lidar import LidarModel
 from holdfast.state import Estimate, Event, EventKind, OptimisedState, Outcome
 
 NO_DOUBT = np.zeros((9, 9))
-MIN_STANDSTILL_PERIOD_NS = 100_000_000
 STANDARD_GRAVITY = 9.80665
 RECENT = 64  # stamps per sensor among which a duplicate is looked for
 MAX_HEADING_SIGMA_RAD = 1.0  # a heading that is less sure says nothing
@@ -80,7 +79,7 @@ class Estimator:
         self._order = 0
         self._recent: dict[str, deque[int]] = {}
         self._fixes: deque[tuple[int, AntennaPosition]] = deque()  # in the window, with the handles of their factors
-        self._next_standstill_ns = 0
+        self._standstill = StandstillUpdates(config.standstill, self._buffer)
         self._last_scan: tuple[int, gtsam.Pose3] | None = None
         datum = config.frames.datum
         if datum is not None:
@@ -277,7 +276,7 @@ class Estimator:
         self._recent.clear()
         self._fixes.clear()
         self._last_scan, self._started = None, False
-        self._next_standstill_ns = 0
+        self._standstill = StandstillUpdates(self.config.standstill, self._buffer)
         if self._initializer is not None:
             self._begin(self._gravity)
 
@@ -292,7 +291,9 @@ class Estimator:
             self._add(pending)
         if self._buffer.latest_ns - self._smoother.newest_ns > self._node_interval_ns:
             self._smoother.node(self._buffer.latest_ns // self._node_interval_ns * self._node_interval_ns)
-        self._add_standstill()
+        standing = self._standstill.add_to(self._smoother)
+        if standing:
+            self.counts["standstill", Outcome.USED] += standing
         try:
             state = self._smoother.optimise()
         except OptimiserError as fault:
@@ -374,36 +375,6 @@ class Estimator:
                 if outcome is Outcome.USED:
                     self._smoother.add(self._lidar.factor(previous_key, key, motion))
         self.counts[scan.sensor, outcome] += 1
-
-    def _add_standstill(self) -> None:
-        """Add zero-velocity factors at fixed times, in the middle of quiet windows that the IMU has passed.
-
-        The middle is at rest even if the machine creeps away at the end; fixed times do not depend on arrivals.
-        """
-        config, latest = self.config.standstill, self._buffer.latest_ns
-        half_ns = round(0.5e9 * config.window_s)
-        period_ns = max(half_ns, MIN_STANDSTILL_PERIOD_NS)
-        first = max(self._next_standstill_ns, -(-self._smoother.oldest_ns // period_ns) * period_ns)
-        if not config.enabled or first + half_ns > latest:
-            return
-        for stamp in range(first, latest - half_ns + 1, period_ns):
-            self._next_standstill_ns = stamp + period_ns
-            if stamp > self._smoother.newest_ns or not self._is_standing(stamp, half_ns):
-                continue
-            self._smoother.node(stamp)
-            self._smoother.add_zero_velocity(stamp, config.velocity_sigma_m_s)
-            self.counts["standstill", Outcome.USED] += 1
-
-    def _is_standing(self, stamp_ns: int, half_ns: int) -> bool:
-        config = self.config.standstill
-        if quiet_window(config, self._buffer, stamp_ns + half_ns, config.window_s) is None:
-            return False
-        node = self._smoother.last_before(stamp_ns)
-        if node is None:
-            return False
-        speed = float(np.linalg.norm(self._smoother.nav(node).velocity()))
-        spread = float(np.sqrt(self._smoother.covariance(node)[6:9, 6:9].trace()))
-        return speed < config.max_speed_m_s + 3.0 * spread
 
     def _tell(self, kind: EventKind, stamp_ns: int, sensor: str, reason: str) -> None:
         self.event_counts[kind] += 1

@@ -3,10 +3,12 @@
 import numpy as np
 
 from holdfast.config.model import StandstillConfig
+from holdfast.graph.smoother import Smoother
 from holdfast.messages import Array
 from holdfast.sensors.imu import ImuBuffer
 
 MAX_MEAN_RATE_RAD_S = 0.05  # turning evenly is not standing; a bias is smaller
+MIN_PERIOD_NS = 100_000_000
 CHANGE_SHARE = 0.1  # of the allowed spread, by which the mean may change within the window
 
 
@@ -36,3 +38,40 @@ def quiet_window(
     if float(np.linalg.norm(means[1])) > MAX_MEAN_RATE_RAD_S:
         return None
     return means[0], means[1]
+
+
+class StandstillUpdates:
+    """Zero-velocity factors at fixed times, in the middle of quiet windows that the IMU has passed.
+
+    The middle is at rest even if the machine creeps away at the end; fixed times do not depend on arrivals.
+    """
+
+    def __init__(self, config: StandstillConfig, buffer: ImuBuffer) -> None:
+        self._config = config
+        self._buffer = buffer
+        self._half_ns = round(0.5e9 * config.window_s)
+        self._period_ns = max(self._half_ns, MIN_PERIOD_NS)
+        self._next_ns = 0
+
+    def add_to(self, smoother: Smoother) -> int:
+        """Add the factors that have become certain; return how many."""
+        end = self._buffer.latest_ns - self._half_ns
+        first = max(self._next_ns, -(-smoother.oldest_ns // self._period_ns) * self._period_ns)
+        added = 0
+        for stamp in range(first, end + 1, self._period_ns) if self._config.enabled else ():
+            self._next_ns = stamp + self._period_ns
+            if stamp <= smoother.newest_ns and self._is_standing(stamp, smoother):
+                smoother.node(stamp)
+                smoother.add_zero_velocity(stamp, self._config.velocity_sigma_m_s)
+                added += 1
+        return added
+
+    def _is_standing(self, stamp_ns: int, smoother: Smoother) -> bool:
+        if quiet_window(self._config, self._buffer, stamp_ns + self._half_ns, self._config.window_s) is None:
+            return False
+        node = smoother.last_before(stamp_ns)
+        if node is None:
+            return False
+        speed = float(np.linalg.norm(smoother.nav(node).velocity()))
+        spread = float(np.sqrt(smoother.covariance(node)[6:9, 6:9].trace()))
+        return speed < self._config.max_speed_m_s + 3.0 * spread
