@@ -51,6 +51,7 @@ class Smoother:
         self._nodes = Timeline()
         self._links: dict[int, Link] = {}  # by the stamp of the left node
         self._bias_stamps: dict[int, int] = {}  # bias epoch -> end of the last link that uses it
+        self._bias_hat = state.bias  # of all preintegration: the result must not depend on when a link was made
         self._settled_ns = self._added = 0
         self._slots: dict[int, int] = {}  # handle of a factor -> its index in the smoother
         self._clear_pending()
@@ -278,7 +279,7 @@ class Smoother:
             rate = self._turn_rate(start_ns, nav, bias)
             pim = self._motion_model.preintegrate((end_ns - start_ns) * 1e-9, nav, rate, bias)
         else:
-            pim = preintegrate(self._buffer.steps(start_ns, end_ns), self._noise, nav.attitude(), bias)
+            pim = preintegrate(self._buffer.steps(start_ns, end_ns), self._noise, nav.attitude(), self._bias_hat)
         factor = gtsam.ImuFactor2(self._nodes.key(start_ns), self._nodes.key(end_ns), bias_key, pim)
         self._links[start_ns] = Link(start_ns, end_ns, bias_key, is_gap, factor)
         epoch = gtsam.symbolIndex(bias_key)
