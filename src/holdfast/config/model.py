@@ -117,6 +117,11 @@ class SensorsConfig(Section):
     heading: HeadingConfig | None = None
     joint: JointConfig | None = None
 
+    def antennas(self) -> dict[str, GnssConfig]:
+        """Return the configured GNSS antennas by sensor name, the left one first."""
+        both = {"gnss": self.gnss, "gnss_right": self.gnss_right}
+        return {name: gnss for name, gnss in both.items() if gnss is not None}
+
 
 class Extrinsic(Section):
     """T_parent_child: the pose of the child frame in the parent frame. Give one form of rotation, or none."""

@@ -15,6 +15,7 @@ from holdfast.estimator.initializer import Initializer
 from holdfast.estimator.predictor import Predictor
 from holdfast.estimator.standstill import StandstillUpdates
 from holdfast.geometry.earth import Geodetic, LocalFrame, gravity
+from holdfast.graph.nodes import Placed
 from holdfast.graph.smoother import OptimiserError, Smoother
 from holdfast.messages import GnssFix, Heading, ImuSample, LidarPose, Message
 from holdfast.sensors.gnss import AntennaPosition, GnssModel
@@ -61,15 +62,9 @@ class Estimator:
         sensors = config.sensors
         self._buffer = ImuBuffer(sensors.imu)
         self._antennas = {
-            name: GnssModel(gnss, config.T_I(gnss.frame)[:3, 3])
-            for name, gnss in (("gnss", sensors.gnss), ("gnss_right", sensors.gnss_right))
-            if gnss is not None
+            name: GnssModel(gnss, config.T_I(gnss.frame)[:3, 3]) for name, gnss in sensors.antennas().items()
         }
-        self._gates = {
-            name: InnovationGate(gnss.gate_sigma)
-            for name, gnss in (("gnss", sensors.gnss), ("gnss_right", sensors.gnss_right))
-            if gnss is not None
-        }
+        self._gates = {name: InnovationGate(gnss.gate_sigma) for name, gnss in sensors.antennas().items()}
         lidar = sensors.lidar
         self._lidar = None if lidar is None else LidarModel(lidar, gtsam.Pose3(config.T_I(lidar.frame)))
         self._world: LocalFrame | None = None
@@ -78,7 +73,7 @@ class Estimator:
         self._pending: list[Pending] = []
         self._order = 0
         self._recent: dict[str, deque[int]] = {}
-        self._fixes: deque[tuple[int, AntennaPosition]] = deque()  # in the window, with the handles of their factors
+        self._fixes: deque[tuple[Placed, AntennaPosition]] = deque()  # in the window, with their factors
         self._standstill = StandstillUpdates(config.standstill, self._buffer)
         self._last_scan: tuple[int, gtsam.Pose3] | None = None
         datum = config.frames.datum

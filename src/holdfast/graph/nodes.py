@@ -17,6 +17,14 @@ def to_grid(stamp_ns: int) -> int:
     return (stamp_ns + NODE_RESOLUTION_NS // 2) // NODE_RESOLUTION_NS * NODE_RESOLUTION_NS
 
 
+@dataclass(slots=True, eq=False)
+class Placed:
+    """A factor and its index in the smoother, once it is there."""
+
+    factor: gtsam.NonlinearFactor
+    slot: int | None = None
+
+
 @dataclass(slots=True)
 class Link:
     """The motion between two neighbouring nodes: an IMU factor, or a motion model where the IMU was silent."""

@@ -11,7 +11,7 @@ import gtsam
 import numpy as np
 
 from holdfast.config.model import Config
-from holdfast.graph.nodes import NODE_RESOLUTION_NS, Link, Timeline, to_grid
+from holdfast.graph.nodes import NODE_RESOLUTION_NS, Link, Placed, Timeline, to_grid
 from holdfast.messages import Array
 from holdfast.sensors.imu import ImuBuffer, ImuNoise, MotionModel, preintegrate
 from holdfast.state import OptimisedState
@@ -52,8 +52,7 @@ class Smoother:
         self._links: dict[int, Link] = {}  # by the stamp of the left node
         self._bias_stamps: dict[int, int] = {}  # bias epoch -> end of the last link that uses it
         self._bias_hat = state.bias  # of all preintegration: the result must not depend on when a link was made
-        self._settled_ns = self._added = 0
-        self._slots: dict[int, int] = {}  # handle of a factor -> its index in the smoother
+        self._settled_ns = 0
         self._clear_pending()
         self._state = state
         self._tail: Array = state.covariance  # of the newest node and the bias, new nodes included
@@ -101,18 +100,17 @@ class Smoother:
             key = self._extend(milestone, is_gap)
         return key
 
-    def add(self, factor: gtsam.NonlinearFactor) -> int:
+    def add(self, factor: gtsam.NonlinearFactor) -> Placed:
         """Add a factor on existing nodes; it takes effect with the next `optimise`. Return a handle to `retract` it."""
-        self._new_factors.append(factor)
-        self._added += 1
-        self._new_handles.append(self._added)
-        return self._added
+        placed = Placed(factor)
+        self._new_factors.append(placed)
+        return placed
 
-    def retract(self, handle: int) -> None:
-        """Take a factor out again with the next `optimise`, if it is still in the window."""
-        slot = self._slots.pop(handle, None)
-        if slot is not None:
-            self._removed_slots.append(slot)
+    def retract(self, placed: Placed) -> None:
+        """Take out a factor, whose node is still in the window, with the next `optimise`."""
+        if placed.slot is not None:
+            self._removed_slots.append(placed.slot)
+            placed.slot = None
 
     def add_zero_velocity(self, stamp_ns: int, sigma_m_s: float) -> None:
         """Add the zero-velocity factor to the node at a time: a prior on `NavState` with free pose."""
@@ -176,11 +174,9 @@ class Smoother:
             OptimiserError: GTSAM failed; the window was started anew at the last good state, and the new factors lost.
         """
         graph = gtsam.NonlinearFactorGraph()
-        new_links = [link for link in self._links.values() if link.slot is None]
-        for factor in self._new_factors:
-            graph.add(factor)
-        for link in new_links:
-            graph.add(link.factor)
+        new: list[Placed | Link] = [*self._new_factors, *(link for link in self._links.values() if link.slot is None)]
+        for placed in new:
+            graph.add(placed.factor)
         try:
             # Two steps keep the newest node at the root of the Bayes tree: only an update that marginalises nothing
             # orders the new variables last, and then the next one (and the marginal) touches few cliques.
@@ -192,9 +188,8 @@ class Smoother:
         except (RuntimeError, IndexError, ValueError) as error:
             self._reanchor()
             raise OptimiserError(str(error).strip().splitlines()[0]) from error
-        self._slots.update(zip(self._new_handles, slots, strict=False))
-        for link, slot in zip(new_links, slots[len(self._new_factors) :], strict=True):
-            link.slot = slot
+        for placed, slot in zip(new, slots, strict=True):
+            placed.slot = slot
         self._clear_pending()
         self._forget()
         self._newest_known_ns = self.newest_ns
@@ -317,8 +312,7 @@ class Smoother:
         return (stamp_ns - self._epoch_ns) * 1e-9
 
     def _clear_pending(self) -> None:
-        self._new_factors: list[gtsam.NonlinearFactor] = []
-        self._new_handles: list[int] = []
+        self._new_factors: list[Placed] = []
         self._new_values = gtsam.Values()
         self._new_navs: dict[int, gtsam.NavState] = {}
         self._new_stamps: dict[SupportsInt | SupportsIndex, SupportsFloat | SupportsIndex] = {}

@@ -79,11 +79,7 @@ class HoldOutFilter:
     def __init__(self, rules: Iterable[HoldOut], config: Config) -> None:
         self._rules = list(rules)
         check_sensors(self._rules, config)
-        self._models = {
-            name: GnssModel(gnss, np.zeros(3))
-            for name, gnss in (("gnss", config.sensors.gnss), ("gnss_right", config.sensors.gnss_right))
-            if gnss is not None
-        }
+        self._models = {name: GnssModel(gnss, np.zeros(3)) for name, gnss in config.sensors.antennas().items()}
         self.first_ns: int | None = None
         self._seen: dict[str, int] = {}
         self._lost: set[str] = set()  # sensors in an outage, which lasts until the estimator gets a message again
@@ -148,11 +144,9 @@ class HeldOutJudge:
     def __init__(self, config: Config) -> None:
         self._offsets: dict[str, int] = {}
         self._arms: dict[str, Array] = {}
-        for name in ("gnss", "gnss_right"):
-            gnss = getattr(config.sensors, name)
-            if gnss is not None:
-                self._offsets[name] = round(gnss.time_offset_s * 1e9)
-                self._arms[name] = config.T_I(gnss.frame)[:3, 3]
+        for name, gnss in config.sensors.antennas().items():
+            self._offsets[name] = round(gnss.time_offset_s * 1e9)
+            self._arms[name] = config.T_I(gnss.frame)[:3, 3]
         self._track: deque[TrackPoint] = deque()
         self._waiting: deque[tuple[GnssFix, bool]] = deque()
         self.judgements: list[Judgement] = []
