@@ -316,9 +316,10 @@ def test_any_name_survives_the_resolved_file(name: str) -> None:
 def test_a_validator_may_name_several_places_one_per_line(monkeypatch: pytest.MonkeyPatch) -> None:
     from holdfast.config import faults as module
     from holdfast.config.document import read_document
+    from holdfast.config.schema import ROOT
 
     document = read_document(MINIMAL + "graph:\n  lag_s: 2\n", "f.yaml")
-    module._note_validator(document, (), "graph.lag_s: too short\nsensors.imu: too few\nwhat the sensors say")
+    module._note_validator(document, ROOT, (), "graph.lag_s: too short\nsensors.imu: too few\nwhat the sensors say")
     assert [(fault.line, fault.where, fault.what) for fault in document.faults] == [
         (5, "graph.lag_s", "too short"),
         (2, "sensors.imu", "too few"),

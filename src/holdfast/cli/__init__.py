@@ -14,6 +14,7 @@ COMMANDS = {
     "info": ("holdfast.cli.info", "List what a recording holds and what is wrong with its clocks."),
     "config": ("holdfast.cli.config", "Start, check and describe configuration files."),
     "evaluate": ("holdfast.cli.evaluate", "Judge a trajectory against a reference."),
+    "simulate": ("holdfast.cli.simulate", "Simulate a machine on a site; its truth is known."),
     "demo": ("holdfast.cli.demo", "Estimate 3.7 km of real driving; needs no download."),
     "bench": ("holdfast.cli.bench", "Measure speed on this machine."),
 }

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from holdfast.config.document import Document, Fault, Path, path_text, value_text
-from holdfast.config.schema import ROOT, Place, place, type_text
+from holdfast.config.schema import Place, place, type_text
 
 COMPARISONS = {
     "greater_than": (">", "gt"),
@@ -18,12 +18,12 @@ COMPARISONS = {
 }
 
 
-def note_validation_error(document: Document, error: ValidationError) -> None:
-    """Add every fault that the validation found to the document's."""
+def note_validation_error(document: Document, root: Place, error: ValidationError) -> None:
+    """Add every fault that the validation of a document as `root` found to the document's."""
     for detail in error.errors(include_url=False, include_input=False):
         path = _path_in_file(document, detail["loc"], detail["type"])
         if not document.is_refused(path):
-            _note(document, path, detail)
+            _note(document, root, path, detail)
 
 
 def _path_in_file(document: Document, location: Path, kind: str) -> Path:
@@ -36,17 +36,17 @@ def _path_in_file(document: Document, location: Path, kind: str) -> Path:
     return (*path, location[-1]) if kind == "missing" else path
 
 
-def _note(document: Document, path: Path, detail: ErrorDetails) -> None:
+def _note(document: Document, root: Place, path: Path, detail: ErrorDetails) -> None:
     kind, context = detail["type"], detail.get("ctx", {})
-    at = place(path)
+    at = place(path, root)
     if kind == "missing" and isinstance(path[-1], int):  # a short tuple is reported entry by entry
-        kind, path, at = "too_short", path[:-1], place(path[:-1])
+        kind, path, at = "too_short", path[:-1], place(path[:-1], root)
     if kind == "missing":
         document.fault(path, missing_text(at))
     elif kind == "extra_forbidden":
-        document.fault(path, unknown_key_text(str(path[-1]), place(path[:-1]) or ROOT))
+        document.fault(path, unknown_key_text(str(path[-1]), place(path[:-1], root) or root))
     elif kind == "value_error":
-        _note_validator(document, path, str(context.get("error", detail["msg"])))
+        _note_validator(document, root, path, str(context.get("error", detail["msg"])))
     else:
         value = document.written.get(path) or value_text(document.at(path))
         text = _rule_text(kind, at, detail["msg"], context) + _hint(kind, at, document.at(path))
@@ -113,7 +113,7 @@ def _with_article(words: str) -> str:
     return words if words.startswith(("text", "true")) or " or " in words else f"a {words}"
 
 
-def _note_validator(document: Document, path: Path, message: str) -> None:
+def _note_validator(document: Document, root: Place, path: Path, message: str) -> None:
     """Note what a validator of the model raised, one fault per line.
 
     A line may begin with a path below the validator's section (`sensors.lidar.frame: ...`); else the first key of the
@@ -122,7 +122,7 @@ def _note_validator(document: Document, path: Path, message: str) -> None:
     for text in message.splitlines():
         found = re.match(r"([\w.]+): ", text)
         named: Path = (*path, *found[1].split(".")) if found else ()
-        if found and place(named) is not None:
+        if found and place(named, root) is not None:
             document.fault(named, text[found.end() :])
             continue
         keys = document.at(path)

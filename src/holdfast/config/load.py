@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path as FilePath
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ValidationError
@@ -12,9 +12,11 @@ from pydantic import BaseModel, ValidationError
 from holdfast.config.document import Document, Path, raise_faults, read_document, value_text, yaml_text
 from holdfast.config.faults import note_validation_error
 from holdfast.config.model import Config
-from holdfast.config.schema import ROOT, Place, is_optional
+from holdfast.config.schema import Place, is_optional
 from holdfast.config.units import conversion
 from holdfast.errors import ConfigError
+
+Model = TypeVar("Model", bound=BaseModel)
 
 
 def load_config(path: str | PathLike[str]) -> Config:
@@ -23,16 +25,7 @@ def load_config(path: str | PathLike[str]) -> Config:
     Raises:
         ConfigError: it cannot be read, or holds mistakes; the text has one line per mistake.
     """
-    try:
-        text = FilePath(path).read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start}): must be a YAML file") from None
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file (`holdfast config init RECORDING` starts one)") from None
-    except (OSError, ValueError) as error:  # a NUL in the path is a ValueError
-        reason = "is a folder" if isinstance(error, IsADirectoryError) else getattr(error, "strerror", None) or error
-        raise ConfigError(f"{path}: {reason}: must be a YAML file") from None
-    return parse_config(text, str(path))
+    return parse_config(read_yaml(path, "`holdfast config init RECORDING` starts one"), str(path))
 
 
 def parse_config(text: str, name: str = "config") -> Config:
@@ -41,24 +34,55 @@ def parse_config(text: str, name: str = "config") -> Config:
     Raises:
         ConfigError: the text holds mistakes, one line each.
     """
-    document = read_document(text, name)
-    document.data = _prepare(document, ROOT, document.data, ())
-    config: Config | None = None
+    return validate(read_document(text, name), Config)
+
+
+def read_yaml(path: str | PathLike[str], remedy: str) -> str:
+    """Return the text of a file; `remedy` is said where there is none.
+
+    Raises:
+        ConfigError: it cannot be read.
+    """
+    try:
+        return FilePath(path).read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start}): must be a YAML file") from None
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file ({remedy})") from None
+    except (OSError, ValueError) as error:  # a NUL in the path is a ValueError
+        reason = "is a folder" if isinstance(error, IsADirectoryError) else getattr(error, "strerror", None) or error
+        raise ConfigError(f"{path}: {reason}: must be a YAML file") from None
+
+
+def validate(document: Document, model: type[Model]) -> Model:
+    """Return a document's data as a model of sections.
+
+    Raises:
+        ConfigError: the data break the model's rules, one line each.
+    """
+    root = Place(model, None)
+    document.data = _prepare(document, root, document.data, ())
     try:
         # the JSON mode of pydantic's strict validation takes lists for tuples and integers for floats, and nothing else
         with np.errstate(over="ignore", invalid="ignore"):  # matrices of 1e200 are refused, without noise on the screen
-            config = Config.model_validate_json(json.dumps(document.data), strict=True)
+            found = model.model_validate_json(json.dumps(document.data), strict=True)
     except ValidationError as error:
-        note_validation_error(document, error)
-    raise_faults(name, document.faults)
-    if config is None:
-        raise ConfigError(f"{name}:1 cannot be read")
-    return config
+        note_validation_error(document, root, error)
+        found = None
+    raise_faults(document.name, document.faults)
+    if found is None:
+        raise ConfigError(f"{document.name}:1 cannot be read")
+    return found
 
 
-def resolved_yaml(config: Config) -> str:
-    """Return the whole configuration as YAML, defaults included; reading it again gives an equal one."""
-    return "\n".join(_yaml_lines(config.model_dump(mode="json"))) + "\n"
+def resolved_yaml(section: BaseModel, *, given_only: bool = False) -> str:
+    """Return a configuration as YAML; reading it again gives an equal one.
+
+    Args:
+        section: the configuration, or another model of sections.
+        given_only: leave out what nobody set, so that the defaults of the day apply.
+    """
+    return "\n".join(_yaml_lines(section.model_dump(mode="json", exclude_unset=given_only))) + "\n"
 
 
 def _yaml_lines(section: dict[str, Any]) -> Iterator[str]:

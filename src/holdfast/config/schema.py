@@ -67,9 +67,9 @@ class Place:
 ROOT = Place(Config, None)
 
 
-def place(path: Path) -> Place | None:
-    """Return what may stand at a path of the configuration, or None where nothing may."""
-    at: Place | None = ROOT
+def place(path: Path, root: Place = ROOT) -> Place | None:
+    """Return what may stand at a path below `root` (the configuration), or None where nothing may."""
+    at: Place | None = root
     for part in path:
         at = at.child(part) if at else None
     return at

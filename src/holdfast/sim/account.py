@@ -1,0 +1,79 @@
+"""The README of a simulated recording: what was done, where the truth is, what goes wrong when."""
+
+from collections.abc import Iterator, Mapping
+
+from holdfast.sim.scenario import Activity, Fault
+from holdfast.sim.simulation import Simulation
+
+
+def account(simulation: Simulation, name: str, command: str, counts: Mapping[str, int]) -> str:
+    """Return the text (Markdown); `counts` are the numbers of messages by topic."""
+    return "\n".join(_lines(simulation, name, command, counts)) + "\n"
+
+
+def _lines(simulation: Simulation, name: str, command: str, counts: Mapping[str, int]) -> Iterator[str]:
+    scenario, motion = simulation.scenario, simulation.motion
+    yield from (f"# {name}, seed {simulation.seed}", "", scenario.description, "")
+    yield (
+        f"{scenario.duration_s:g} s of `{scenario.machine}` on `{scenario.site}`; the chassis drives "
+        f"{motion.way_m:.0f} m. Everything here is simulated. Made by:"
+    )
+    yield from ("", "```sh", command, "```", "", "Estimate and judge:", "", "```sh")
+    yield "holdfast replay recording.mcap -c config.yaml -o estimate"
+    yield "holdfast evaluate estimate/imu_in_world.tum truth/imu_in_world.tum"
+    yield from ("```", "", "## Messages", "", "| Topic | Messages |", "|---|---|")
+    yield from (f"| `{topic}` | {count} |" for topic, count in counts.items())
+    yield from ("", "## What the machine does", "")
+    yield from _activities(scenario.activities, "")
+    yield from ("", "## What goes wrong", "")
+    yield from (f"- {_fault(fault)}" for fault in scenario.faults)
+    if not scenario.faults:
+        yield "Nothing, but for the noise of the sensors and what trees hide of the sky."
+    yield from ("", "## Truth", "")
+    yield (
+        "`truth/` is what no machine has, at the rate of the cabin's IMU and in true time: `imu_in_world.tum`, "
+        "`base_in_world.tum` and `lidar_in_world.tum` (poses in W), `velocities.csv`, the biases of the IMUs, "
+        "`joint.csv` and, under the stamps of their messages, the errors of all fixes."
+    )
+    if scenario.sensors.joint is not None:
+        yield f"The encoder's zero is off by {simulation.joint_bias_rad:.6f} rad."
+    yield "`site.ply` is the surface that the lidar sees; `scenario.yaml` holds every setting, defaults included."
+
+
+def _activities(activities: tuple[Activity, ...], indent: str) -> Iterator[str]:
+    for activity in activities:
+        if activity.stand_s is not None:
+            yield f"{indent}- stand for {activity.stand_s:g} s"
+        elif activity.drive_to_m is not None:
+            yield f"{indent}- drive to " + ", ".join(f"({x:g}, {y:g})" for x, y in activity.drive_to_m)
+        elif activity.slew_to_deg is not None:
+            yield f"{indent}- slew the cabin to {activity.slew_to_deg:g} deg"
+        elif activity.dig is not None:
+            yield f"{indent}- dig {activity.dig.cycles} buckets, dumping {activity.dig.swing_deg:g} deg to the side"
+        else:
+            yield f"{indent}- up to {activity.repeat} times, as long as the recording lasts:"
+            yield from _activities(activity.of, indent + "  ")
+
+
+def _fault(fault: Fault) -> str:
+    details = {
+        "outage": "no messages"
+        if fault.claim_growth_m_s is None
+        else f"claimed sigma grows by {fault.claim_growth_m_s:g} m/s",
+        "degraded": f"falls to {fault.quality}",
+        "walk": f"walks away at {fault.rate_m_s:g} m/s, to {_vector(fault)} m",
+        "offset": f"off by {_vector(fault)} m, claimed as fixed",
+        "spikes": f"every {fault.period_s:g} s a fix is off by {_vector(fault)} m",
+        "swap": "exchanged",
+        "silence": "no messages",
+        "line": "the logger draws lines",
+        "jump": f"jumps by {_vector(fault)} m and {fault.yaw_deg:g} deg",
+        "freeze": "repeats itself",
+        "clock_step": f"clock is off by {fault.step_s:g} s",
+    }
+    when = f"{fault.start_s:g} to {fault.end_s:g} s"
+    return f"{when}: {fault.kind} of {', '.join(fault.sensors)} ({details[fault.kind]})"
+
+
+def _vector(fault: Fault) -> str:
+    return "(" + ", ".join(f"{value:g}" for value in fault.offset_m) + ")"

@@ -1,0 +1,143 @@
+"""Scans of a spinning lidar, cast against the triangles of a site, and their bytes as sensor_msgs/PointCloud2.
+
+Column c of a sweep is measured c/columns of the period after its start. The sensor turns clockwise, seen from above:
+column 0 looks backwards (along -x of L), and the azimuth, counted from x to y, falls: pi - 2 pi c / columns. Ring 0 is
+the highest ray. The points of a column are expressed in L at the column's own time, as a driver publishes them.
+
+embreex, which casts the rays, has wheels for x86_64 only; simulating without scans works everywhere.
+"""
+
+import struct
+from dataclasses import dataclass
+from importlib import import_module
+from math import pi, radians
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from holdfast.errors import ConfigError
+from holdfast.messages import Array
+from holdfast.recording.cdr import ENCAPSULATION, NS_PER_S, STAMP
+from holdfast.sim.datasheets import SimulatedLidar
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+POINT_CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
+FLOAT32, UINT32 = 7, 6  # of sensor_msgs/PointField
+POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
+TIMED_POINT = np.dtype([*POINT.descr, ("t", "<u4")])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scan:
+    """The returns of one sweep, in the order in which they were measured: column by column, from the highest ray down.
+
+    Attributes:
+        index: number of the sweep.
+        points: (N, 3) each in L at its own time [m].
+        offset_ns: (N,) time of each point since the start of the sweep.
+        ring: (N,) ray of each point; 0 is the highest.
+    """
+
+    index: int
+    points: NDArray[np.float32]
+    offset_ns: NDArray[np.uint32]
+    ring: NDArray[np.uint16]
+
+
+class Scanner:
+    """A spinning lidar over a surface.
+
+    Raises:
+        ConfigError: embreex is not installed.
+    """
+
+    def __init__(self, lidar: SimulatedLidar, mesh: "Trimesh") -> None:
+        self._lidar = lidar
+        self._scene = _scene(mesh.vertices.view(np.ndarray), mesh.faces.view(np.ndarray))
+        low, high = (radians(angle) for angle in lidar.field_of_view_deg)
+        elevation = np.linspace(high, low, lidar.channels)
+        azimuth = pi - 2.0 * pi * np.arange(lidar.columns) / lidar.columns
+        self._rays = np.empty((lidar.columns, lidar.channels, 3))
+        self._rays[..., 0] = np.cos(azimuth)[:, None] * np.cos(elevation)
+        self._rays[..., 1] = np.sin(azimuth)[:, None] * np.cos(elevation)
+        self._rays[..., 2] = np.sin(elevation)
+        self._flat_rays = self._rays.reshape(-1, 3).astype(np.float32)
+        offset_ns = np.rint(self.column_times_s(0.0) * NS_PER_S).astype(np.uint32)
+        self._offset_ns = np.repeat(offset_ns, lidar.channels)
+        self._ring = np.tile(np.arange(lidar.channels, dtype=np.uint16), lidar.columns)
+
+    def column_times_s(self, start_s: float) -> Array:
+        """Return the true time (columns,) of each column of a sweep that starts at `start_s`."""
+        return start_s + np.arange(self._lidar.columns) / (self._lidar.columns * self._lidar.rate_hz)
+
+    def scan(self, k: int, R_W_L: Array, p_W: Array, rng: np.random.Generator) -> Scan:
+        """Return sweep `k`.
+
+        Args:
+            k: its number, kept in the scan.
+            R_W_L: (columns, 3, 3) attitude of the lidar at each column's time.
+            p_W: (columns, 3) its position [m].
+            rng: of range noise and drop-outs; every sweep takes equally many numbers, whatever it sees.
+        """
+        lidar = self._lidar
+        directions = (self._rays @ R_W_L.transpose(0, 2, 1)).astype(np.float32).reshape(-1, 3)
+        origins = np.repeat(p_W.astype(np.float32), lidar.channels, axis=0)
+        distance: NDArray[np.float32] = self._scene.run(origins, directions, query="DISTANCE")
+        distance = distance + np.float32(lidar.range_noise_m) * rng.standard_normal(len(distance), dtype=np.float32)
+        kept = (distance >= lidar.min_range_m) & (distance <= lidar.max_range_m)
+        kept &= rng.random(len(distance), dtype=np.float32) >= lidar.dropout_ratio
+        returned = np.flatnonzero(kept)
+        points = self._flat_rays[returned] * distance[returned, None]
+        return Scan(k, points, self._offset_ns[returned], self._ring[returned])
+
+
+def encode_points(scan: Scan, stamp_ns: int, frame_id: str, *, point_times: bool = True) -> bytes:
+    """Return a scan as sensor_msgs/PointCloud2 in CDR: unorganised, lost returns left out.
+
+    Fields are x, y, z (float32) [m] and, with `point_times`, t (uint32) [ns] since `stamp_ns`, the start of the sweep.
+    The bytes are those of rosbags' `serialize_cdr`.
+
+    Raises:
+        struct.error: the stamp lies beyond the 32 bit seconds of ROS.
+    """
+    cloud = np.empty(len(scan.points), dtype=TIMED_POINT if point_times else POINT)
+    for axis, name in enumerate("xyz"):
+        cloud[name] = scan.points[:, axis]
+    if point_times:
+        cloud["t"] = scan.offset_ns
+    names = cloud.dtype.names or ()
+    body = bytearray(STAMP.pack(stamp_ns // NS_PER_S, stamp_ns % NS_PER_S))
+    _append_text(body, frame_id)
+    _append_integers(body, 1, len(cloud), len(names))
+    for index, name in enumerate(names):
+        _append_text(body, name)
+        _append_integers(body, 4 * index)
+        body.append(UINT32 if name == "t" else FLOAT32)
+        _append_integers(body, 1)
+    body.append(False)  # is_bigendian
+    _append_integers(body, cloud.itemsize, cloud.nbytes, cloud.nbytes)
+    return b"".join([ENCAPSULATION, body, cloud.tobytes(), b"\x01"])
+
+
+def _append_integers(body: bytearray, *values: int) -> None:
+    body += bytes(-len(body) % 4) + struct.pack(f"<{len(values)}I", *values)
+
+
+def _append_text(body: bytearray, text: str) -> None:
+    data = text.encode() + b"\x00"
+    _append_integers(body, len(data))
+    body += data
+
+
+def _scene(vertices: Array, faces: NDArray[np.integer]) -> Any:  # embreex has no types
+    try:
+        scene = import_module("embreex.rtcore_scene").EmbreeScene()
+        import_module("embreex.mesh_construction").TriangleMesh(
+            scene, vertices.astype(np.float32), faces.astype(np.int32)
+        )
+    except ImportError:
+        raise ConfigError("casting the scans of a lidar needs embreex: pip install 'holdfast[sim]'") from None
+    return scene

@@ -1,0 +1,300 @@
+"""A scenario: which machine does what, on which site, with which sensors, and what goes wrong when.
+
+A scenario file names a machine and a site; their files supply every key that the scenario does not give itself.
+"""
+
+from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from holdfast.config.document import Document, read_document
+from holdfast.config.load import read_yaml, validate
+from holdfast.config.model import Datum, Extrinsic, Section, Vector3, quantity
+from holdfast.errors import ConfigError
+from holdfast.geometry.earth import Geodetic
+from holdfast.sim.datasheets import SensorName, SimulatedSensors
+
+Point = tuple[float, float]
+
+
+class Chassis(Section):
+    """Where the wheels stand below the chassis frame B, whose origin lies on the ground in their middle."""
+
+    wheelbase_m: float = quantity("m", gt=0.5, le=20, doc="front to rear axle")
+    track_m: float = quantity("m", gt=0.5, le=20, doc="left to right wheel")
+
+
+class Drive(Section):
+    """What the driver never exceeds."""
+
+    speed_m_s: float = quantity("m/s", 1.5, gt=0, le=30, doc="of the chassis")
+    acceleration_m_s2: float = quantity("m/s^2", 0.6, gt=0, le=10, doc="of the chassis")
+    yaw_rate_rad_s: float = quantity("rad/s", 0.35, gt=0, le=3, doc="of the chassis")
+    yaw_acceleration_rad_s2: float = quantity("rad/s^2", 0.4, gt=0, le=10, doc="of the chassis")
+    slew_rate_rad_s: float = quantity("rad/s", 0.6, gt=0, le=3, doc="of the cabin on the chassis")
+    slew_acceleration_rad_s2: float = quantity("rad/s^2", 0.6, gt=0, le=10, doc="of the cabin on the chassis")
+
+
+class TurnJoint(Section):
+    """Where the cabin C turns on the chassis B: about the z axis of B through this point."""
+
+    position_m: Vector3 = quantity("m", doc="origin of C in B")
+
+
+class Engine(Section):
+    """Vibration of the cabin on its mounts and shaking of the machine by its arm."""
+
+    frequency_hz: float = quantity("Hz", 28.0, gt=1, le=200, doc="first order of the vibration")
+    idle_acceleration_m_s2: float = quantity("m/s^2", 0.08, ge=0, le=20, doc="amplitude while standing, per axis")
+    work_acceleration_m_s2: float = quantity("m/s^2", 0.4, ge=0, le=20, doc="amplitude at work, per axis")
+    arm_tilt_deg: float = quantity("deg", 0.4, ge=0, le=10, doc="the arm at work tilts and shakes the chassis so much")
+
+
+class Ground(Section):
+    """Natural terrain around the origin, without what people heaped or dug."""
+
+    size_m: float = quantity("m", 160.0, gt=20, le=2000, doc="side of the square that is modelled")
+    slope_deg: Point = quantity("deg", (0.0, 0.0), doc="rise to the east and to the north")
+    undulation_m: float = quantity("m", 0.5, ge=0, le=20, doc="sigma of the hills")
+    undulation_length_m: float = quantity("m", 40.0, gt=5, doc="length of the hills")
+    roughness_m: float = quantity("m", 0.015, ge=0, le=0.5, doc="sigma of what the wheels feel")
+    roughness_length_m: float = quantity("m", 2.5, ge=1, doc="length of what the wheels feel")
+    resolution_m: float = quantity("m", 0.4, gt=0.02, le=5, doc="side of a cell of the mesh")
+    seed: int = Field(1, ge=0, description="of the random hills")
+
+
+class Heap(Section):
+    """A spoil heap, or with negative height a pit."""
+
+    center_m: Point
+    radius_m: float = quantity("m", gt=0, doc="to its foot")
+    height_m: float = quantity("m", doc="above the ground; negative: a pit")
+
+
+class Trench(Section):
+    """A trench with sloped ends and walls."""
+
+    start_m: Point
+    end_m: Point
+    width_m: float = quantity("m", 1.2, gt=0.2, doc="between the walls")
+    depth_m: float = quantity("m", 1.5, gt=0, doc="below the ground")
+
+
+class Box(Section):
+    """A container, a wall or a building without a roof of its own: a box on the ground."""
+
+    center_m: Point
+    size_m: Vector3 = quantity("m", doc="length, width, height")
+    yaw_deg: float = quantity("deg", 0.0, doc="of its length")
+    roof_m: float = quantity("m", 0.0, ge=0, doc="height of a gable roof on top")
+
+
+class Tree(Section):
+    """A tree: a trunk and an ellipsoid of leaves that shades GNSS."""
+
+    center_m: Point
+    height_m: float = quantity("m", 9.0, gt=1, le=60, doc="to the top of the crown")
+    crown_radius_m: float = quantity("m", 2.5, gt=0.2, le=20, doc="of the crown, horizontally")
+    trunk_radius_m: float = quantity("m", 0.2, gt=0.02, le=2, doc="of the trunk")
+
+
+class Objects(Section):
+    """What stands on the ground and what was dug into it."""
+
+    heaps: tuple[Heap, ...] = ()
+    trenches: tuple[Trench, ...] = ()
+    boxes: tuple[Box, ...] = ()
+    trees: tuple[Tree, ...] = ()
+
+
+class Dig(Section):
+    """Digging: slew to the side, dump, slew back, with a shaking arm."""
+
+    cycles: int = Field(ge=1, le=1000, description="number of buckets")
+    swing_deg: float = quantity("deg", 100.0, ge=-180, le=180, doc="from the trench to the heap")
+    dig_s: float = quantity("s", 6.0, gt=0, doc="time in the trench")
+    dump_s: float = quantity("s", 3.0, gt=0, doc="time over the heap")
+
+
+class Activity(Section):
+    """One thing that the machine does; give exactly one key (`speed_m_s` may go with `drive_to_m`)."""
+
+    stand_s: float | None = quantity("s", None, gt=0, doc="stand still, the engine idling")
+    drive_to_m: tuple[Point, ...] | None = Field(None, description="waypoints, east and north [m]")
+    speed_m_s: float | None = quantity("m/s", None, gt=0, doc="slower than the machine can")
+    slew_to_deg: float | None = quantity("deg", None, doc="turn the cabin to this angle; beyond 180 it goes on turning")
+    dig: Dig | None = None
+    repeat: int | None = Field(None, ge=1, le=10_000, description="do what `of` lists so many times")
+    of: tuple["Activity", ...] = ()
+
+    @model_validator(mode="after")
+    def _check_one(self) -> Self:
+        kinds = ("stand_s", "drive_to_m", "slew_to_deg", "dig", "repeat")
+        given = [kind for kind in kinds if getattr(self, kind) is not None]
+        if len(given) != 1:
+            raise ValueError(f"an activity has one of {', '.join(kinds)}; this one has {', '.join(given) or 'none'}")
+        if self.speed_m_s is not None and self.drive_to_m is None:
+            raise ValueError("speed_m_s goes with drive_to_m only")
+        if bool(self.of) != (self.repeat is not None):
+            raise ValueError("repeat needs `of`, a list of activities, and `of` needs repeat")
+        return self
+
+
+class Start(Section):
+    """Where and how the machine begins."""
+
+    position_m: Point = quantity("m", (0.0, 0.0), doc="of the chassis: east, north")
+    heading_deg: float = quantity("deg", 0.0, doc="yaw of the chassis: 0 is east, counter-clockwise")
+    cabin_deg: float = quantity("deg", 0.0, doc="angle of the turn joint")
+    speed_m_s: float = quantity("m/s", 0.0, ge=0, doc="of the chassis: the recording begins in motion")
+
+
+FaultKind = Literal[
+    "outage", "degraded", "walk", "offset", "spikes", "swap", "silence", "line", "jump", "freeze", "clock_step"
+]
+FAULT_SENSORS: dict[str, tuple[str, ...]] = {
+    "outage": ("gnss", "gnss_right", "heading"),
+    "degraded": ("gnss", "gnss_right"),
+    "walk": ("gnss", "gnss_right"),
+    "offset": ("gnss", "gnss_right"),
+    "spikes": ("gnss", "gnss_right"),
+    "swap": ("gnss", "gnss_right"),
+    "silence": ("imu", "base_imu", "gnss", "gnss_right", "heading", "joint", "lidar", "scanner"),
+    "line": ("imu", "base_imu"),
+    "jump": ("lidar",),
+    "freeze": ("joint",),
+    "clock_step": ("imu", "base_imu", "gnss", "gnss_right", "heading", "joint", "lidar", "scanner"),
+}
+
+
+class Fault(Section):
+    """Something that goes wrong for a while.
+
+    outage: the receiver has no solution, or one with a claim that grows (`claim_growth_m_s`).
+    degraded: the fix falls to float or single (`quality`), honestly reported.
+    walk: multipath moves the fix away at `rate_m_s` along `offset_m`, up to its length; still claimed as fixed.
+    offset: a wrong integer, the fix is `offset_m` away; claimed as fixed.
+    spikes: every `period_s` one fix is off by `offset_m`, turned at random; claimed as fixed.
+    swap: the two antennas' fixes are exchanged (the heading turns by 180 deg).
+    silence: no messages. line: the logger drew straight lines over missing IMU samples.
+    jump: the lidar odometry jumps by `offset_m` and `yaw_deg` for good. freeze: the encoder repeats itself.
+    clock_step: stamps step by `step_s`, until the end of the interval.
+    """
+
+    kind: FaultKind
+    sensors: tuple[SensorName, ...] = Field(min_length=1, description="whose messages suffer")
+    start_s: float = quantity("s", ge=0, doc="since the start of the scenario")
+    end_s: float = quantity("s", ge=0, doc="since the start of the scenario")
+    quality: Literal["rtk_float", "single"] = Field("rtk_float", description="for degraded")
+    offset_m: Vector3 = quantity("m", (1.0, 0.0, 0.0), doc="for walk, offset, spikes (east, north, up), jump (in L)")
+    yaw_deg: float = quantity("deg", 0.0, doc="for jump")
+    rate_m_s: float = quantity("m/s", 0.05, gt=0, doc="for walk")
+    period_s: float = quantity("s", 5.0, gt=0, doc="for spikes")
+    claim_growth_m_s: float | None = quantity("m/s", None, gt=0, doc="for outage: sigma grows so fast; else silence")
+    step_s: float = quantity("s", 0.0, ge=-10, le=10, doc="for clock_step")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.end_s < self.start_s:
+            raise ValueError(f"end_s: {self.end_s:g} lies before start_s {self.start_s:g}")
+        strange = [name for name in self.sensors if name not in FAULT_SENSORS[self.kind]]
+        if strange:
+            allowed = ", ".join(FAULT_SENSORS[self.kind])
+            raise ValueError(f"sensors: {self.kind} cannot happen to {', '.join(strange)} (allowed: {allowed})")
+        return self
+
+
+class Scenario(Section):
+    """The whole scenario, its machine and its site."""
+
+    description: str = ""
+    machine: str = Field(description="a shipped machine, or a YAML file beside the scenario")
+    site: str = Field(description="a shipped site, or a YAML file beside the scenario")
+    duration_s: float = quantity("s", gt=1, le=36000, doc="length of the recording")
+    start: Start = Start()
+    activities: tuple[Activity, ...] = Field((), description="one after the other; then the machine stands")
+    faults: tuple[Fault, ...] = ()
+    earth_rotation: bool = Field(False, description="the IMUs feel the rotation of the earth")
+    # of the machine
+    chassis: Chassis
+    drive: Drive = Drive()
+    turn_joint: TurnJoint | None = Field(None, description="without it the cabin is the chassis")
+    engine: Engine = Engine()
+    extrinsics: tuple[Extrinsic, ...] = Field(description="sensor frames in `cabin` or `base_link`")
+    sensors: SimulatedSensors
+    # of the site
+    datum: Datum
+    ground: Ground = Ground()
+    objects: Objects = Objects()
+
+    @property
+    def geodetic_datum(self) -> Geodetic:
+        """The origin of W."""
+        return Geodetic(self.datum.latitude_deg, self.datum.longitude_deg, self.datum.altitude_m)
+
+    @model_validator(mode="after")
+    def _check_frames(self) -> Self:
+        frames = {extrinsic.child for extrinsic in self.extrinsics} | {BASE, CABIN}
+        for index, extrinsic in enumerate(self.extrinsics):
+            if extrinsic.parent not in (BASE, CABIN):
+                raise ValueError(f"extrinsics: parent of entry {index + 1} must be {BASE} or {CABIN}")
+        for name, sensor in self.sensors.present().items():
+            if sensor.frame not in frames:
+                raise ValueError(f"sensors.{name}.frame: {sensor.frame!r} is not among {', '.join(sorted(frames))}")
+        for index, fault in enumerate(self.faults):
+            absent = [name for name in fault.sensors if name not in self.sensors.present() and name != "scanner"]
+            if absent:
+                raise ValueError(f"faults: the machine has no {', '.join(absent)}, which entry {index + 1} names")
+        return self
+
+
+BASE, CABIN = "base_link", "cabin"
+FOLDERS = {"machine": "machines", "site": "sites"}
+
+
+def shipped(folder: str) -> list[str]:
+    """Return the names of the shipped `scenarios`, `machines` or `sites`."""
+    entries = resources.files("holdfast.sim").joinpath(folder).iterdir()
+    return sorted(entry.name.removesuffix(".yaml") for entry in entries if entry.name.endswith(".yaml"))
+
+
+def load_scenario(name_or_path: str, overrides: dict[str, Any] | None = None) -> Scenario:
+    """Read a shipped scenario by name, or a scenario file.
+
+    Args:
+        name_or_path: such as `construction` or `site/monday.yaml`.
+        overrides: keys that replace those of the file.
+
+    Raises:
+        ConfigError: there is no such scenario, or it holds mistakes; the text has one line per mistake.
+    """
+    document = _read("scenarios", name_or_path, Path())
+    document.data |= overrides or {}
+    beside = Path(name_or_path).parent
+    for key, folder in FOLDERS.items():
+        name = document.data.get(key)
+        if isinstance(name, str):
+            document.data = _merged(_read(folder, name, beside).data, document.data)
+    return validate(document, Scenario)
+
+
+def _read(folder: str, name: str, beside: Path) -> Document:
+    if name in shipped(folder):
+        file: Traversable = resources.files("holdfast.sim").joinpath(folder, f"{name}.yaml")
+        return read_document(file.read_text(encoding="utf-8"), f"{folder}/{name}.yaml")
+    if not name.endswith((".yaml", ".yml")):
+        raise ConfigError(
+            f"{name}: no such {folder.removesuffix('s')} (allowed: {', '.join(shipped(folder))}, or a .yaml file)"
+        )
+    path = beside / name
+    return read_document(read_yaml(path, f"shipped are {', '.join(shipped(folder))}"), str(path))
+
+
+def _merged(below: Any, above: Any) -> Any:
+    """Return `above` with what only `below` has; lists and plain values of `above` replace those of `below`."""
+    if not (isinstance(below, dict) and isinstance(above, dict)):
+        return above
+    return below | {key: _merged(below.get(key), value) for key, value in above.items()}

@@ -1,0 +1,90 @@
+"""When a sensor measures, what its clock says then, and when its messages reach the recording, if they do.
+
+True time is the clock of the recording computer, so that log times are true times. One ROS topic over one connection
+keeps its order in reality; here every message is delayed on its own, and jitter of more than a period reorders them:
+harder than reality, for whoever has to read the recording.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from holdfast.messages import Array
+from holdfast.sim.datasheets import Clock, SimulatedSensor
+from holdfast.sim.readings import Readings
+from holdfast.sim.scenario import Fault
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Delivered:
+    """Messages of one sensor that arrived, in the order of measurement; a copy follows its original.
+
+    Attributes:
+        readings: what they say, with the true times; N rows, those of messages that arrived twice repeated.
+        stamps_ns: (N,) what their headers say: since the epoch, on the sensor's clock.
+        arrivals_ns: (N,) log times: since the epoch, on the clock of the recording computer.
+    """
+
+    readings: Readings
+    stamps_ns: NDArray[np.int64]
+    arrivals_ns: NDArray[np.int64]
+
+
+def sample_times_s(rate_hz: float, duration_s: float, phase_s: float = 0.0) -> Array:
+    """Return the true times k / rate + phase before `duration_s`, k = 0, 1, ...; no rounding adds up."""
+    count = max(0, int(np.ceil((duration_s - phase_s) * rate_hz)) + 1)
+    times = np.arange(count) / rate_hz + phase_s
+    return times[times < duration_s]
+
+
+def deliver(
+    readings: Readings,
+    sensor: SimulatedSensor,
+    clock_steps: Sequence[Fault],
+    start_ns: int,
+    rng: np.random.Generator,
+    *,
+    ready_s: float = 0.0,
+) -> Delivered:
+    """Return the messages of a sensor that arrive, with their stamps and log times.
+
+    stamp = start + t + offset + drift t + jitter + steps of the clock at t; arrival = start + t + ready + latency +
+    exponential jitter. A copy of a message sets off when the original arrives, with a fresh delay.
+
+    Args:
+        readings: one row per message.
+        sensor: its clock and transport.
+        clock_steps: the `clock_step` faults of this sensor; active from their start until before their end.
+        start_ns: time of the scenario's start since the epoch.
+        rng: random numbers of this sensor's transport alone.
+        ready_s: a measurement is complete only so long after its true time (a sweep).
+    """
+    times_s, transport = readings.times_s, sensor.transport
+    count = len(times_s)
+    # all numbers are drawn whatever the settings: losing messages does not change the delays of the others
+    stamp_noise = rng.standard_normal(count)
+    jitters_s = transport.jitter_s * rng.standard_exponential((2, count))
+    lost, twice = rng.random((2, count)) < [[transport.loss_ratio], [transport.duplicate_ratio]]
+
+    stamps_s = _clock_s(sensor.clock, clock_steps, times_s) + sensor.clock.jitter_s * stamp_noise
+    first_s = times_s + ready_s + transport.latency_s + jitters_s[0]
+    copy_s = first_s + transport.latency_s + jitters_s[1]
+    rows = np.repeat(np.arange(count), np.where(lost, 0, 1 + twice))
+    is_copy = np.diff(rows, prepend=-1) == 0
+    arrivals_s = np.where(is_copy, copy_s[rows], first_s[rows])
+    return Delivered(readings.taken(rows), _since_epoch(start_ns, stamps_s[rows]), _since_epoch(start_ns, arrivals_s))
+
+
+def _clock_s(clock: Clock, steps: Sequence[Fault], times_s: Array) -> Array:
+    """Return what the sensor's clock shows at true times (N,), both since the start of the scenario."""
+    shown_s = times_s + clock.offset_s + clock.drift_ppm * 1e-6 * times_s
+    for step in steps:
+        shown_s = shown_s + step.step_s * ((step.start_s <= times_s) & (times_s < step.end_s))
+    return shown_s
+
+
+def _since_epoch(start_ns: int, times_s: Array) -> NDArray[np.int64]:
+    """Return whole nanoseconds; the epoch is added as an integer because a double resolves it to 240 ns only."""
+    return start_ns + np.rint(times_s * 1e9).astype(np.int64)
