@@ -153,16 +153,15 @@ def fixes(motion, start_s, end_s, hz=10.0, rng=None, sigma=(0.01, 0.01, 0.02), p
 
 
 def scans(motion, start_s, end_s, hz=5.0, rng=None, sigma=(0.002, 0.02), phase_s=0.0, delay_s=0.0, stamp_shift_s=0.0):
-    """The lidar's track; noise (rotation [rad], translation [m]) is that of each motion between two scans."""
+    """The lidar's track; noise (rotation [rad], translation [m]) is that of a motion between two scans, and stays."""
     times = start_s + phase_s + np.arange(int((end_s - start_s) * hz + 1e-6) + 1) / hz
-    track, before, messages = gtsam.Pose3(), None, []
+    first, messages = None, []
     for t in times:
         here = motion.pose(t) * T_I_L
-        if before is not None:
-            track = track * before.between(here)
-            if rng is not None:
-                track = track * gtsam.Pose3.Expmap(rng.normal(0.0, np.repeat(sigma, 3)))
-        before = here
+        first = here if first is None else first
+        track = first.between(here)
+        if rng is not None:
+            track = track * gtsam.Pose3.Expmap(rng.normal(0.0, np.repeat(sigma, 3) / np.sqrt(2.0)))
         q = track.rotation().toQuaternion()
         xyzw = np.array([q.x(), q.y(), q.z(), q.w()])
         stamp = ns(t + stamp_shift_s)

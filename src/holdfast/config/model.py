@@ -74,6 +74,11 @@ class GnssConfig(Section):
         doc="fixes further from the prediction lose weight; twice as far, they are held back",
     )
     min_sigma_m: float = quantity("m", 0.005, gt=0, doc="floor under the receiver's claim, per axis")
+    correlation_s: float = quantity(
+        "s", 0.25, ge=0, le=60, doc="errors of fixes are alike for so long: fixes closer together weigh less each"
+    )
+    float_above_m: float = quantity("m", 0.05, gt=0, doc="with a larger sigma the ambiguities are not resolved")
+    float_correlation_s: float = quantity("s", 10.0, ge=0, le=600, doc="and errors are alike for so long")
     robust_loss: RobustLoss = RobustLoss()
 
 
@@ -83,10 +88,15 @@ class LidarConfig(Section):
     topic: Topic
     frame: str = Field("lidar", description="name of the lidar's frame in `extrinsics`")
     time_offset_s: float = quantity("s", 0.0, ge=-10, le=10, doc="added to every stamp of this sensor")
-    translation_sigma_m: float = quantity("m", 0.02, gt=0, doc="noise of the motion, per axis")
-    rotation_sigma_rad: float = quantity("rad", 0.002, gt=0, doc="noise of the turn, per axis")
-    drift_ratio: float = quantity("1", 0.005, ge=0, le=0.5, doc="further noise, per distance")
+    translation_sigma_m: float = quantity("m", 0.02, gt=0, doc="noise of the motion between two scans, per axis")
+    rotation_sigma_rad: float = quantity("rad", 0.002, gt=0, doc="noise of the turn between two scans, per axis")
+    drift_m_per_sqrt_m: float = quantity("m/sqrt(m)", 0.02, ge=0, le=10, doc="random walk of the position, per way")
+    drift_rad_per_sqrt_m: float = quantity("rad/sqrt(m)", 5e-4, ge=0, le=1, doc="random walk of the attitude, per way")
+    drift_rad_per_sqrt_rad: float = quantity("sqrt(rad)", 1e-3, ge=0, le=1, doc="random walk of the attitude, per turn")
     max_interval_s: float = quantity("s", 1.0, gt=0, le=10, doc="scans further apart are not joined")
+    jump_sigma: float = quantity(
+        "sigma", 8.0, gt=3, doc="a motion further from that of the IMU is a jump of the odometry"
+    )
     robust_loss: RobustLoss = RobustLoss(kind="huber", threshold=2.5)
 
 
@@ -95,8 +105,15 @@ class HeadingConfig(Section):
 
     topic: Topic
     time_offset_s: float = quantity("s", 0.0, ge=-10, le=10, doc="added to every stamp of this sensor")
-    mounting_yaw_deg: float = quantity("deg", 0.0, ge=-360, le=360, doc="yaw of the measured axis in the IMU frame")
+    mounting_yaw_deg: float | None = quantity(
+        "deg", None, ge=-360, le=360, doc="yaw of the measured axis in the IMU frame; else from left to right antenna"
+    )
     default_sigma_deg: float = quantity("deg", 1.0, gt=0, le=180, doc="where the sensor reports no covariance")
+    min_sigma_deg: float = quantity("deg", 0.05, gt=0, le=180, doc="floor under the sensor's claim")
+    correlation_s: float = quantity(
+        "s", 0.25, ge=0, le=60, doc="errors are alike for so long: headings closer together weigh less each"
+    )
+    gate_sigma: float = quantity("sigma", 4.0, gt=2, le=100, doc="headings further from the prediction are refused")
 
 
 class JointConfig(Section):
@@ -212,6 +229,23 @@ class StandstillConfig(Section):
     velocity_sigma_m_s: float = quantity("m/s", 0.01, gt=0, doc="noise of the zero-velocity update")
 
 
+class GateConfig(Section):
+    """When GNSS is lost and regained; fixes that fail a test never enter the graph."""
+
+    innovation: bool = Field(True, description="test fixes against the prediction")
+    baseline: bool = Field(True, description="test the distance between two antennas")
+    witness: bool = Field(True, description="test whether fixes drag the lidar odometry's frame through the world")
+    max_speed_m_s: float = quantity("m/s", 40.0, gt=0, doc="no antenna moves faster between two fixes")
+    lose_after: int = Field(5, ge=1, le=1000, description="so many bad fixes in a row lose an antenna")
+    regain_after: int = Field(5, ge=1, le=1000, description="so many good fixes in a row regain it")
+    regain_s: float = quantity("s", 2.0, gt=0, le=60, doc="or two good ones so far apart, without a bad one between")
+    silence_s: float = quantity("s", 1.0, gt=0, le=60, doc="no fix for so long (or 3 periods, if more) loses it too")
+    quarantine_s: float = quantity("s", 1.5, ge=0, le=10, doc="at a loss, used fixes of this age are taken out again")
+    believe_after_s: float = quantity(
+        "s", 30.0, gt=0, le=3600, doc="lost fixes that agree with each other for so long are right after all"
+    )
+
+
 class MotionModelConfig(Section):
     """Constant twist, used only where the IMU is silent: how far a machine departs from it, as white noise."""
 
@@ -230,6 +264,13 @@ class GraphConfig(Section):
         "rad", 5e-3, gt=0, le=0.5, doc="iSAM2 relinearises a node whose attitude moved by more"
     )
     max_node_interval_s: float = quantity("s", 0.5, gt=0.01, le=5, doc="without measurements a node is made this often")
+    dual: bool = Field(True, description="a fallback graph beside the main one while GNSS is lost (the paper)")
+    main_lidar: Literal["anchored", "relative"] = Field(
+        "anchored", description="scans are joined to the frame of their odometry, or (the paper) each to the one before"
+    )
+    fallback_lidar: Literal["anchored", "frozen"] = Field(
+        "anchored", description="the odometry's frame drifts, or (the paper, Eq. 10) stays where it was at the loss"
+    )
     position_integration_sigma: float = quantity(
         "m/sqrt(s)", 1e-4, gt=0, le=1, doc="what linear interpolation between IMU samples leaves"
     )
@@ -241,6 +282,9 @@ class FramesConfig(Section):
     world: str = Field("map", description="W: east, north, up at the datum")
     odometry: str = Field("odom", description="O: continuous, never jumps")
     base: str = Field("base_link", description="B: the chassis; published if `extrinsics` join it to the IMU")
+    odometry_policy: Literal["always", "at_recovery"] = Field(
+        "always", description="T_W_O takes every correction, or (the paper) only the one at the recovery of GNSS"
+    )
     datum: Datum | None = Field(None, description="without it the first accepted fix is the datum")
     gravity: float | None = quantity("m/s^2", None, gt=9.7, lt=9.9, doc="without it WGS84 gravity at the datum")
 
@@ -253,6 +297,7 @@ class Config(Section):
     frames: FramesConfig = FramesConfig()
     initialisation: InitialisationConfig = InitialisationConfig()
     graph: GraphConfig = GraphConfig()
+    gate: GateConfig = GateConfig()
     standstill: StandstillConfig = StandstillConfig()
     motion_model: MotionModelConfig = MotionModelConfig()
 

@@ -3,30 +3,28 @@
 from bisect import insort
 from collections import Counter, deque
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import gtsam
-import numpy as np
 
 from holdfast.config.model import Config
-from holdfast.estimator.gate import InnovationGate, innovation_nis
+from holdfast.estimator.gnss_fusion import GnssFusion
 from holdfast.estimator.initializer import Initializer
 from holdfast.estimator.predictor import Predictor
 from holdfast.estimator.standstill import StandstillUpdates
 from holdfast.geometry.earth import Geodetic, LocalFrame, gravity
-from holdfast.graph.nodes import Placed
+from holdfast.graph.dual_graph import DualGraph
+from holdfast.graph.scans import Scan
 from holdfast.graph.smoother import OptimiserError, Smoother
 from holdfast.messages import GnssFix, Heading, ImuSample, LidarPose, Message
 from holdfast.sensors.gnss import AntennaPosition, GnssModel
+from holdfast.sensors.heading import AxisYaw, HeadingModel
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lidar import LidarModel
 from holdfast.state import Estimate, Event, EventKind, OptimisedState, Outcome
 
-NO_DOUBT = np.zeros((9, 9))
 STANDARD_GRAVITY = 9.80665
 RECENT = 64  # stamps per sensor among which a duplicate is looked for
-MAX_HEADING_SIGMA_RAD = 1.0  # a heading that is less sure says nothing
 FUTURE_NS = 1_000_000_000  # further ahead of the IMU's clock a stamp is an error
 
 
@@ -44,7 +42,7 @@ class Pending(NamedTuple):
     stamp_ns: int
     order: int
     sensor: str
-    content: AntennaPosition | gtsam.Pose3
+    content: AntennaPosition | AxisYaw | Scan
 
 
 class Estimator:
@@ -64,18 +62,19 @@ class Estimator:
         self._antennas = {
             name: GnssModel(gnss, config.T_I(gnss.frame)[:3, 3]) for name, gnss in sensors.antennas().items()
         }
-        self._gates = {name: InnovationGate(gnss.gate_sigma) for name, gnss in sensors.antennas().items()}
+        arms = [model.p_I_G for model in self._antennas.values()]
+        baseline = arms[1] - arms[0] if len(arms) == 2 else None
+        self._heading = None if sensors.heading is None else HeadingModel(sensors.heading, baseline)
         lidar = sensors.lidar
         self._lidar = None if lidar is None else LidarModel(lidar, gtsam.Pose3(config.T_I(lidar.frame)))
+        self._gnss = GnssFusion(config, self._antennas, self._lidar, self._tell, self._count)
         self._world: LocalFrame | None = None
         self._initializer: Initializer | None = None
         self._started = False
         self._pending: list[Pending] = []
         self._order = 0
         self._recent: dict[str, deque[int]] = {}
-        self._fixes: deque[tuple[Placed, AntennaPosition]] = deque()  # in the window, with their factors
         self._standstill = StandstillUpdates(config.standstill, self._buffer)
-        self._last_scan: tuple[int, gtsam.Pose3] | None = None
         datum = config.frames.datum
         if datum is not None:
             self._set_datum(Geodetic(datum.latitude_deg, datum.longitude_deg, datum.altitude_m))
@@ -136,7 +135,8 @@ class Estimator:
             return Output()
         if self._buffer.gap_found_ns is not None:
             self._tell(EventKind.IMU_GAP, self._buffer.gap_found_ns, sample.sensor, "samples on a straight line")
-            self._smoother.mark_silent(self._buffer.gap_found_ns)
+            for smoother in self._graph.smoothers():
+                smoother.mark_silent(self._buffer.gap_found_ns)
         elif stamp - was_heard_ns > self._buffer.max_gap_ns:
             silence = (stamp - was_heard_ns) * 1e-9
             self._tell(EventKind.IMU_GAP, was_heard_ns, sample.sensor, f"no samples for {silence:.3f} s")
@@ -144,7 +144,7 @@ class Estimator:
             return Output()  # a measurement in a silent stretch has led the state past this sample
         estimate = self._predictor.add(stamp, step)
         ready = self._pending and self._pending[0].stamp_ns <= stamp
-        overdue = stamp - self._smoother.newest_ns > self._node_interval_ns
+        overdue = stamp - self._graph.published.newest_ns > self._node_interval_ns
         return self._update(stamp, estimate) if ready or overdue else Output(estimate)
 
     # --- measurements --------------------------------------------------------------------------------------------
@@ -156,6 +156,8 @@ class Estimator:
         if outcome is Outcome.USED:
             outcome = self._check_stamp(stamp, fix)
         if outcome is not Outcome.USED:
+            if self._started:
+                self._gnss.refuse(fix.sensor, outcome)
             return self._reject(fix, outcome)
         point = Geodetic(fix.latitude_deg, fix.longitude_deg, fix.altitude_m)
         if self._world is None:
@@ -179,7 +181,7 @@ class Estimator:
             return self._reject(pose, outcome)
         T_I0_I = self._lidar.T_I0_I(pose)
         if self._started:
-            return self._enqueue(stamp, pose, T_I0_I)
+            return self._enqueue(stamp, pose, Scan(stamp, T_I0_I))
         self.counts[pose.sensor, Outcome.BEFORE_START] += 1
         if self._initializer is not None:
             self._initializer.add_track(stamp, T_I0_I)
@@ -188,23 +190,22 @@ class Estimator:
         return Output()
 
     def _process_heading(self, heading: Heading) -> Output:
-        config = self.config.sensors.heading
-        assert config is not None
-        sigma = heading.sigma_rad or float(np.radians(config.default_sigma_deg))
-        if not (np.isfinite(heading.yaw_rad) and 0.0 < sigma < np.inf):
-            return self._reject(heading, Outcome.NOT_FINITE)
-        stamp = heading.stamp_ns + round(config.time_offset_s * 1e9)
-        if self._is_future(stamp, heading.arrival_ns):
-            return self._reject(heading, Outcome.CLOCK_JUMP)
-        if sigma > MAX_HEADING_SIGMA_RAD:
-            return self._reject(heading, Outcome.LARGE_COVARIANCE)
-        self.counts[heading.sensor, Outcome.IGNORED if self._started else Outcome.BEFORE_START] += 1
-        if not self._started and self._initializer is not None:
-            yaw = heading.yaw_rad - float(np.radians(config.mounting_yaw_deg))
-            self._initializer.add_heading(stamp, yaw, sigma)
+        assert self._heading is not None
+        stamp = heading.stamp_ns + self._heading.offset_ns
+        outcome = self._heading.check(heading)
+        if outcome is Outcome.USED:
+            outcome = self._check_stamp(stamp, heading)
+        if outcome is not Outcome.USED:
+            return self._reject(heading, outcome)
+        measured = self._heading.measured(heading)
+        if self._started:
+            return self._enqueue(stamp, heading, measured)
+        self.counts[heading.sensor, Outcome.BEFORE_START] += 1
+        if self._initializer is not None:
+            self._initializer.add_heading(measured)
         return Output()
 
-    def _check_stamp(self, stamp_ns: int, message: GnssFix | LidarPose) -> Outcome:
+    def _check_stamp(self, stamp_ns: int, message: GnssFix | LidarPose | Heading) -> Outcome:
         recent = self._recent.setdefault(message.sensor, deque(maxlen=RECENT))
         if stamp_ns in recent:
             return Outcome.DUPLICATE
@@ -223,19 +224,19 @@ class Estimator:
         self._tell(EventKind.REJECTED, message.stamp_ns, message.sensor, outcome)
         return Output()
 
-    def _enqueue(self, stamp_ns: int, message: GnssFix | LidarPose, content: AntennaPosition | gtsam.Pose3) -> Output:
-        if stamp_ns < self._smoother.oldest_ns:
-            behind = (self._smoother.newest_ns - stamp_ns) * 1e-9
+    def _enqueue(
+        self, stamp_ns: int, message: GnssFix | LidarPose | Heading, content: AntennaPosition | AxisYaw | Scan
+    ) -> Output:
+        if stamp_ns < self._graph.published.oldest_ns:
+            behind = (self._graph.published.newest_ns - stamp_ns) * 1e-9
             self.counts[message.sensor, Outcome.LATE] += 1
             self._tell(EventKind.LATE, stamp_ns, message.sensor, f"{behind:.3f} s behind the newest state")
             return Output()
-        silence_ns = message.arrival_ns - self._buffer.arrival_ns
         self._order += 1
         insort(self._pending, Pending(stamp_ns, self._order, message.sensor, content))
-        heard = self._buffer.latest_ns
-        if silence_ns > self._buffer.max_gap_ns:
-            heard = max(heard, stamp_ns)  # the IMU is silent: do not wait for it
-        return self._update(heard) if self._pending[0].stamp_ns <= heard else Output()
+        if message.arrival_ns - self._buffer.arrival_ns <= self._buffer.max_gap_ns:
+            return Output()  # the next sample of the IMU takes it in, with what else has come until then
+        return self._update(max(self._buffer.latest_ns, stamp_ns))  # the IMU is silent: do not wait for it
 
     # --- starting ------------------------------------------------------------------------------------------------
 
@@ -245,7 +246,7 @@ class Estimator:
 
     def _begin(self, g: float) -> None:
         self._gravity = g
-        self._initializer = Initializer(self.config, self._buffer, self._antennas, self._lidar, g)
+        self._initializer = Initializer(self.config, self._buffer, self._antennas, self._lidar, self._heading, g)
         self._node_interval_ns = round(self.config.graph.max_node_interval_s * 1e9)
 
     def _try_to_start(self) -> Output:
@@ -256,8 +257,8 @@ class Estimator:
             if self._initializer.reason != before:
                 self._tell(EventKind.WAITING, self._buffer.latest_ns, "", self._initializer.reason)
             return Output()
-        self._smoother = Smoother(self.config, self._buffer, self._gravity)
-        self._smoother.start(state)
+        self._graph = DualGraph(self.config, self._buffer, self._gravity, self._lidar, state)
+        self._gnss.restart()
         self._predictor = Predictor(self.config, self._buffer, self._gravity, state)
         self._started = True
         self._tell(EventKind.INITIALISED, state.stamp_ns, "", self._initializer.reason)
@@ -269,8 +270,7 @@ class Estimator:
         self._buffer.clear()
         self._pending.clear()
         self._recent.clear()
-        self._fixes.clear()
-        self._last_scan, self._started = None, False
+        self._started = False
         self._standstill = StandstillUpdates(self.config.standstill, self._buffer)
         if self._initializer is not None:
             self._begin(self._gravity)
@@ -279,97 +279,53 @@ class Estimator:
 
     def _update(self, reached_ns: int, estimate: Estimate | None = None) -> Output:
         """Add every measurement whose time the IMU has reached, optimise once, and re-propagate to the present."""
-        found_fix = False
         while self._pending and self._pending[0].stamp_ns <= reached_ns:
-            pending = self._pending.pop(0)
-            found_fix = found_fix or isinstance(pending.content, AntennaPosition)
-            self._add(pending)
-        if self._buffer.latest_ns - self._smoother.newest_ns > self._node_interval_ns:
-            self._smoother.node(self._buffer.latest_ns // self._node_interval_ns * self._node_interval_ns)
-        standing = self._standstill.add_to(self._smoother)
+            self._add(self._pending.pop(0))
+        for smoother in self._graph.smoothers():
+            if self._buffer.latest_ns - smoother.newest_ns > self._node_interval_ns:
+                smoother.node(self._buffer.latest_ns // self._node_interval_ns * self._node_interval_ns)
+        standing = self._standstill.add_to(self._graph.smoothers())
         if standing:
             self.counts["standstill", Outcome.USED] += standing
+        for smoother in self._graph.smoothers():
+            self._optimise(smoother)
+        is_recovery = self._gnss.review(self._graph, self._buffer.latest_ns)
+        published = self._graph.published
+        self._predictor.anchor(published.state, is_recovery=is_recovery)
+        self._buffer.forget_before(min(s.oldest_ns for s in self._graph.smoothers()) - self._node_interval_ns)
+        return Output(estimate, published.state, published.settled())
+
+    def _optimise(self, smoother: Smoother) -> None:
         try:
-            state = self._smoother.optimise()
+            smoother.optimise()
         except OptimiserError as fault:
-            self._tell(EventKind.OPTIMISER_FAULT, self._smoother.newest_ns, "", str(fault))
-            state = self._smoother.state
-            self._last_scan = None
-            self._fixes.clear()
-        if found_fix:
-            self._retract_worst()
-        self._predictor.anchor(state)
-        self._buffer.forget_before(self._smoother.oldest_ns - self._node_interval_ns)
-        return Output(estimate, state, self._smoother.settled())
+            self._tell(EventKind.OPTIMISER_FAULT, smoother.newest_ns, "", str(fault))
+            self._graph.forget_scans(smoother)
+            if smoother is self._graph.main:
+                self._gnss.forget_window()
 
     def _add(self, pending: Pending) -> None:
-        key = self._smoother.node(pending.stamp_ns)
-        if key is None:
-            self.counts[pending.sensor, Outcome.LATE] += 1
+        content = pending.content
+        if isinstance(content, AntennaPosition):
+            outcome = self._gnss.add(self._graph, content)
+        elif isinstance(content, AxisYaw):
+            assert self._heading is not None
+            outcome = self._gnss.add_heading(self._graph, self._heading, content)
+        else:
+            outcome = self._add_scan(content, pending.sensor)
+        self.counts[pending.sensor, outcome] += 1
+        if outcome is Outcome.LATE:
             self._tell(EventKind.LATE, pending.stamp_ns, pending.sensor, "left the window while it waited")
-            return
-        if isinstance(pending.content, AntennaPosition):
-            self._add_fix(key, pending.content)
-        else:
-            self._add_scan(key, pending)
 
-    def _add_fix(self, key: int, fix: AntennaPosition) -> None:
-        model = self._antennas[fix.sensor]
-        nav, covariance = self._smoother.nav(fix.stamp_ns), self._smoother.covariance(fix.stamp_ns)
-        nis = innovation_nis(nav, covariance, model.p_I_G, fix.p_W_G, fix.covariance)
-        inflation = self._gates[fix.sensor].inflation(nis)
-        outcome = Outcome.USED
-        if inflation is None:
-            outcome = Outcome.INNOVATION
-            self._tell(EventKind.REJECTED, fix.stamp_ns, fix.sensor, outcome)
-            if self._gates[fix.sensor].blames_estimate():
-                distance = float(np.linalg.norm(fix.p_W_G - nav.pose().transformFrom(model.p_I_G)))
-                self._tell(EventKind.ESTIMATE_SUSPECT, fix.stamp_ns, fix.sensor, f"{distance:.2f} m from the fixes")
-                self._smoother.loosen(distance)
-                self._fixes.clear()
-                self._last_scan = None
-        else:
-            handle = self._smoother.add(model.factor(key, replace(fix, covariance=fix.covariance * inflation)))
-            self._fixes.append((handle, fix))
-        self.counts[fix.sensor, outcome] += 1
+    def _add_scan(self, scan: Scan, sensor: str) -> Outcome:
+        outcome = self._graph.add_scan(scan)
+        if self._graph.jumped_ns == scan.stamp_ns:
+            self._tell(EventKind.LIDAR_JUMP, scan.stamp_ns, sensor, "the IMU did not feel this motion")
+            self._gnss.forget_track()
+        return outcome
 
-    def _retract_worst(self) -> None:
-        """Take out the fix that later ones contradict most, if its residual is beyond the gate: (21) in docs/math.md.
-
-        A fix that looked plausible when it came may stand alone once its successors are in.
-        """
-        while self._fixes and self._fixes[0][1].stamp_ns < self._smoother.oldest_ns:
-            self._fixes.popleft()
-        worst, worst_nis = None, 0.0
-        for entry in self._fixes:
-            fix = entry[1]
-            nav, arm = self._smoother.nav(fix.stamp_ns), self._antennas[fix.sensor].p_I_G
-            nis = innovation_nis(nav, NO_DOUBT, arm, fix.p_W_G, fix.covariance)
-            if nis > worst_nis:
-                worst, worst_nis = entry, nis
-        if worst is None or worst is self._fixes[-1]:
-            return  # the newest has no successor yet, and may be what pulls at the others
-        handle, fix = worst
-        if worst_nis > self._gates[fix.sensor].limit:
-            self._fixes.remove(worst)
-            self._smoother.retract(handle)
-            self.counts[fix.sensor, Outcome.USED] -= 1
-            self.counts[fix.sensor, Outcome.CONTRADICTED] += 1
-            self._tell(EventKind.REJECTED, fix.stamp_ns, fix.sensor, Outcome.CONTRADICTED)
-
-    def _add_scan(self, key: int, scan: Pending) -> None:
-        assert self._lidar is not None
-        assert isinstance(scan.content, gtsam.Pose3)
-        previous, self._last_scan = self._last_scan, (scan.stamp_ns, scan.content)
-        outcome = Outcome.NO_PREDECESSOR
-        if previous is not None and 0 < scan.stamp_ns - previous[0] <= self._lidar.max_interval_ns:
-            previous_key = self._smoother.node(previous[0])
-            if previous_key is not None:
-                motion = previous[1].between(scan.content)
-                outcome = self._lidar.check_motion(motion, (scan.stamp_ns - previous[0]) * 1e-9)
-                if outcome is Outcome.USED:
-                    self._smoother.add(self._lidar.factor(previous_key, key, motion))
-        self.counts[scan.sensor, outcome] += 1
+    def _count(self, sensor: str, outcome: Outcome, number: int) -> None:
+        self.counts[sensor, outcome] += number
 
     def _tell(self, kind: EventKind, stamp_ns: int, sensor: str, reason: str) -> None:
         self.event_counts[kind] += 1

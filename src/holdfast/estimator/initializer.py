@@ -16,6 +16,7 @@ from holdfast.estimator.standstill import quiet_window
 from holdfast.graph.alignment import BatchAligner, level_attitude
 from holdfast.messages import Array
 from holdfast.sensors.gnss import AntennaPosition, GnssModel
+from holdfast.sensors.heading import AxisYaw, HeadingModel, yaw_of
 from holdfast.sensors.imu import ImuBuffer, ImuNoise
 from holdfast.sensors.lidar import LidarModel
 from holdfast.state import OptimisedState
@@ -32,12 +33,13 @@ SIMULTANEOUS_NS = 20_000_000
 class Initializer:
     """Collects measurements until the first state is certain; `reason` says what is still missing."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0917 (the sensors that there may be)
         self,
         config: Config,
         buffer: ImuBuffer,
         antennas: dict[str, GnssModel],
         lidar: LidarModel | None,
+        heading: HeadingModel | None,
         gravity: float,
     ) -> None:
         imu = config.sensors.imu
@@ -45,9 +47,10 @@ class Initializer:
         self._buffer = buffer
         self._antennas = antennas
         self._lidar = lidar
+        self._heading_model = heading
         self._gravity = gravity
         self._positions: deque[AntennaPosition] = deque()
-        self._headings: deque[tuple[int, float, float]] = deque()
+        self._headings: deque[AxisYaw] = deque()
         self._track: deque[tuple[int, gtsam.Pose3]] = deque()
         self._bias = gtsam.imuBias.ConstantBias()
         self._bias_sigmas = np.repeat([imu.accelerometer_bias_sigma, imu.gyroscope_bias_sigma], 3)
@@ -60,9 +63,9 @@ class Initializer:
         self._positions.append(position)
         self._forget(position.stamp_ns)
 
-    def add_heading(self, stamp_ns: int, yaw_rad: float, sigma_rad: float) -> None:
-        """Take in the heading of the IMU's x axis in W."""
-        self._headings.append((stamp_ns, yaw_rad, sigma_rad))
+    def add_heading(self, heading: AxisYaw) -> None:
+        """Take in a checked heading."""
+        self._headings.append(heading)
 
     def add_track(self, stamp_ns: int, T_I0_I: gtsam.Pose3) -> None:
         """Take in a pose of the IMU along the lidar's track."""
@@ -74,7 +77,7 @@ class Initializer:
             self._positions.popleft()
         while self._track and self._track[0][0] < horizon:
             self._track.popleft()
-        while self._headings and self._headings[0][0] < horizon:
+        while self._headings and self._headings[0].stamp_ns < horizon:
             self._headings.popleft()
 
     def attempt(self) -> OptimisedState | None:
@@ -150,9 +153,9 @@ class Initializer:
     def _heading(self, now_ns: int, level: gtsam.Rot3) -> tuple[float, float] | None:
         """Return the heading of the IMU's x axis and its sigma [rad], from the first source that there is."""
         start = self._config.initialisation
-        if self._headings:
-            _, yaw, sigma = self._headings[-1]
-            return yaw, sigma
+        measured = self._measured_heading(level)
+        if measured is not None:
+            return measured
         if len(self._antennas) == 2:
             baseline = self._baseline_heading(now_ns, level)
             if baseline is not None:
@@ -162,6 +165,14 @@ class Initializer:
         if not self._antennas:
             return 0.0, 1e-3  # W is where the machine starts: heading is zero by definition
         return None
+
+    def _measured_heading(self, level: gtsam.Rot3) -> tuple[float, float] | None:
+        """Heading from the newest heading message, against its axis in the levelled IMU frame."""
+        if not self._headings or self._heading_model is None:
+            return None
+        axis_yaw = yaw_of(level.rotate(self._heading_model.axis))
+        newest = self._headings[-1]
+        return None if axis_yaw is None else (newest.yaw_rad - axis_yaw, newest.sigma_rad)
 
     def _baseline_heading(self, now_ns: int, level: gtsam.Rot3) -> tuple[float, float] | None:
         """Heading from the vector between two antennas, against the same vector in the levelled IMU frame."""

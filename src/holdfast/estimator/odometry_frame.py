@@ -1,15 +1,79 @@
-"""The odometry frame O: T_W_O takes every correction of the world pose, so that T_O_I never jumps."""
+"""The odometry frame O: whatever the world pose does, T_O_I goes on smoothly.
+
+T_W_O takes every correction of T_W_I at the instant at which it comes: Eq. (11) of the paper, and T_O_I does not step.
+What should not stay in T_W_O flows out of it slowly afterwards: with the policy `always` its tilt, so that z of O stays
+up; with `at_recovery` (the paper) everything but the corrections at recoveries.
+"""
+
+from typing import Literal
 
 import gtsam
+import numpy as np
+
+from holdfast.messages import Array
+
+MAX_SPEED_M_S = 0.05  # at which T_O_I may flow beside the motion: 0.5 mm per sample at 100 Hz
+MAX_RATE_RAD_S = np.radians(0.5)
+SETTLE_S = 0.5  # small remainders flow out with this time constant
+NEGLIGIBLE = 1e-9
+
+Policy = Literal["always", "at_recovery"]
 
 
 class OdometryFrame:
-    """Keeps T_O_I continuous over corrections of T_W_I: Eq. (11) of the paper, applied at every correction."""
+    """Keeps T_W_O."""
 
-    def __init__(self) -> None:
+    def __init__(self, policy: Policy) -> None:
         self.T_W_O = gtsam.Pose3()
+        self._policy = policy
+        self._rest = gtsam.Pose3()  # where T_W_O rests, with the policy at_recovery
+        self._flows = False
 
-    def correct(self, before: gtsam.Pose3 | None, after: gtsam.Pose3) -> None:
-        """Take in that T_W_I went from `before` to `after` at one instant; `before` is None at the first state."""
-        if before is not None:
-            self.T_W_O = after * before.inverse() * self.T_W_O
+    def correct(self, before: gtsam.Pose3, after: gtsam.Pose3, *, is_recovery: bool) -> None:
+        """Take in that T_W_I went from `before` to `after` at one instant."""
+        self.T_W_O = after * before.inverse() * self.T_W_O
+        if is_recovery:
+            self._rest = self.T_W_O
+        self._flows = True
+
+    def flow(self, T_W_I: gtsam.Pose3, dt_s: float) -> None:
+        """Let T_W_O approach where it rests by what is allowed in a time, T_O_I moving as little as it can."""
+        if not self._flows or dt_s <= 0.0:
+            return
+        share = min(1.0, dt_s / SETTLE_S)
+        if self._policy == "always":
+            self._level(T_W_I, share, MAX_RATE_RAD_S * dt_s)
+        else:
+            self._approach(T_W_I, share, dt_s)
+
+    def _level(self, T_W_I: gtsam.Pose3, share: float, most_rad: float) -> None:
+        """Turn O about the machine until its z axis is up."""
+        up = self.T_W_O.rotation().rotate(np.array([0.0, 0.0, 1.0]))
+        axis = np.cross(up, np.array([0.0, 0.0, 1.0]))
+        tilt = float(np.linalg.norm(axis))
+        if tilt < NEGLIGIBLE:
+            self._flows = False
+            return
+        turn = gtsam.Rot3.Expmap(axis / tilt * min(share * tilt, most_rad))
+        self._turn_about(T_W_I.translation(), turn)
+
+    def _approach(self, T_W_I: gtsam.Pose3, share: float, dt_s: float) -> None:
+        """Move O towards its rest: first the turn about the machine, then what moves the machine in O."""
+        turn: Array = gtsam.Rot3.Logmap(self._rest.rotation().compose(self.T_W_O.rotation().inverse()))
+        angle = float(np.linalg.norm(turn))
+        if angle > NEGLIGIBLE:
+            step = turn / angle * min(share * angle, MAX_RATE_RAD_S * dt_s)
+            self._turn_about(T_W_I.translation(), gtsam.Rot3.Expmap(step))
+        place_W = T_W_I.translation()
+        way_O: Array = self.T_W_O.transformTo(place_W) - self._rest.transformTo(place_W)
+        distance = float(np.linalg.norm(way_O))
+        if distance > NEGLIGIBLE:
+            R_W_O, step_O = self.T_W_O.rotation(), way_O / distance * min(share * distance, MAX_SPEED_M_S * dt_s)
+            self.T_W_O = gtsam.Pose3(R_W_O, self.T_W_O.translation() + R_W_O.rotate(step_O))
+        elif angle <= NEGLIGIBLE:
+            self._flows = False
+
+    def _turn_about(self, place_W: Array, turn: gtsam.Rot3) -> None:
+        """Turn O in W about a place, which keeps its coordinates in O."""
+        R_W_O = turn.compose(self.T_W_O.rotation())
+        self.T_W_O = gtsam.Pose3(R_W_O, place_W - R_W_O.rotate(self.T_W_O.transformTo(place_W)))

@@ -26,7 +26,7 @@ class Predictor:
         self._motion_model = MotionModel(config.motion_model, gravity)
         walk = np.repeat([imu.accelerometer_random_walk, imu.gyroscope_random_walk], 3) ** 2
         self._bias_walk = np.diag(np.concatenate([np.zeros(9), walk]))
-        self._frame = OdometryFrame()
+        self._frame = OdometryFrame(config.frames.odometry_policy)
         self._H_nav = np.zeros((9, 9), order="F")
         self._H_bias = np.zeros((9, 6), order="F")
         self._transition = np.zeros((9, 15))
@@ -38,15 +38,16 @@ class Predictor:
         """Time that the newest state has reached."""
         return self._stamp_ns
 
-    def anchor(self, state: OptimisedState) -> None:
+    def anchor(self, state: OptimisedState, *, is_recovery: bool = False) -> None:
         """Continue from a new optimised state: propagate the samples since its stamp again."""
         before = self._nav.pose()
         self._state = state
         self._propagate_again()
-        self._frame.correct(before, self._nav.pose())
+        self._frame.correct(before, self._nav.pose(), is_recovery=is_recovery)
 
     def add(self, stamp_ns: int, step: Step | None) -> Estimate:
         """Carry the state to the newest sample; `step` is None where the IMU was silent before it."""
+        before_ns = self._stamp_ns
         if self._buffer.gap_found_ns is not None:
             self._propagate_again()  # samples that looked good were a straight line
         elif step is None:
@@ -56,7 +57,7 @@ class Predictor:
             self._stamp_ns = stamp_ns
             if self._pim.deltaTij() > FOLD_S:
                 self._fold(self._pim)
-        return self._estimate()
+        return self._estimate((stamp_ns - before_ns) * 1e-9)
 
     def _propagate_again(self) -> None:
         state = self._state
@@ -111,8 +112,9 @@ class Predictor:
             self._fold(self._motion_model.preintegrate(duration_s, self._base, self._rate, self._state.bias))
         self._stamp_ns, self._from_imu = stamp_ns, False
 
-    def _estimate(self) -> Estimate:
+    def _estimate(self, since_last_s: float) -> Estimate:
         self._nav, covariance = self._predict(self._pim)
+        self._frame.flow(self._nav.pose(), since_last_s)
         return Estimate(
             self._stamp_ns,
             self._nav,

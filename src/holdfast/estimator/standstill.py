@@ -1,5 +1,7 @@
 """Standstill: detected from the spread of the IMU readings, never assumed."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from holdfast.config.model import StandstillConfig
@@ -53,16 +55,19 @@ class StandstillUpdates:
         self._period_ns = max(self._half_ns, MIN_PERIOD_NS)
         self._next_ns = 0
 
-    def add_to(self, smoother: Smoother) -> int:
-        """Add the factors that have become certain; return how many."""
+    def add_to(self, smoothers: Iterable[Smoother]) -> int:
+        """Add the factors that have become certain, to every smoother; return how many times it stood."""
+        every = list(smoothers)
         end = self._buffer.latest_ns - self._half_ns
-        first = max(self._next_ns, -(-smoother.oldest_ns // self._period_ns) * self._period_ns)
+        oldest = max(smoother.oldest_ns for smoother in every)
+        first = max(self._next_ns, -(-oldest // self._period_ns) * self._period_ns)
         added = 0
         for stamp in range(first, end + 1, self._period_ns) if self._config.enabled else ():
             self._next_ns = stamp + self._period_ns
-            if stamp <= smoother.newest_ns and self._is_standing(stamp, smoother):
-                smoother.node(stamp)
-                smoother.add_zero_velocity(stamp, self._config.velocity_sigma_m_s)
+            if all(stamp <= smoother.newest_ns and self._is_standing(stamp, smoother) for smoother in every):
+                for smoother in every:
+                    smoother.node(stamp)
+                    smoother.add_zero_velocity(stamp, self._config.velocity_sigma_m_s)
                 added += 1
         return added
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import gtsam
 
 NODE_RESOLUTION_NS = 100_000
+NODE, FRAME = "x", "l"  # letters of the keys of nodes, and of frames of the lidar odometry
 
 
 def to_grid(stamp_ns: int) -> int:
@@ -48,6 +49,12 @@ class Timeline:
     def __len__(self) -> int:
         return len(self.stamps)
 
+    def copy(self) -> "Timeline":
+        """Return an equal one that goes its own way."""
+        other = Timeline()
+        other.stamps, other._keys, other._made = list(self.stamps), list(self._keys), self._made
+        return other
+
     def __contains__(self, stamp_ns: int) -> bool:
         k = bisect_left(self.stamps, stamp_ns)
         return k < len(self.stamps) and self.stamps[k] == stamp_ns
@@ -59,7 +66,7 @@ class Timeline:
     def insert(self, stamp_ns: int) -> int:
         """Make a node and return its key."""
         k = bisect_left(self.stamps, stamp_ns)
-        key: int = gtsam.symbol("x", self._made)
+        key: int = gtsam.symbol(NODE, self._made)
         self._made += 1
         self.stamps.insert(k, stamp_ns)
         self._keys.insert(k, key)

@@ -4,14 +4,16 @@ The state of a node is a `NavState` (one 9-dimensional variable, so that its mar
 position and velocity); biases are constant over short epochs that a random walk joins.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from copy import copy
+from dataclasses import replace
 from typing import SupportsFloat, SupportsIndex, SupportsInt
 
 import gtsam
 import numpy as np
 
 from holdfast.config.model import Config
-from holdfast.graph.nodes import NODE_RESOLUTION_NS, Link, Placed, Timeline, to_grid
+from holdfast.graph.nodes import FRAME, NODE, NODE_RESOLUTION_NS, Link, Placed, Timeline, to_grid
 from holdfast.messages import Array
 from holdfast.sensors.imu import ImuBuffer, ImuNoise, MotionModel, preintegrate
 from holdfast.state import OptimisedState
@@ -41,16 +43,12 @@ class Smoother:
 
     def start(self, state: OptimisedState) -> None:
         """Begin a window at one state with its covariance as the prior."""
-        isam = gtsam.ISAM2Params()
-        isam.setFactorization("QR")
-        isam.setRelinearizeThreshold(self._relinearize_thresholds())
-        isam.relinearizeSkip = 1
-        isam.findUnusedFactorSlots = True
-        self._smoother = gtsam.IncrementalFixedLagSmoother(self._config.lag_s, isam)
+        self._smoother = self._empty()
         self._epoch_ns = self._newest_known_ns = to_grid(state.stamp_ns)
         self._nodes = Timeline()
         self._links: dict[int, Link] = {}  # by the stamp of the left node
         self._bias_stamps: dict[int, int] = {}  # bias epoch -> end of the last link that uses it
+        self._frame_stamps: dict[int, int] = {}  # key -> time of the last factor that uses it
         self._bias_hat = state.bias  # of all preintegration: the result must not depend on when a link was made
         self._settled_ns = 0
         self._clear_pending()
@@ -61,11 +59,43 @@ class Smoother:
         self._insert(key, self._epoch_ns, state.nav)
         self.add(_joint_prior(key, bias_key, state))
 
+    def clone(self) -> "tuple[Smoother, Callable[[Placed], Placed]]":
+        """Return a smoother of its own with the same window, and what finds the counterpart of a placed factor.
+
+        It must follow `optimise`, so that nothing waits to be taken in. The estimate is the same to rounding.
+        """
+        other = copy(self)
+        factors, values = self._smoother.getFactors(), self._smoother.getLinearizationPoint()
+        slots = [slot for slot in range(factors.size()) if factors.exists(slot)]
+        graph = gtsam.NonlinearFactorGraph()
+        for slot in slots:
+            graph.add(factors.at(slot))
+        other._smoother = self._empty()
+        other._smoother.update(graph, values, {key: stamp for key, stamp in self._smoother.timestamps().items()})  # noqa: C416 (a dict of other types to mypy)
+        new_slots = dict(zip(slots, other._smoother.getISAM2Result().getNewFactorsIndices(), strict=True))
+        other._nodes = self._nodes.copy()
+        other._bias_stamps, other._frame_stamps = dict(self._bias_stamps), dict(self._frame_stamps)
+        other._links = {
+            start: replace(link, slot=None if link.slot is None else new_slots[link.slot])
+            for start, link in self._links.items()
+        }
+        other._clear_pending()
+        return other, lambda placed: Placed(placed.factor, None if placed.slot is None else new_slots[placed.slot])
+
+    def _empty(self) -> gtsam.IncrementalFixedLagSmoother:
+        isam = gtsam.ISAM2Params()
+        isam.setFactorization("QR")
+        isam.setRelinearizeThreshold(self._relinearize_thresholds())
+        isam.relinearizeSkip = 1
+        isam.findUnusedFactorSlots = True
+        return gtsam.IncrementalFixedLagSmoother(self._config.lag_s, isam)
+
     def _relinearize_thresholds(self) -> gtsam.ISAM2ThresholdMap:
         """Relinearise for a change of attitude; position, velocity and bias enter (almost) linearly."""
         attitude = self._config.relinearize_threshold_rad
         thresholds = gtsam.ISAM2ThresholdMap()
-        thresholds.insert(("x", np.repeat([attitude, 50.0 * attitude, 50.0 * attitude], 3)))
+        for letter in NODE, FRAME:
+            thresholds.insert((letter, np.repeat([attitude, 50.0 * attitude, 50.0 * attitude], 3)))
         thresholds.insert(("b", np.repeat([20.0 * attitude, attitude], 3)))
         return thresholds
 
@@ -112,6 +142,25 @@ class Smoother:
             self._removed_slots.append(placed.slot)
             placed.slot = None
 
+    def insert_frame(self, key: int, frame: gtsam.Pose3, stamp_ns: int) -> None:
+        """Make a variable for the pose of a frame in W; what joins it to others is up to the factors."""
+        self._new_values.insert(key, gtsam.NavState(frame, np.zeros(3)))
+        self._frame_stamps[key] = to_grid(stamp_ns)
+        self.keep_frame(key, stamp_ns)
+
+    def has_frame(self, key: int) -> bool:
+        """Whether a frame is still in the window."""
+        return key in self._frame_stamps
+
+    def keep_frame(self, key: int, stamp_ns: int) -> None:
+        """Keep a frame in the window as long as the time of a factor that uses it."""
+        self._frame_stamps[key] = max(to_grid(stamp_ns), self._frame_stamps[key])
+        self._new_stamps[key] = self._seconds(self._frame_stamps[key])
+
+    def heard_between(self, start_ns: int, end_ns: int) -> bool:
+        """Whether the IMU was heard all along."""
+        return not any(piece.is_gap for piece in self._buffer.pieces(start_ns, end_ns))
+
     def add_zero_velocity(self, stamp_ns: int, sigma_m_s: float) -> None:
         """Add the zero-velocity factor to the node at a time: a prior on `NavState` with free pose."""
         nav = self._nav(stamp_ns)
@@ -148,12 +197,13 @@ class Smoother:
                 self._removed_slots.append(link.slot)
             self._join(link.start_ns, link.end_ns, link.bias_key, True, self._nav(link.start_ns))
 
-    def loosen(self, position_sigma_m: float) -> None:
-        """Start anew at the newest state with its position in doubt by so much; pending factors are lost."""
+    def move(self, correction: gtsam.Pose3, position_sigma_m: float) -> None:
+        """Start anew at the newest state, moved by a correction in W, its position in doubt; what waits is lost."""
         state = self._state
+        nav = gtsam.NavState(correction * state.nav.pose(), correction.rotation().rotate(state.nav.velocity()))
         covariance = state.covariance.copy()
         covariance[3:6, 3:6] += np.eye(3) * min(position_sigma_m**2, MAX_VARIANCE)
-        self.start(OptimisedState(state.stamp_ns, state.nav, state.bias, covariance, state.angular_velocity))
+        self.start(OptimisedState(state.stamp_ns, nav, state.bias, covariance, state.angular_velocity))
 
     def settled(self) -> list[tuple[int, gtsam.NavState]]:
         """Return the nodes, with stamps, that have almost reached the end of the window since the last call."""
@@ -325,6 +375,7 @@ class Smoother:
             self._links.pop(stamp, None)
         for epoch in [epoch for epoch, stamp in self._bias_stamps.items() if stamp < horizon]:
             del self._bias_stamps[epoch]
+        self._frame_stamps = {key: stamp for key, stamp in self._frame_stamps.items() if stamp >= horizon}
 
 
 def _joint_prior(key: int, bias_key: int, state: OptimisedState) -> gtsam.NonlinearFactor:

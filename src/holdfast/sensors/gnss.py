@@ -58,6 +58,11 @@ class GnssModel:
         floored: Array = symmetric + max(0.0, shortfall) * np.eye(3)
         return floored
 
+    def correlation_s(self, position: AntennaPosition) -> float:
+        """Return for how long the errors of such fixes are alike: those of float and code solutions for long."""
+        is_float = float(position.covariance[:2, :2].max()) > self._config.float_above_m**2
+        return self._config.float_correlation_s if is_float else self._config.correlation_s
+
     def factor(self, key: int, position: AntennaPosition) -> gtsam.NonlinearFactor:
         """Return the factor r = p_W_I + R_W_I p_I_G - p_W_G: (13) in docs/math.md, Eqs. (8)-(9) of the paper."""
         model = noise_model(position.covariance, self._config.robust_loss)

@@ -1,4 +1,4 @@
-"""Lidar odometry: the motion of the IMU between two scans, and the factor that it becomes."""
+"""Lidar odometry: which poses can be believed, and the factors that they become."""
 
 import gtsam
 import numpy as np
@@ -10,7 +10,10 @@ from holdfast.state import Outcome
 
 MAX_DISTANCE_M = 1e6
 MAX_SPEED_M_S = 100.0
-FREE_VELOCITY = 1e6  # [m/s]: a relative pose says nothing about the velocity part of a NavState
+FREE_VELOCITY = 1e6  # [m/s]: a pose says nothing about the velocity part of a NavState
+FREE_TILT = 0.2  # [rad]
+STILL = 1e-3  # [m/s] of a frame, which has a velocity only because it shares the type of the nodes
+STANDING_DRIFT = 1e-4  # [m/sqrt(s)], and a tenth of it in rad: what even a standing odometry is allowed
 
 
 class LidarModel:
@@ -20,6 +23,7 @@ class LidarModel:
         self.offset_ns = round(config.time_offset_s * 1e9)
         self.max_interval_ns = round(config.max_interval_s * 1e9)
         self._config = config
+        self._adjoint: Array = T_I_L.AdjointMap()
         self._T_I_L = T_I_L
         self._T_L_I = T_I_L.inverse()
 
@@ -35,6 +39,11 @@ class LidarModel:
         possible = np.linalg.norm(motion.translation()) <= MAX_SPEED_M_S * duration_s
         return Outcome.USED if possible else Outcome.OUT_OF_RANGE
 
+    def jumped(self, motion: gtsam.Pose3, predicted: gtsam.Pose3) -> bool:
+        """Whether the motion between two scans is beyond `jump_sigma` from the one that the IMU predicts."""
+        miss = gtsam.Pose3.Logmap(predicted.between(motion))
+        return bool(miss @ np.linalg.solve(self.covariance(motion), miss) > self._config.jump_sigma**2)
+
     def T_I0_I(self, pose: LidarPose) -> gtsam.Pose3:
         """Return the pose of the IMU in the frame where the IMU was when the odometry started: T_I_L T_L0_L T_L_I."""
         x, y, z, w = pose.quaternion
@@ -43,20 +52,80 @@ class LidarModel:
     def covariance(self, motion: gtsam.Pose3) -> Array:
         """Return the covariance (6, 6) of the IMU's motion between two scans, rotation [rad] then translation [m].
 
-        The lidar's own noise is carried over the lever arm to the IMU by the adjoint: (16) in docs/math.md.
+        The lidar's own noise, that of both scans and the drift on the way, is carried over the lever arm to the IMU by
+        the adjoint: (16) in docs/math.md.
         """
-        drift = self._config.drift_ratio * float(np.linalg.norm(motion.translation()))
-        sigmas = np.repeat([self._config.rotation_sigma_rad, np.hypot(self._config.translation_sigma_m, drift)], 3)
-        adjoint = self._T_I_L.AdjointMap()
-        covariance: Array = adjoint @ np.diag(sigmas**2) @ adjoint.T
-        return covariance
+        drift = self._drift_sigmas(motion)
+        return self._at_imu(self._sigmas() ** 2 + drift**2)
 
     def factor(self, key_i: int, key_j: int, motion: gtsam.Pose3) -> gtsam.NonlinearFactor:
         """Return the relative factor between two nodes for the IMU's motion T_Ii_Ij (paper, IV-A.4a).
 
         It is a factor between two `NavState`s whose velocity part is free.
         """
+        return self._between(key_i, key_j, motion, self.covariance(motion))
+
+    def anchored_factor(self, frame_key: int, key: int, T_I0_I: gtsam.Pose3) -> gtsam.NonlinearFactor:
+        """Return the factor that joins a node to the frame of the odometry: (29) in docs/math.md.
+
+        Its noise is that of one scan, half the variance of a motion between two.
+        """
+        return self._between(frame_key, key, T_I0_I, self._at_imu(0.5 * self._sigmas() ** 2))
+
+    def pseudo_global_factor(self, key: int, T_W_I: gtsam.Pose3) -> gtsam.NonlinearFactor:
+        """Return the pose factor in W of the paper's fallback graph (IV-A.4b): roll and pitch are left to the IMU."""
         covariance = np.eye(9) * FREE_VELOCITY**2
-        covariance[:6, :6] = self.covariance(motion)
+        covariance[:6, :6] = self._at_imu(0.5 * self._sigmas() ** 2)
+        R = T_W_I.rotation().matrix()
+        covariance[:3, :3] += R.T @ np.diag([FREE_TILT**2, FREE_TILT**2, 0.0]) @ R
         model = noise_model(covariance, self._config.robust_loss)
+        return gtsam.PriorFactorNavState(key, gtsam.NavState(T_W_I, np.zeros(3)), model)
+
+    def drift_factor(
+        self, before_key: int, key: int, first: gtsam.Pose3, second: gtsam.Pose3, duration_s: float
+    ) -> gtsam.NonlinearFactor:
+        """Return the factor between the odometry's frame in two epochs: it may have drifted on the way between.
+
+        The drift happens where the IMU is, T_I0_I, not at the far origin of the frame: (28) in docs/math.md.
+        """
+        adjoint = second.AdjointMap()
+        covariance = np.eye(9) * STILL**2
+        covariance[:6, :6] = adjoint @ np.diag(self.drift(first.between(second), duration_s) ** 2) @ adjoint.T
+        model = gtsam.noiseModel.Gaussian.Covariance(covariance)
+        return gtsam.BetweenFactorNavState(before_key, key, gtsam.NavState(), model)
+
+    def drift(self, motion: gtsam.Pose3, duration_s: float) -> Array:
+        """Return the sigmas (6,) of the drift of the odometry over a motion, rotation [rad] then translation [m].
+
+        What cannot be told from the noise of two scans is no motion: a standing odometry hardly drifts.
+        """
+        rotation, translation = self._sigmas()[0], self._sigmas()[3]
+        way = max(0.0, float(np.linalg.norm(motion.translation())) - 2.0 * translation)
+        turn = max(0.0, float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation()))) - 2.0 * rotation)
+        standing = STANDING_DRIFT * np.sqrt(duration_s)
+        sigmas: Array = self._drift(way, turn) + np.repeat([0.1 * standing, standing], 3)
+        return sigmas
+
+    def _drift_sigmas(self, motion: gtsam.Pose3) -> Array:
+        turn = float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation())))
+        return self._drift(float(np.linalg.norm(motion.translation())), turn)
+
+    def _drift(self, way_m: float, turn_rad: float) -> Array:
+        config = self._config
+        rotation = np.hypot(
+            config.drift_rad_per_sqrt_m * np.sqrt(way_m), config.drift_rad_per_sqrt_rad * np.sqrt(turn_rad)
+        )
+        return np.repeat([rotation, config.drift_m_per_sqrt_m * np.sqrt(way_m)], 3)
+
+    def _sigmas(self) -> Array:
+        return np.repeat([self._config.rotation_sigma_rad, self._config.translation_sigma_m], 3)
+
+    def _at_imu(self, variances: Array) -> Array:
+        covariance: Array = self._adjoint @ np.diag(variances) @ self._adjoint.T
+        return covariance
+
+    def _between(self, key_i: int, key_j: int, motion: gtsam.Pose3, covariance: Array) -> gtsam.NonlinearFactor:
+        free = np.eye(9) * FREE_VELOCITY**2
+        free[:6, :6] = covariance
+        model = noise_model(free, self._config.robust_loss)
         return gtsam.BetweenFactorNavState(key_i, key_j, gtsam.NavState(motion, np.zeros(3)), model)

@@ -1,9 +1,6 @@
 """The configuration that a machine's owner would write: what calibration and datasheets know, never the truth."""
 
-from math import atan2, degrees
 from typing import Any
-
-import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.sim.datasheets import SimulatedImu, SimulatedSensor
@@ -19,7 +16,7 @@ def configuration(scenario: Scenario) -> Config:
         if sheet is not None:
             sensors[name] = {**_any(sheet), "frame": sheet.frame}
     if sheets.heading is not None:
-        sensors["heading"] = {**_any(sheets.heading), "mounting_yaw_deg": round(_baseline_yaw_deg(scenario), 4)}
+        sensors["heading"] = _any(sheets.heading)  # its axis is the baseline between the antennas
     if sheets.joint is not None:
         sensors["joint"] = {**_any(sheets.joint), "joint_name": sheets.joint.joint_name}
     return Config.model_validate(
@@ -49,15 +46,3 @@ def _imu(sheet: SimulatedImu) -> dict[str, Any]:
         "gyroscope_range",
     )
     return {**_any(sheet), "frame": sheet.frame, **{name: getattr(sheet, name) for name in names}}
-
-
-def _baseline_yaw_deg(scenario: Scenario) -> float:
-    """Return how much further the baseline from left to right antenna points than the IMU's x axis, machine level."""
-    mounts = {extrinsic.child: extrinsic.matrix() for extrinsic in scenario.extrinsics}
-    sheets = scenario.sensors
-    if sheets.gnss is None or sheets.gnss_right is None:
-        return 0.0
-    baseline = mounts[sheets.gnss_right.frame][:3, 3] - mounts[sheets.gnss.frame][:3, 3]
-    axis = mounts[sheets.imu.frame][:3, 0]
-    turn = atan2(baseline[1], baseline[0]) - atan2(axis[1], axis[0])
-    return degrees(float(np.arctan2(np.sin(turn), np.cos(turn))))

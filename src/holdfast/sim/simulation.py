@@ -23,7 +23,6 @@ from holdfast.sim.transport import Delivered, deliver, sample_times_s
 
 START_NS = 1_600_000_000_000_000_000
 SKY_STEP_S = 0.5
-RECEIVER = "receiver"  # one receiver measures both antennas, and the heading, at the same epochs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,8 +85,15 @@ def simulate(scenario: Scenario, seed: int) -> Simulation:
 
 
 def _times_s(scenario: Scenario, name: str, sheet: SimulatedSensor, seed: int) -> Array:
-    """Return when a sensor measures: the cabin IMU begins at zero, every other clock at a time of its own."""
+    """Return when a sensor measures: the cabin IMU begins at zero, every other one at a time of its own."""
     phase = 0.0 if name == "imu" else float(generator(seed, name, "phase").uniform(0.0, 1.0 / sheet.rate_hz))
+    return sample_times_s(sheet.rate_hz, scenario.duration_s, phase)
+
+
+def _epochs_s(scenario: Scenario, sheet: SimulatedSensor, seed: int) -> Array:
+    """Return when the receiver measures something: antennas and heading share the epochs of the fastest antenna."""
+    fastest_hz = max(antenna.rate_hz for antenna in _gnss_sheets(scenario).values())
+    phase = float(generator(seed, "receiver", "phase").uniform(0.0, 1.0 / fastest_hz))
     return sample_times_s(sheet.rate_hz, scenario.duration_s, phase)
 
 
@@ -103,13 +109,13 @@ def _receiver(scenario: Scenario, site: Site, motion: Motion, seed: int) -> dict
     open_sky = {name: site.sky_view(motion.frame(sheet.frame, seconds).p_W) for name, sheet in sheets.items()}
     antennas = {}
     for name, sheet in sheets.items():
-        times_s = _times_s(scenario, RECEIVER, sheet, seed)
+        times_s = _epochs_s(scenario, sheet, seed)
         quality = fix_quality(sheet, times_s, np.interp(times_s, seconds, open_sky[name]))
         antennas[name] = Antenna(sheet, times_s, motion.frame(sheet.frame, times_s).p_W, quality)
     readings = gnss_readings(antennas, partial(generator, seed))
     heading = scenario.sensors.heading
     if heading is not None and len(sheets) == 2:
-        times_s = _times_s(scenario, RECEIVER, heading, seed)
+        times_s = _epochs_s(scenario, heading, seed)
         left, right = (motion.frame(sheet.frame, times_s) for sheet in sheets.values())
         qualities = [fix_quality(s, times_s, np.interp(times_s, seconds, open_sky[n])) for n, s in sheets.items()]
         readings["heading"] = heading_readings(
