@@ -187,9 +187,9 @@ def machine(lidar=True, gnss=True, right=False, heading=False, heading_deg=HEADI
     rotation = tuple(tuple(row) for row in T_I_L.rotation().matrix())
     sensors = {"imu": {"topic": "/imu", "motion_error_ratio": 0.0} | sections.pop("imu_", {})}
     if gnss:
-        sensors["gnss"] = {"topic": "/gnss"} | sections.pop("gnss_", {})
+        sensors["gnss"] = {"topic": "/gnss", "correlation_s": 0.0} | sections.pop("gnss_", {})
     if right:
-        sensors["gnss_right"] = {"topic": "/right", "frame": "right"}
+        sensors["gnss_right"] = {"topic": "/right", "frame": "right", "correlation_s": 0.0}
     if lidar:
         sensors["lidar"] = {"topic": "/lidar"} | sections.pop("lidar_", {})
     if heading:

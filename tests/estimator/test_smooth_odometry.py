@@ -4,6 +4,7 @@ import itertools
 
 import gtsam
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from motion import Drive, estimates, fixes, imu, in_order, machine, ns, run, scans
@@ -18,18 +19,58 @@ def pose(rng):
 @given(st.integers(0, 10_000))
 def test_a_correction_of_the_world_leaves_the_pose_in_o_where_it_was(seed):
     rng = np.random.default_rng(seed)
-    frame = OdometryFrame()
+    frame = OdometryFrame("always")
     for _ in range(5):
         before, after = pose(rng), pose(rng)
         held = frame.T_W_O.inverse() * before
-        frame.correct(before, after)
+        frame.correct(before, after, is_recovery=False)
         assert (frame.T_W_O.inverse() * after).equals(held, 1e-9)
 
 
-def test_o_begins_as_the_world_and_the_first_state_is_no_correction():
-    frame = OdometryFrame()
-    frame.correct(None, gtsam.Pose3(gtsam.Rot3.Yaw(1.0), np.ones(3)))
-    assert frame.T_W_O.equals(gtsam.Pose3(), 0.0)
+def flown(policy, before, after, *, is_recovery, hz=100.0, seconds=60.0):
+    """The frame while nothing but one correction happens, and the machine's pose in O at each sample."""
+    frame = OdometryFrame(policy)
+    frame.correct(before, after, is_recovery=is_recovery)
+    poses = [frame.T_W_O.inverse() * after]
+    for _ in range(round(seconds * hz)):
+        frame.flow(after, 1.0 / hz)
+        poses.append(frame.T_W_O.inverse() * after)
+    return frame, poses
+
+
+JUMP = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.02, -0.03, 0.2), np.array([1.0, -0.7, 0.3]))
+HERE = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.1, 0.05, 1.0), np.array([30.0, -20.0, 2.0]))
+
+
+@pytest.mark.parametrize("policy", ["always", "at_recovery"])
+@pytest.mark.parametrize("is_recovery", [False, True])
+@pytest.mark.parametrize("hz", [50.0, 100.0, 400.0])
+def test_no_sample_shows_more_than_two_millimetres_or_two_hundredths_of_a_degree(policy, is_recovery, hz):
+    _, poses = flown(policy, HERE, JUMP * HERE, is_recovery=is_recovery, hz=hz, seconds=10.0)
+    for before, after in itertools.pairwise(poses):
+        step = gtsam.Pose3.Logmap(before.between(after))
+        assert np.linalg.norm(before.translation() - after.translation()) < 0.002
+        assert np.linalg.norm(step[:3]) < np.radians(0.02)
+
+
+def test_with_always_the_machine_stays_in_o_and_o_turns_upright_beneath_it():
+    frame, poses = flown("always", HERE, JUMP * HERE, is_recovery=False)
+    np.testing.assert_allclose(poses[-1].translation(), HERE.translation(), atol=1e-6)
+    up = frame.T_W_O.rotation().rotate(np.array([0.0, 0.0, 1.0]))
+    np.testing.assert_allclose(up, [0.0, 0.0, 1.0], atol=1e-6)
+    assert abs(frame.T_W_O.rotation().yaw()) > 0.15  # the yaw of the correction stays in T_W_O
+
+
+def test_with_at_recovery_a_correction_of_every_day_flows_into_o():
+    frame, poses = flown("at_recovery", HERE, JUMP * HERE, is_recovery=False, seconds=200.0)  # 4 m at 5 cm/s
+    assert frame.T_W_O.equals(gtsam.Pose3(), 1e-6)
+    assert poses[-1].equals(JUMP * HERE, 1e-6)
+
+
+def test_with_at_recovery_the_correction_of_a_recovery_stays_in_t_w_o():
+    frame, poses = flown("at_recovery", HERE, JUMP * HERE, is_recovery=True)
+    assert frame.T_W_O.equals(JUMP, 1e-9)  # Eq. (11): T_WI after, times T_OI of before, inverted
+    assert poses[-1].equals(HERE, 1e-9)
 
 
 def test_the_pose_in_o_moves_by_the_imus_increment_over_every_correction():
@@ -63,11 +104,10 @@ def test_at_the_instant_of_a_correction_the_pose_in_o_is_the_same_before_and_aft
 
     estimator, corrections = Estimator(machine(lidar=False, heading_deg=20.0)), []
     for message in messages:
-        ready = estimator.initialised
-        before = (estimator._predictor._frame.T_W_O, estimator._predictor._nav.pose()) if ready else None
         output = estimator.process(message)
-        if before and output.optimised is not None and output.estimate is None:
-            after = (estimator._predictor._frame.T_W_O, estimator._predictor._nav.pose())
+        if output.estimate is not None and output.optimised is not None:
+            before = output.estimate.T_W_O, output.estimate.nav.pose()
+            after = estimator._predictor._frame.T_W_O, estimator._predictor._nav.pose()
             held, now = (T_W_O.inverse() * T_W_I for T_W_O, T_W_I in (before, after))
             assert held.equals(now, 1e-9)
             corrections.append(np.linalg.norm(before[1].translation() - after[1].translation()))

@@ -16,6 +16,7 @@ from holdfast.state import Outcome
 
 XI, XJ = gtsam.symbol("x", 0), gtsam.symbol("x", 1)
 CONFIG = LidarConfig(topic="/lidar", robust_loss={"kind": "none"})
+DRIFTLESS = {"drift_m_per_sqrt_m": 0.0, "drift_rad_per_sqrt_m": 0.0, "drift_rad_per_sqrt_rad": 0.0}
 MODEL = LidarModel(CONFIG, T_I_L)
 
 
@@ -45,7 +46,7 @@ def test_the_factor_is_zero_at_the_truth_whatever_the_velocity():
 
 def test_the_residual_counts_sigmas_of_the_motion_seen_by_the_lidar():
     """Without extrinsics: 0.03 m along x at sigma 0.02 m, 0.004 rad at 0.002 rad."""
-    model = LidarModel(CONFIG.model_copy(update={"drift_ratio": 0.0}), gtsam.Pose3())
+    model = LidarModel(CONFIG.model_copy(update=DRIFTLESS), gtsam.Pose3())
     motion = gtsam.Pose3(gtsam.Rot3.Yaw(0.1), np.array([0.3, 0.0, 0.0]))
     factor = model.factor(XI, XJ, motion)
     shifted = motion * gtsam.Pose3(gtsam.Rot3(), np.array([0.03, 0.0, 0.0]))
@@ -69,8 +70,10 @@ def test_the_factor_has_the_jacobians_that_it_claims(seed):
 def test_the_noise_is_carried_from_the_lidar_to_the_imu():
     """Sampled: noise at the lidar, seen at the IMU, has the covariance that the factor weighs with."""
     motion = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.02, -0.05, 0.3), np.array([0.4, 0.1, 0.02]))
-    drift = CONFIG.drift_ratio * np.linalg.norm(motion.translation())
-    sigmas = np.repeat([CONFIG.rotation_sigma_rad, np.hypot(CONFIG.translation_sigma_m, drift)], 3)
+    way, turn = np.linalg.norm(motion.translation()), np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation()))
+    rotation = np.hypot(CONFIG.drift_rad_per_sqrt_m * way**0.5, CONFIG.drift_rad_per_sqrt_rad * turn**0.5)
+    translation = np.hypot(CONFIG.translation_sigma_m, CONFIG.drift_m_per_sqrt_m * way**0.5)
+    sigmas = np.repeat([np.hypot(CONFIG.rotation_sigma_rad, rotation), translation], 3)
     rng = np.random.default_rng(5)
     T_L_motion = T_I_L.inverse() * motion * T_I_L
     count = 20_000
@@ -84,12 +87,74 @@ def test_the_noise_is_carried_from_the_lidar_to_the_imu():
     assert abs(correlation[:3, 3:]).max() > 0.01  # the lever arm couples turn and motion
 
 
-def test_the_weight_falls_with_the_distance_and_not_with_the_turn():
-    near = MODEL.covariance(gtsam.Pose3(gtsam.Rot3.Yaw(1.0), np.zeros(3)))
-    far = MODEL.covariance(gtsam.Pose3(gtsam.Rot3(), np.array([40.0, 0.0, 0.0])))
-    # 0.5 % of 40 m on top of 2 cm
-    assert far[3, 3] - near[3, 3] == pytest.approx(0.2**2, rel=1e-6)
-    np.testing.assert_allclose(far[:3, :3], near[:3, :3])
+def test_drift_grows_with_the_root_of_way_and_turn():
+    model = LidarModel(CONFIG, gtsam.Pose3())
+    still, turned, driven = (
+        np.diag(model.covariance(motion))
+        for motion in (
+            gtsam.Pose3(),
+            gtsam.Pose3(gtsam.Rot3.Yaw(1.0), np.zeros(3)),
+            gtsam.Pose3(gtsam.Rot3(), np.array([40.0, 0.0, 0.0])),
+        )
+    )
+    assert turned[0] - still[0] == pytest.approx(CONFIG.drift_rad_per_sqrt_rad**2)
+    assert turned[3] == pytest.approx(still[3])
+    assert driven[3] - still[3] == pytest.approx(CONFIG.drift_m_per_sqrt_m**2 * 40.0)
+    assert driven[0] - still[0] == pytest.approx(CONFIG.drift_rad_per_sqrt_m**2 * 40.0)
+
+
+def test_a_standing_odometry_hardly_drifts_and_a_moving_one_as_configured():
+    """What two scans cannot tell from their own noise, twice 2 cm, is no way."""
+    still = MODEL.drift(gtsam.Pose3(gtsam.Rot3(), np.array([0.03, 0.0, 0.0])), 1.0)
+    moving = MODEL.drift(gtsam.Pose3(gtsam.Rot3(), np.array([4.04, 0.0, 0.0])), 1.0)
+    assert (still[3:] < 2e-4).all() and (still[:3] < 2e-5).all()
+    np.testing.assert_allclose(moving[3:], CONFIG.drift_m_per_sqrt_m * 2.0, rtol=0.01)
+
+
+def test_an_anchored_scan_has_half_the_variance_of_a_motion_between_two():
+    model = LidarModel(CONFIG.model_copy(update=DRIFTLESS), gtsam.Pose3())
+    pose = gtsam.Pose3(gtsam.Rot3.Yaw(0.3), np.array([5.0, 2.0, 0.0]))
+    shifted = pose * gtsam.Pose3(gtsam.Rot3(), np.array([0.03, 0.0, 0.0]))
+    values = pair(gtsam.NavState(), gtsam.NavState(shifted, np.zeros(3)))
+    anchored, relative = (factor(XI, XJ, pose).error(values) for factor in (model.anchored_factor, model.factor))
+    assert anchored == pytest.approx(2.0 * relative) and relative > 0.5
+
+
+def test_a_frame_drifts_where_the_machine_is_and_not_about_its_far_origin():
+    """100 m from the origin a turn of the frame about the machine moves the origin, and costs no more for it."""
+    here = gtsam.Pose3(gtsam.Rot3.Yaw(1.0), np.array([100.0, 0.0, 0.0]))
+    there = here * gtsam.Pose3(gtsam.Rot3(), np.array([1.0, 0.0, 0.0]))
+    factor = MODEL.drift_factor(XI, XJ, here, there, 1.0)
+    turn = gtsam.Pose3(gtsam.Rot3.Yaw(2e-4), np.zeros(3))
+    about_machine = there * turn * there.inverse()
+    about_origin = turn
+    costs = [
+        factor.error(pair(gtsam.NavState(), gtsam.NavState(T, np.zeros(3)))) for T in (about_machine, about_origin)
+    ]
+    sigma = MODEL.drift(here.between(there), 1.0)[2]
+    assert costs[0] == pytest.approx(0.5 * (2e-4 / sigma) ** 2, rel=0.01)
+    assert costs[1] > 0.5 * (100.0 * 2e-4 / MODEL.drift(here.between(there), 1.0)[3]) ** 2 * 0.9
+
+
+def test_a_pseudo_global_pose_leaves_roll_and_pitch_to_the_imu():
+    model = LidarModel(CONFIG.model_copy(update=DRIFTLESS), gtsam.Pose3())
+    pose = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.1, -0.05, 2.0), np.array([3.0, 4.0, 1.0]))
+    values = gtsam.Values()
+    errors = {}
+    for name, turn in (("yaw", gtsam.Rot3.Yaw(0.01)), ("roll", gtsam.Rot3.Roll(0.01))):
+        values = gtsam.Values()
+        R = turn * pose.rotation()
+        values.insert(XI, gtsam.NavState(R, pose.translation(), np.array([9.0, 0.0, 0.0])))
+        errors[name] = model.pseudo_global_factor(XI, pose).error(values)
+    assert errors["yaw"] > 0.5 * (0.01 / CONFIG.rotation_sigma_rad) ** 2
+    assert errors["roll"] < 0.01 * errors["yaw"]
+
+
+def test_a_jump_is_told_from_noise_by_the_motion_of_the_imu():
+    motion = gtsam.Pose3(gtsam.Rot3.Yaw(0.1), np.array([0.3, 0.0, 0.0]))
+    noise = gtsam.Pose3.Expmap(3.0 * np.repeat([0.002, 0.02], 3))
+    assert not MODEL.jumped(motion * noise, motion)
+    assert MODEL.jumped(motion * gtsam.Pose3(gtsam.Rot3(), np.array([0.5, 0.0, 0.0])), motion)
 
 
 def test_velocity_is_free():

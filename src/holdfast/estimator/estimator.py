@@ -307,7 +307,7 @@ class Estimator:
     def _add(self, pending: Pending) -> None:
         content = pending.content
         if isinstance(content, AntennaPosition):
-            outcome = self._gnss.add(self._graph, content)
+            outcome = self._gnss.add(self._graph, content, self._buffer.latest_ns)
         elif isinstance(content, AxisYaw):
             assert self._heading is not None
             outcome = self._gnss.add_heading(self._graph, self._heading, content)

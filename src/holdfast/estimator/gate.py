@@ -40,11 +40,13 @@ class Prediction:
         innovation: (3,) fix minus prediction in W [m].
         of_state: (3, 3) covariance of the prediction [m^2].
         of_fix: (3, 3) covariance that the receiver claims [m^2].
+        of_velocity: (3, 3) covariance of the velocity in W [m^2/s^2]: how fast the prediction may drift.
     """
 
     innovation: Array
     of_state: Array
     of_fix: Array
+    of_velocity: Array
 
     @property
     def nis(self) -> float:
@@ -62,15 +64,17 @@ def predict(nav: gtsam.NavState, covariance: Array, p_I_G: Array, fix: AntennaPo
     H = np.zeros((3, 9))
     H[:, :3] = -R_W_I @ skew(p_I_G)
     H[:, 3:6] = R_W_I
-    return Prediction(fix.p_W_G - nav.position() - R_W_I @ p_I_G, H @ covariance @ H.T, fix.covariance)
+    innovation = fix.p_W_G - nav.position() - R_W_I @ p_I_G
+    of_velocity = R_W_I @ covariance[6:, 6:] @ R_W_I.T
+    return Prediction(innovation, H @ covariance @ H.T, fix.covariance, of_velocity)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Waiting:
-    """A good fix of a lost antenna, with its innovation when it came."""
+    """A fix of a lost antenna, with what was expected of it when it came."""
 
     fix: AntennaPosition
-    innovation: Array
+    prediction: Prediction
 
 
 class AntennaGate:
@@ -86,24 +90,30 @@ class AntennaGate:
         self.power_m = inf
         self._bad_in_a_row = 0
         self._last_good: AntennaPosition | None = None
+        self._heard_ns = 0
         self._contradicting: list[Waiting] = []
         self._strays = 0
         self.period_s = 0.0
 
-    def judge(self, fix: AntennaPosition, prediction: Prediction, *, baseline_agrees: bool) -> Outcome:
-        """Say what a fix is worth: USED where it may enter, QUARANTINED where it waits, else what is wrong with it."""
+    def judge(
+        self, fix: AntennaPosition, prediction: Prediction, *, now_ns: int, baseline_agrees: bool = True
+    ) -> Outcome:
+        """Say what a fix is worth: USED where it may enter, QUARANTINED where it waits, else what is wrong with it.
+
+        `now_ns` is the time that the IMU has reached: a fix may be late, but the antenna is not silent.
+        """
         outcome = self._test(fix, prediction, baseline_agrees)
         if outcome is not Outcome.USED:
             self.refuse(outcome)
-            self._note_contradiction(Waiting(fix, prediction.innovation), outcome)
+            self._note_contradiction(Waiting(fix, prediction), outcome)
             return outcome
         if self._last_good is not None and fix.stamp_ns > self._last_good.stamp_ns:
             self.period_s = (fix.stamp_ns - self._last_good.stamp_ns) * 1e-9
-        self._last_good = fix
+        self._last_good, self._heard_ns = fix, now_ns
         self._bad_in_a_row = 0
         if self.trust is Trust.TRUSTED:
             return Outcome.USED
-        self._wait(Waiting(fix, prediction.innovation))
+        self._wait(Waiting(fix, prediction))
         return Outcome.QUARANTINED
 
     def refuse(self, outcome: Outcome) -> None:
@@ -144,7 +154,7 @@ class AntennaGate:
 
     def distance_m(self) -> float:
         """Return how far the fixes that contradict lie from the estimate [m]."""
-        return float(np.linalg.norm(self._contradicting[-1].innovation))
+        return float(np.linalg.norm(self._contradicting[-1].prediction.innovation))
 
     def become(self, trust: Trust, *, has_lied: bool = False) -> list[Waiting]:
         """Trust or lose the antenna from now on; return the fixes that were in quarantine."""
@@ -160,10 +170,9 @@ class AntennaGate:
         if self._is_too_fast(fix):
             return Outcome.TOO_FAST
         if self._gate.innovation:
-            self.power_m = 2.0 * sqrt(
-                self.limit * float(np.linalg.eigvalsh(prediction.of_state + prediction.of_fix)[-1])
-            )
-            if not prediction.nis <= HOLD_BACK * self.limit:
+            limit = HOLD_BACK * self.limit if self.trust is Trust.TRUSTED else self.limit
+            self.power_m = prediction.smallest_visible_m(limit)
+            if not prediction.nis <= limit:
                 return Outcome.INNOVATION
         if self._gate.baseline and not baseline_agrees:
             return Outcome.BASELINE
@@ -182,7 +191,7 @@ class AntennaGate:
         if self._last_good is None:
             return False
         patience_s = max(self._gate.silence_s, PERIODS_OF_SILENCE * self.period_s)
-        return (now_ns - self._last_good.stamp_ns) * 1e-9 > patience_s
+        return (now_ns - self._heard_ns) * 1e-9 > patience_s
 
     def _wait(self, waiting: Waiting) -> None:
         """Put a good fix into quarantine; if it disagrees with those that wait, they wait no longer."""
@@ -207,10 +216,11 @@ class AntennaGate:
 
 
 def _agree(held: list[Waiting], waiting: Waiting) -> bool:
-    """Whether an innovation lies near the mean of others, by the noise of the fixes alone."""
-    mean = np.mean([one.innovation for one in held], axis=0)
-    miss = waiting.innovation - mean
-    spread = waiting.fix.covariance * (1.0 + 1.0 / len(held))
+    """Whether an innovation lies near the mean of others, by the noise of the fixes and the drift of the prediction."""
+    mean = np.mean([one.prediction.innovation for one in held], axis=0)
+    miss = waiting.prediction.innovation - mean
+    since_s = float(np.mean([waiting.fix.stamp_ns - one.fix.stamp_ns for one in held])) * 1e-9
+    spread = waiting.fix.covariance * (1.0 + 1.0 / len(held)) + waiting.prediction.of_velocity * since_s**2
     return float(miss @ np.linalg.solve(spread, miss)) <= AGREEMENT_SIGMA**2
 
 

@@ -82,7 +82,7 @@ class GnssFusion:
         if self._witness is not None:
             self._witness.forget()
 
-    def add(self, graph: DualGraph, fix: AntennaPosition) -> Outcome:
+    def add(self, graph: DualGraph, fix: AntennaPosition, now_ns: int) -> Outcome:
         """Judge a fix at its node, and add its factor to the main graph if it may enter."""
         smoother = graph.published
         if smoother.node(fix.stamp_ns) is None:
@@ -92,7 +92,7 @@ class GnssFusion:
         prediction = predict(smoother.nav(fix.stamp_ns), covariance, model.p_I_G, fix)
         agrees = self._baseline_agrees(graph, fix, prediction)
         self._last_fix[fix.sensor] = fix, prediction.nis
-        outcome = gate.judge(fix, prediction, baseline_agrees=agrees)
+        outcome = gate.judge(fix, prediction, now_ns=now_ns, baseline_agrees=agrees)
         if outcome is Outcome.USED:
             self._enter(graph.main, fix, gate.inflation(prediction))
         elif outcome is not Outcome.QUARANTINED:

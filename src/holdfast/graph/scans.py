@@ -90,7 +90,7 @@ class ScanChain:
 
     def _is_jump(self, smoother: Smoother, before: Scan, scan: Scan, motion: gtsam.Pose3) -> bool:
         """Whether the IMU, which must have been heard all along, contradicts the odometry."""
-        if before.stamp_ns < smoother.oldest_ns or not smoother.heard_between(before.stamp_ns, scan.stamp_ns):
+        if before.stamp_ns < smoother.oldest_ns or not smoother.imu.is_believed(before.stamp_ns, scan.stamp_ns):
             return False
         predicted = smoother.nav(before.stamp_ns).pose().between(smoother.nav(scan.stamp_ns).pose())
         return self._lidar.jumped(motion, predicted)

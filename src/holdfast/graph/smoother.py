@@ -36,7 +36,7 @@ class Smoother:
         imu = config.sensors.imu
         self._config = config.graph
         self._lag_ns = round(config.graph.lag_s * 1e9)
-        self._buffer = buffer
+        self.imu = buffer
         self._noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
         self._motion_model = MotionModel(config.motion_model, gravity)
         self._bias_walk = np.repeat([imu.accelerometer_random_walk, imu.gyroscope_random_walk], 3)
@@ -157,10 +157,6 @@ class Smoother:
         self._frame_stamps[key] = max(to_grid(stamp_ns), self._frame_stamps[key])
         self._new_stamps[key] = self._seconds(self._frame_stamps[key])
 
-    def heard_between(self, start_ns: int, end_ns: int) -> bool:
-        """Whether the IMU was heard all along."""
-        return not any(piece.is_gap for piece in self._buffer.pieces(start_ns, end_ns))
-
     def add_zero_velocity(self, stamp_ns: int, sigma_m_s: float) -> None:
         """Add the zero-velocity factor to the node at a time: a prior on `NavState` with free pose."""
         nav = self._nav(stamp_ns)
@@ -263,7 +259,7 @@ class Smoother:
             if self._links[before].is_gap and stamp_ns - before > 20_000_000:
                 turn: Array = self._nav(before).attitude().logmap(nav.attitude())
                 return turn / ((stamp_ns - before) * 1e-9)
-        return self._buffer.angular_velocity(stamp_ns) - bias.gyroscope()
+        return self.imu.angular_velocity(stamp_ns) - bias.gyroscope()
 
     def _reanchor(self) -> None:
         """Start anew at the last good state; its covariance grows with every failure in a row, up to a bound."""
@@ -275,10 +271,10 @@ class Smoother:
     def _milestones(self, start_ns: int, end_ns: int) -> Iterator[tuple[int, bool]]:
         """Yield the ends of the links that lead from the newest node to a new one, and whether each is a gap."""
         at = start_ns
-        for piece in self._buffer.pieces(start_ns, end_ns):
+        for piece in self.imu.pieces(start_ns, end_ns):
             stops = [piece.end_ns]
             if self._config.nodes == "imu" and not piece.is_gap:
-                stops = [*self._buffer.stamps_between(piece.start_ns, piece.end_ns), piece.end_ns]
+                stops = [*self.imu.stamps_between(piece.start_ns, piece.end_ns), piece.end_ns]
             for stop in stops:
                 stamp = min(to_grid(stop), end_ns)
                 if stamp > at:
@@ -324,7 +320,7 @@ class Smoother:
             rate = self._turn_rate(start_ns, nav, bias)
             pim = self._motion_model.preintegrate((end_ns - start_ns) * 1e-9, nav, rate, bias)
         else:
-            pim = preintegrate(self._buffer.steps(start_ns, end_ns), self._noise, nav.attitude(), self._bias_hat)
+            pim = preintegrate(self.imu.steps(start_ns, end_ns), self._noise, nav.attitude(), self._bias_hat)
         factor = gtsam.ImuFactor2(self._nodes.key(start_ns), self._nodes.key(end_ns), bias_key, pim)
         self._links[start_ns] = Link(start_ns, end_ns, bias_key, is_gap, factor)
         epoch = gtsam.symbolIndex(bias_key)

@@ -19,6 +19,7 @@ from holdfast.state import Outcome
 
 MOTION_STEP_S = 0.02
 MOTION_CORRELATION_S = 1.0  # how long an error that is proportional to the motion keeps its sign
+SUSPECT_LINE = 3  # so many steps on one line happen by chance once in a long while
 FROZEN_FACTOR = 10  # a reading that does not change at all for this many gap lengths is a dead sensor
 PERIOD_WINDOW = 64
 LINE_TOLERANCE = 1e-3  # of the change per sample; six channels of a living sensor never agree that well
@@ -119,6 +120,13 @@ class ImuBuffer:
     def max_gap_ns(self) -> int:
         """Silence longer than this is a drop-out: the configured bound, or 2.5 sample periods if that is more."""
         return self._max_gap_ns
+
+    def is_believed(self, start_ns: int, end_ns: int) -> bool:
+        """Whether the IMU was heard all along, and not in a way that may yet turn out to be a straight line."""
+        on_line = len(self._stamps) - 1 - self._line_start >= SUSPECT_LINE
+        if on_line and end_ns > self._stamps[self._line_start]:
+            return False
+        return not any(piece.is_gap for piece in self.pieces(start_ns, end_ns))
 
     def check(self, sample: ImuSample) -> Outcome:
         """Say whether a sample can be used; physics and order only, no statistics."""
