@@ -39,6 +39,7 @@ class Outcome(StrEnum):
     LOW_STATUS = "low_status"
     NO_COVARIANCE = "no_covariance"
     LARGE_COVARIANCE = "large_covariance"
+    FROZEN = "frozen"
     BEFORE_START = "before_start"
     NO_PREDECESSOR = "no_predecessor"
     IGNORED = "ignored"
@@ -62,6 +63,44 @@ class EventKind(StrEnum):
     LIDAR_JUMP = "lidar_jump"
     LIDAR_SLIP = "lidar_slip"
     OPTIMISER_FAULT = "optimiser_fault"
+    ENCODER = "encoder"
+
+
+class EncoderState(StrEnum):
+    """Whether the encoder of the turn joint can be used; if it cannot, the angle goes on by the gyroscopes."""
+
+    OK = "ok"
+    ABSENT = "absent"  # it has never spoken
+    LATE = "late"  # it fell silent, or what comes is too old or contradicts the gyroscopes
+    FROZEN = "frozen"  # it repeats a reading although the joint turns
+
+
+class Health(StrEnum):
+    """How the estimator is, in the order in which one hides another: the first that is true is told."""
+
+    INITIALISING = "initialising"
+    OPTIMISER_RESET = "optimiser_reset"
+    IMU_GAP = "imu_gap"
+    FALLBACK = "fallback"
+    RECOVERING = "recovering"
+    LIDAR_LOST = "lidar_lost"
+    GNSS_DEGRADED = "gnss_degraded"
+    NOMINAL = "nominal"
+
+
+@dataclass(frozen=True, slots=True)
+class HealthReport:
+    """Health at a time, and what it rests on.
+
+    Attributes:
+        fused: sensors of which something entered the graph in the last second.
+        ages_s: how old the newest measurement that entered is, by sensor.
+    """
+
+    stamp_ns: int
+    health: Health
+    fused: tuple[str, ...]
+    ages_s: Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +151,40 @@ class Estimate:
     covariance: Array
     angular_velocity: Array
     from_imu: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BaseState:
+    """The chassis B at one estimate: (33) to (37) in docs/math.md.
+
+    Attributes:
+        T_O_B: pose of the chassis in the odometry frame.
+        T_W_B: and in the world.
+        velocity: (3,) of B's origin, expressed in B [m/s].
+        angular_velocity: (3,) of B, expressed in B [rad/s]; what the cabin turns on the chassis is not in it.
+        joint_angle_rad: angle of the turn joint, beyond half a turn as well; 0 where there is none.
+        joint_rate_rad_s: how fast the cabin turns on the chassis.
+        joint_angle_sigma_rad: of the angle, the trust in the encoder's zero included.
+        turn_rate_sigma_rad_s: of the chassis' angular velocity about the axis of the joint.
+        encoder: None where there is no turn joint.
+    """
+
+    stamp_ns: int
+    T_O_B: gtsam.Pose3
+    T_W_B: gtsam.Pose3
+    velocity: Array
+    angular_velocity: Array
+    joint_angle_rad: float
+    joint_rate_rad_s: float
+    joint_angle_sigma_rad: float
+    turn_rate_sigma_rad_s: float
+    encoder: EncoderState | None
+
+    @property
+    def velocity_O(self) -> Array:
+        """Velocity (3,) of B's origin, expressed in O [m/s]."""
+        velocity: Array = self.T_O_B.rotation().rotate(self.velocity)
+        return velocity
 
 
 @dataclass(frozen=True, slots=True, eq=False)

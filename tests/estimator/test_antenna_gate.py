@@ -121,7 +121,7 @@ def lose(gate, start_s=0.0):
         assert not gate.loses(EPOCH_NS)
         judged(gate, (2.0, 0.0, 0.0), start_s + 0.05 * k)
     assert gate.loses(EPOCH_NS)
-    gate.become(Trust.LOST, has_lied=True)
+    gate.become(Trust.LOST, hold_s=GATE.regain_s)
 
 
 def test_so_many_bad_fixes_in_a_row_lose_the_antenna_and_a_good_one_starts_the_count_anew():
@@ -204,7 +204,7 @@ def test_an_antenna_that_lied_must_hold_still_for_longer():
 
 def test_fixes_that_walk_do_not_agree_with_each_other_in_quarantine():
     gate = new_gate(innovation=False)
-    gate.become(Trust.LOST, has_lied=True)
+    gate.become(Trust.LOST, hold_s=GATE.regain_s)
     for t in np.arange(0.0, 4.0, 0.05):
         judged(gate, (0.08 * t, 0.0, 0.0), t)
         assert not gate.regains()

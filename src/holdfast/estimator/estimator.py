@@ -8,7 +8,9 @@ from typing import NamedTuple
 import gtsam
 
 from holdfast.config.model import Config
+from holdfast.estimator.base import BaseKinematics
 from holdfast.estimator.gnss_fusion import GnssFusion
+from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.initializer import Initializer
 from holdfast.estimator.predictor import Predictor
 from holdfast.estimator.standstill import StandstillUpdates
@@ -16,12 +18,12 @@ from holdfast.geometry.earth import Geodetic, LocalFrame, gravity
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.scans import Scan
 from holdfast.graph.smoother import OptimiserError, Smoother
-from holdfast.messages import GnssFix, Heading, ImuSample, LidarPose, Message
+from holdfast.messages import GnssFix, Heading, ImuSample, JointAngle, LidarPose, Message
 from holdfast.sensors.gnss import AntennaPosition, GnssModel
 from holdfast.sensors.heading import AxisYaw, HeadingModel
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lidar import LidarModel
-from holdfast.state import Estimate, Event, EventKind, OptimisedState, Outcome
+from holdfast.state import BaseState, Estimate, Event, EventKind, Health, HealthReport, OptimisedState, Outcome
 
 STANDARD_GRAVITY = 9.80665
 RECENT = 64  # stamps per sensor among which a duplicate is looked for
@@ -29,11 +31,15 @@ FUTURE_NS = 1_000_000_000  # further ahead of the IMU's clock a stamp is an erro
 
 
 class Output(NamedTuple):
-    """What one message led to: an estimate at an IMU sample, an optimisation, states that will not change any more."""
+    """What one message led to: an estimate at an IMU sample, an optimisation, states that will not change any more.
+
+    `base` is the state of the chassis at the estimate, if it is known.
+    """
 
     estimate: Estimate | None = None
     optimised: OptimisedState | None = None
     smoothed: Sequence[tuple[int, gtsam.NavState]] = ()
+    base: BaseState | None = None
 
 
 class Pending(NamedTuple):
@@ -68,6 +74,9 @@ class Estimator:
         lidar = sensors.lidar
         self._lidar = None if lidar is None else LidarModel(lidar, gtsam.Pose3(config.T_I(lidar.frame)))
         self._gnss = GnssFusion(config, self._antennas, self._lidar, self._tell, self._count)
+        self._base = BaseKinematics(config, self._tell, self._count) if config.has_base() else None
+        self._health = HealthMonitor(config)
+        self._hears_imu = True
         self._world: LocalFrame | None = None
         self._initializer: Initializer | None = None
         self._started = False
@@ -101,6 +110,20 @@ class Estimator:
         """What keeps the estimator from starting."""
         return self._initializer.reason if self._initializer else "no usable GNSS fix has come"
 
+    @property
+    def health(self) -> Health:
+        """How the estimator is now, in one word."""
+        return self._health.assess(
+            self._buffer.latest_ns,
+            hears_imu=self._hears_imu,
+            is_lost=self._started and self._graph.is_lost,
+            antenna_lost=self._started and self._gnss.has_lost,
+        )
+
+    def health_report(self) -> HealthReport:
+        """Return the health now with what it rests on."""
+        return self._health.report(self._buffer.latest_ns, self.health)
+
     def take_events(self) -> list[Event]:
         """Return the events since the last call."""
         events, self.events = self.events, []
@@ -109,15 +132,14 @@ class Estimator:
     def process(self, message: Message) -> Output:
         """Take in one message, in the order of arrival."""
         if isinstance(message, ImuSample):
-            return self._process_imu(message)
+            return self._process_base(message) if message.sensor == "base_imu" else self._process_imu(message)
         if isinstance(message, GnssFix):
             return self._process_fix(message)
         if isinstance(message, LidarPose):
             return self._process_lidar(message)
         if isinstance(message, Heading):
             return self._process_heading(message)
-        self.counts[message.sensor, Outcome.IGNORED] += 1
-        return Output()
+        return self._process_base(message)
 
     # --- IMU -----------------------------------------------------------------------------------------------------
 
@@ -143,9 +165,18 @@ class Estimator:
         if stamp <= self._predictor.stamp_ns:
             return Output()  # a measurement in a silent stretch has led the state past this sample
         estimate = self._predictor.add(stamp, step)
+        self._hears_imu = estimate.from_imu
+        base = self._base.at(estimate) if self._base is not None else None
         ready = self._pending and self._pending[0].stamp_ns <= stamp
         overdue = stamp - self._graph.published.newest_ns > self._node_interval_ns
-        return self._update(stamp, estimate) if ready or overdue else Output(estimate)
+        return self._update(stamp, estimate, base) if ready or overdue else Output(estimate, base=base)
+
+    def _process_base(self, message: ImuSample | JointAngle) -> Output:
+        if self._base is not None:
+            self._base.add(message, self._buffer.arrival_ns)
+        else:
+            self.counts[message.sensor, Outcome.IGNORED] += 1
+        return Output()
 
     # --- measurements --------------------------------------------------------------------------------------------
 
@@ -259,6 +290,7 @@ class Estimator:
             return Output()
         self._graph = DualGraph(self.config, self._buffer, self._gravity, self._lidar, state)
         self._gnss.restart()
+        self._health.start(state.stamp_ns)
         self._predictor = Predictor(self.config, self._buffer, self._gravity, state)
         self._started = True
         self._tell(EventKind.INITIALISED, state.stamp_ns, "", self._initializer.reason)
@@ -271,13 +303,14 @@ class Estimator:
         self._pending.clear()
         self._recent.clear()
         self._started = False
+        self._health.stop()
         self._standstill = StandstillUpdates(self.config.standstill, self._buffer)
         if self._initializer is not None:
             self._begin(self._gravity)
 
     # --- optimising ----------------------------------------------------------------------------------------------
 
-    def _update(self, reached_ns: int, estimate: Estimate | None = None) -> Output:
+    def _update(self, reached_ns: int, estimate: Estimate | None = None, base: BaseState | None = None) -> Output:
         """Add every measurement whose time the IMU has reached, optimise once, and re-propagate to the present."""
         while self._pending and self._pending[0].stamp_ns <= reached_ns:
             self._add(self._pending.pop(0))
@@ -290,10 +323,12 @@ class Estimator:
         for smoother in self._graph.smoothers():
             self._optimise(smoother)
         is_recovery = self._gnss.review(self._graph, self._buffer.latest_ns)
+        if is_recovery:
+            self._health.recovered(self._buffer.latest_ns)
         published = self._graph.published
         self._predictor.anchor(published.state, is_recovery=is_recovery)
         self._buffer.forget_before(min(s.oldest_ns for s in self._graph.smoothers()) - self._node_interval_ns)
-        return Output(estimate, published.state, published.settled())
+        return Output(estimate, published.state, published.settled(), base)
 
     def _optimise(self, smoother: Smoother) -> None:
         try:
@@ -301,6 +336,7 @@ class Estimator:
         except OptimiserError as fault:
             self._tell(EventKind.OPTIMISER_FAULT, smoother.newest_ns, "", str(fault))
             self._graph.forget_scans(smoother)
+            self._health.reset(self._buffer.latest_ns)
             if smoother is self._graph.main:
                 self._gnss.forget_window()
 
@@ -314,6 +350,8 @@ class Estimator:
         else:
             outcome = self._add_scan(content, pending.sensor)
         self.counts[pending.sensor, outcome] += 1
+        if outcome is Outcome.USED:
+            self._health.entered(pending.sensor, pending.stamp_ns)
         if outcome is Outcome.LATE:
             self._tell(EventKind.LATE, pending.stamp_ns, pending.sensor, "left the window while it waited")
 

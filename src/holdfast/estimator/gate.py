@@ -23,6 +23,7 @@ AGREEMENT_SIGMA = 4.0  # fixes in quarantine are no further from their mean
 COMPARED = 20  # with the mean of so many of the newest
 STRAYS = 3  # so many in a row that disagree end a run of agreement
 PERIODS_OF_SILENCE = 3
+UNKNOWN_PERIOD_S = 2.0  # before the second fix
 
 
 class Trust(StrEnum):
@@ -84,16 +85,17 @@ class AntennaGate:
         self._gate = gate
         self.limit = gnss.gate_sigma**2
         self.trust = Trust.TRUSTED
-        self.has_lied = False
+        self._hold_s = 0.0
         self.reasons: Counter[Outcome] = Counter()  # of the bad fixes since the antenna was trusted last
         self.quarantine: list[Waiting] = []
         self.power_m = inf
         self._bad_in_a_row = 0
         self._last_good: AntennaPosition | None = None
+        self._last_ns: int | None = None
         self._heard_ns = 0
         self._contradicting: list[Waiting] = []
         self._strays = 0
-        self.period_s = 0.0
+        self.period_s = UNKNOWN_PERIOD_S
 
     def judge(
         self, fix: AntennaPosition, prediction: Prediction, *, now_ns: int, baseline_agrees: bool = True
@@ -102,13 +104,14 @@ class AntennaGate:
 
         `now_ns` is the time that the IMU has reached: a fix may be late, but the antenna is not silent.
         """
+        if self._last_ns is not None and fix.stamp_ns > self._last_ns:
+            self.period_s = (fix.stamp_ns - self._last_ns) * 1e-9
+        self._last_ns = fix.stamp_ns
         outcome = self._test(fix, prediction, baseline_agrees)
         if outcome is not Outcome.USED:
             self.refuse(outcome)
             self._note_contradiction(Waiting(fix, prediction), outcome)
             return outcome
-        if self._last_good is not None and fix.stamp_ns > self._last_good.stamp_ns:
-            self.period_s = (fix.stamp_ns - self._last_good.stamp_ns) * 1e-9
         self._last_good, self._heard_ns = fix, now_ns
         self._bad_in_a_row = 0
         if self.trust is Trust.TRUSTED:
@@ -135,14 +138,14 @@ class AntennaGate:
     def regains(self) -> bool:
         """Whether the fixes in quarantine are enough to trust a lost antenna again.
 
-        After a lie they have to hold still for a while, too; after a silence or an honest warning they need not.
+        After a lie they have to hold still for a while; after a silence or an honest warning they need not.
         """
         held = self.quarantine
         if self.trust is Trust.TRUSTED or len(held) < 2:
             return False
         span_s = (held[-1].fix.stamp_ns - held[0].fix.stamp_ns) * 1e-9
-        if self.has_lied:
-            return span_s >= self._gate.regain_s
+        if self._hold_s > 0.0:
+            return span_s >= self._hold_s
         return span_s >= self._gate.regain_s or len(held) >= self._gate.regain_after
 
     def believes(self, after_s: float) -> bool:
@@ -156,10 +159,13 @@ class AntennaGate:
         """Return how far the fixes that contradict lie from the estimate [m]."""
         return float(np.linalg.norm(self._contradicting[-1].prediction.innovation))
 
-    def become(self, trust: Trust, *, has_lied: bool = False) -> list[Waiting]:
-        """Trust or lose the antenna from now on; return the fixes that were in quarantine."""
+    def become(self, trust: Trust, *, hold_s: float = 0.0) -> list[Waiting]:
+        """Trust or lose the antenna from now on; return the fixes that were in quarantine.
+
+        Fixes must hold still for `hold_s` before the antenna is trusted again; without it, their number is enough.
+        """
         held, self.quarantine = self.quarantine, []
-        self.trust, self.has_lied = trust, has_lied
+        self.trust, self._hold_s = trust, hold_s
         self._bad_in_a_row, self._last_good = 0, None
         self._contradicting.clear()
         if trust is Trust.TRUSTED:

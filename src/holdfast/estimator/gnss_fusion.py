@@ -24,6 +24,7 @@ NO_DOUBT = np.zeros((9, 9))
 SIMULTANEOUS_NS = 1_000_000  # in which even a fast machine moves by less than a fix is wrong
 BASELINE_SIGMA = 4.0
 BASELINE_SLACK_M = 0.02  # calibration of the antennas' places
+WALK_FACTOR = 2.0  # fixes that walked must hold still for longer: at first they still look right
 REVIEW_NS = 250_000_000  # used fixes are reviewed this often
 BENIGN = {Outcome.LOW_STATUS, Outcome.LARGE_COVARIANCE, Outcome.NO_COVARIANCE, Outcome.NOT_FINITE}
 
@@ -66,6 +67,11 @@ class GnssFusion:
     def is_trusted(self) -> bool:
         """Whether at least one antenna is trusted."""
         return any(gate.trust is Trust.TRUSTED for gate in self.gates.values())
+
+    @property
+    def has_lost(self) -> bool:
+        """Whether at least one antenna is not trusted."""
+        return any(gate.trust is Trust.LOST for gate in self.gates.values())
 
     def refuse(self, sensor: str, outcome: Outcome) -> None:
         """Note a fix that the receiver itself calls bad."""
@@ -220,7 +226,8 @@ class GnssFusion:
         scan = graph.newest_scan
         if self._witness is None or scan is None or scan.stamp_ns < graph.main.oldest_ns:
             return
-        found = self._witness.observe(scan, graph.main.nav(scan.stamp_ns).pose())
+        pose, covariance = graph.main.nav(scan.stamp_ns).pose(), graph.main.covariance(scan.stamp_ns)
+        found = self._witness.observe(scan, pose, covariance)
         if found is None:
             return
         if found.is_slip:
@@ -233,7 +240,7 @@ class GnssFusion:
             self._take_out(graph.main, used, Outcome.WALKING)
         for name, gate in self.gates.items():
             if gate.trust is Trust.TRUSTED:
-                gate.become(Trust.LOST, has_lied=True)
+                gate.become(Trust.LOST, hold_s=WALK_FACTOR * self._gate.regain_s)
                 self._tell(EventKind.ANTENNA_LOST, now_ns, name, reason)
         self._witness.forget_after(found.since_ns)
         graph.move(found.correction, found.sigma_m)
@@ -248,7 +255,7 @@ class GnssFusion:
             doubtful = [used for used in self._used if used.fix.sensor == name and used.fix.stamp_ns >= since_ns]
             for used in doubtful:
                 self._take_out(graph.main, used, Outcome.QUARANTINED)
-        gate.become(Trust.LOST, has_lied=has_lied)
+        gate.become(Trust.LOST, hold_s=self._gate.regain_s if has_lied else 0.0)
         self._tell(EventKind.ANTENNA_LOST, now_ns, name, f"{reasons}; gate power {gate.power_m:.2f} m")
 
     def _regain(self, graph: DualGraph, names: list[str], now_ns: int) -> bool:
@@ -262,7 +269,7 @@ class GnssFusion:
                 self._used = kept
                 self._tell(EventKind.RECOVERY_REFUSED, now_ns, ", ".join(names), f"{len(held)} fixes do not agree")
                 for name in names:
-                    self.gates[name].become(Trust.LOST, has_lied=True)
+                    self.gates[name].become(Trust.LOST, hold_s=self._gate.regain_s)
                 return False
             self._used = deque([Used(used.fix, counterpart(used.placed)) for used in kept] + list(self._used))
             self._tell(EventKind.GNSS_REGAINED, now_ns, "", f"{len(held)} fixes agree")
@@ -300,6 +307,8 @@ class GnssFusion:
         self._tell(EventKind.ESTIMATE_SUSPECT, now_ns, name, f"{distance:.2f} m from the fixes")
         graph.move(gtsam.Pose3(), distance)
         self.forget_window()
+        if self._lidar is not None:
+            self._lidar.trust_less()
         gate.become(Trust.TRUSTED)
         return True
 

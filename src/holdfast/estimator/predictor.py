@@ -31,6 +31,9 @@ class Predictor:
         self._H_bias = np.zeros((9, 6), order="F")
         self._transition = np.zeros((9, 15))
         self._state = state
+        self._stamp_ns: int
+        self._pim: gtsam.PreintegratedImuMeasurements
+        self._base: gtsam.NavState
         self._propagate_again()
 
     @property

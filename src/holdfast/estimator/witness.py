@@ -6,23 +6,23 @@ odometry drifts: (32) in docs/math.md. How much this one drifts is learnt while 
 """
 
 from collections import deque
-from statistics import median
 from typing import NamedTuple
 
 import gtsam
 import numpy as np
 
 from holdfast.graph.scans import Scan
+from holdfast.messages import Array
 from holdfast.sensors.lidar import LidarModel
 
 MEMORY_NS = 20_000_000_000
 STEP_NS = 1_000_000_000
-SIGMA = 4.5
-ESTIMATE_SIGMA_M = 0.012  # of the estimate that the frame is seen through, per axis
-SLIP_RATIO = 0.1  # of the way: an odometry that is off by more has lost its hold; fixes hardly walk so fast
-MIN_WAY_M = 2.0  # on a shorter way nothing slips
-LEARNT, MIN_LEARNT = 60, 10  # steps
-TYPICAL_RATIO = 1.54  # median of the norm of three unit Gaussians
+SIGMA = 5.0  # twenty comparisons a second must not raise an alarm in hours
+ESTIMATE_SIGMA_M = 0.01  # of the estimate that the frame is seen through, per axis, whatever it claims
+SLIP_M_S = 0.3  # fixes hardly walk so fast: an odometry that is off by more has lost its hold
+LEARNT, MIN_LEARNT = 120, 30  # steps
+BEST = 0.3  # of the configured drift: no odometry is believed to be better
+TYPICAL_MAX = 3.0  # of some dozen norms of three unit Gaussians; the tails are what false alarms are made of
 LEARNING_STEPS = 3
 
 
@@ -31,9 +31,9 @@ class _Sight(NamedTuple):
 
     scan: Scan
     T_W_I0: gtsam.Pose3
-    way_m: float
     translation_variance: float
     rotation_variance: float
+    estimate_variance: float
 
 
 class Contradiction(NamedTuple):
@@ -71,18 +71,21 @@ class LidarWitness:
         while self._sights and self._sights[-1].scan.stamp_ns > stamp_ns:
             self._sights.pop()
 
-    def observe(self, scan: Scan, T_W_I: gtsam.Pose3) -> Contradiction | None:
-        """Take in where a scan's node was optimised to; once a second it is compared with what was seen before."""
+    def observe(self, scan: Scan, T_W_I: gtsam.Pose3, covariance: Array) -> Contradiction | None:
+        """Take in where a scan's node was optimised to; once a second it is compared with what was seen before.
+
+        `covariance` (9, 9) is that of the node.
+        """
         last = self._sights[-1] if self._sights else None
         if last is not None and scan.stamp_ns - last.scan.stamp_ns < STEP_NS:
             return None
-        sums = (0.0, 0.0, 0.0)
+        sums = (0.0, 0.0)
         if last is not None:
             motion = last.scan.T_I0_I.between(scan.T_I0_I)
             sigmas = self._lidar.drift(motion, (scan.stamp_ns - last.scan.stamp_ns) * 1e-9)
-            way = last.way_m + float(np.linalg.norm(motion.translation()))
-            sums = way, last.translation_variance + sigmas[3] ** 2, last.rotation_variance + sigmas[0] ** 2
-        sight = _Sight(scan, T_W_I * scan.T_I0_I.inverse(), *sums)
+            sums = last.translation_variance + sigmas[3] ** 2, last.rotation_variance + sigmas[0] ** 2
+        variance = max(float(covariance[3:6, 3:6].trace()) / 3.0, ESTIMATE_SIGMA_M**2)
+        sight = _Sight(scan, T_W_I * scan.T_I0_I.inverse(), *sums, variance)
         while self._sights and scan.stamp_ns - self._sights[0].scan.stamp_ns > MEMORY_NS:
             self._sights.popleft()
         found = self._compare(sight)
@@ -90,24 +93,26 @@ class LidarWitness:
         return found
 
     def _compare(self, now: _Sight) -> Contradiction | None:
-        worst, worst_ratio = None, 0.0
-        for index, then in enumerate(self._sights):
-            ratio = self._ratio(then, now)
-            if index == len(self._sights) - LEARNING_STEPS:
-                self._ratios.append(ratio)
+        scale = max(BEST, max(self._ratios) / TYPICAL_MAX) if self._ratios else 1.0
+        worst, worst_ratio = None, SIGMA
+        for then in self._sights:
+            ratio = self._miss_m(then, now) / self._sigma_m(then, now, scale)
             if ratio > worst_ratio:
                 worst, worst_ratio = then, ratio
         if worst is None or len(self._ratios) < MIN_LEARNT:
+            if len(self._sights) >= LEARNING_STEPS:
+                then = self._sights[-LEARNING_STEPS]
+                self._ratios.append(self._miss_m(then, now) / self._sigma_m(then, now, 1.0))
             return None
-        if worst_ratio <= SIGMA * max(1.0, median(self._ratios) / TYPICAL_RATIO):
-            return None
-        distance, way = self._miss_m(worst, now), now.way_m - worst.way_m
+        for _ in range(LEARNING_STEPS):  # what was learnt since the two parted was no drift
+            self._ratios.pop()
+        distance, since_ns = self._miss_m(worst, now), worst.scan.stamp_ns
         return Contradiction(
             worst.T_W_I0 * now.T_W_I0.inverse(),
             distance,
             distance / worst_ratio,
-            worst.scan.stamp_ns,
-            way > MIN_WAY_M and distance > SLIP_RATIO * way,
+            since_ns,
+            distance > SLIP_M_S * (now.scan.stamp_ns - since_ns) * 1e-9,
         )
 
     def _miss_m(self, then: _Sight, now: _Sight) -> float:
@@ -115,9 +120,9 @@ class LidarWitness:
         place = now.scan.T_I0_I.translation()
         return float(np.linalg.norm(now.T_W_I0.transformFrom(place) - then.T_W_I0.transformFrom(place)))
 
-    def _ratio(self, then: _Sight, now: _Sight) -> float:
-        """Return the miss over its standard deviation per axis."""
+    def _sigma_m(self, then: _Sight, now: _Sight, scale: float) -> float:
+        """Return the standard deviation of the miss per axis, the drift of the odometry scaled."""
         moved = float(np.linalg.norm(now.scan.T_I0_I.translation() - then.scan.T_I0_I.translation()))
-        variance = now.translation_variance - then.translation_variance
-        variance += (now.rotation_variance - then.rotation_variance) * moved**2 + 2.0 * ESTIMATE_SIGMA_M**2
-        return self._miss_m(then, now) / float(np.sqrt(variance))
+        drift = now.translation_variance - then.translation_variance
+        drift += (now.rotation_variance - then.rotation_variance) * moved**2
+        return float(np.sqrt(scale**2 * drift + now.estimate_variance + then.estimate_variance))

@@ -1,9 +1,10 @@
 """How the poses of a lidar odometry become factors of one smoother, in one of three ways.
 
-anchored: each scan is joined to the frame L0 of its odometry, whose pose in W is a variable that drifts slowly. Scans
-    keep each other in place over minutes, and say nothing of where they are: (29) in docs/math.md.
+anchored: each scan is joined to the track of its odometry, whose pose in W is a variable that drifts slowly. Scans keep
+    each other in place over minutes, and say nothing of where they are: (29) in docs/math.md. The variable is the pose
+    of the place on the track where an epoch begins, so that no long lever acts on it.
 relative: each scan is joined to the one before (paper, IV-A.4a).
-frozen: the frame stays where it was when the chain was frozen, at the loss of GNSS (paper, Eq. 10).
+frozen: the track stays where it was when the chain was frozen, at the loss of GNSS (paper, Eq. 10).
 """
 
 from copy import copy
@@ -12,12 +13,12 @@ from typing import Literal, NamedTuple
 import gtsam
 import numpy as np
 
-from holdfast.graph.nodes import FRAME, to_grid
+from holdfast.graph.nodes import FRAME
 from holdfast.graph.smoother import FREE, Smoother
 from holdfast.sensors.lidar import STILL, LidarModel
 from holdfast.state import Outcome
 
-EPOCH_NS = 1_000_000_000  # the frame is constant for so long
+EPOCH_NS, EPOCH_M, EPOCH_RAD = 1_000_000_000, 0.4, 0.1  # the track does not drift for so long, so far, such a turn
 
 Mode = Literal["anchored", "relative", "frozen"]
 
@@ -117,29 +118,39 @@ class ScanChain:
         self._epochs = [epoch for epoch in self._epochs if smoother.has_frame(epoch.key)]
         at = next((epoch for epoch in reversed(self._epochs) if epoch.first.stamp_ns <= scan.stamp_ns), None)
         is_newest = bool(self._epochs) and at is self._epochs[-1]
-        if not self._epochs or (is_newest and at is not None and scan.stamp_ns - at.first.stamp_ns >= EPOCH_NS):
+        if not self._epochs or (is_newest and at is not None and _is_over(at, scan)):
             at = self._begin_epoch(smoother, at, scan)
         elif at is None:
             return Outcome.NO_PREDECESSOR  # from before a jump
         smoother.keep_frame(at.key, scan.stamp_ns)
-        smoother.add(self._lidar.anchored_factor(at.key, key, scan.T_I0_I))
+        smoother.add(self._lidar.anchored_factor(at.key, key, at.first.T_I0_I.between(scan.T_I0_I)))
         return Outcome.USED
 
     def _begin_epoch(self, smoother: Smoother, before: _Epoch | None, scan: Scan) -> _Epoch:
         self._made += 1
         key: int = gtsam.symbol(FRAME, self._made)
-        T_W_I0 = self._place(smoother, scan)
-        smoother.insert_frame(key, T_W_I0, scan.stamp_ns)
+        here = smoother.nav(scan.stamp_ns).pose()
+        smoother.insert_frame(key, here, scan.stamp_ns)
         if before is None:
             free = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([FREE, FREE, STILL], 3))
-            smoother.add(gtsam.PriorFactorNavState(key, gtsam.NavState(T_W_I0, np.zeros(3)), free))
+            smoother.add(gtsam.PriorFactorNavState(key, gtsam.NavState(here, np.zeros(3)), free))
         else:
+            motion = before.first.T_I0_I.between(scan.T_I0_I)
             duration_s = (scan.stamp_ns - before.first.stamp_ns) * 1e-9
-            poses = before.first.T_I0_I, scan.T_I0_I
-            smoother.add(self._lidar.drift_factor(before.key, key, *poses, duration_s))
+            smoother.add(self._lidar.drift_factor(before.key, key, motion, duration_s))
         self._epochs.append(_Epoch(scan, key))
         return self._epochs[-1]
 
     def _place(self, smoother: Smoother, scan: Scan) -> gtsam.Pose3:
         """Return the pose of the odometry's frame in W as a scan sees it."""
-        return smoother.nav(to_grid(scan.stamp_ns)).pose() * scan.T_I0_I.inverse()
+        return smoother.nav(scan.stamp_ns).pose() * scan.T_I0_I.inverse()
+
+
+def _is_over(epoch: _Epoch, scan: Scan) -> bool:
+    """Whether the machine has moved on so far since an epoch began that the odometry may have drifted."""
+    motion = epoch.first.T_I0_I.between(scan.T_I0_I)
+    return (
+        scan.stamp_ns - epoch.first.stamp_ns >= EPOCH_NS
+        or float(np.linalg.norm(motion.translation())) > EPOCH_M
+        or float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation()))) > EPOCH_RAD
+    )

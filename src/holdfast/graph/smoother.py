@@ -254,7 +254,7 @@ class Smoother:
 
     def _turn_rate(self, stamp_ns: int, nav: gtsam.NavState, bias: gtsam.imuBias.ConstantBias) -> Array:
         """Angular velocity at a node: from the gyroscope, or where it is silent from the last two nodes."""
-        if len(self._nodes) > 1:
+        if stamp_ns > self.oldest_ns:
             before = self._nodes.before(stamp_ns)
             if self._links[before].is_gap and stamp_ns - before > 20_000_000:
                 turn: Array = self._nav(before).attitude().logmap(nav.attitude())

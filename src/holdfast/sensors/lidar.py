@@ -11,6 +11,7 @@ from holdfast.state import Outcome
 MAX_DISTANCE_M = 1e6
 MAX_SPEED_M_S = 100.0
 FREE_VELOCITY = 1e6  # [m/s]: a pose says nothing about the velocity part of a NavState
+DISTRUST, MAX_DRIFT_SCALE = 3.0, 30.0
 FREE_TILT = 0.2  # [rad]
 STILL = 1e-3  # [m/s] of a frame, which has a velocity only because it shares the type of the nodes
 STANDING_DRIFT = 1e-4  # [m/sqrt(s)], and a tenth of it in rad: what even a standing odometry is allowed
@@ -23,6 +24,7 @@ class LidarModel:
         self.offset_ns = round(config.time_offset_s * 1e9)
         self.max_interval_ns = round(config.max_interval_s * 1e9)
         self._config = config
+        self._drift_scale = 1.0
         self._adjoint: Array = T_I_L.AdjointMap()
         self._T_I_L = T_I_L
         self._T_L_I = T_I_L.inverse()
@@ -38,6 +40,10 @@ class LidarModel:
         """Say whether a machine can have moved like this between two scans."""
         possible = np.linalg.norm(motion.translation()) <= MAX_SPEED_M_S * duration_s
         return Outcome.USED if possible else Outcome.OUT_OF_RANGE
+
+    def trust_less(self) -> None:
+        """The odometry has held an estimate against fixes that were right: it drifts more than is configured."""
+        self._drift_scale = min(DISTRUST * self._drift_scale, MAX_DRIFT_SCALE)
 
     def jumped(self, motion: gtsam.Pose3, predicted: gtsam.Pose3) -> bool:
         """Whether the motion between two scans is beyond `jump_sigma` from the one that the IMU predicts."""
@@ -65,12 +71,12 @@ class LidarModel:
         """
         return self._between(key_i, key_j, motion, self.covariance(motion))
 
-    def anchored_factor(self, frame_key: int, key: int, T_I0_I: gtsam.Pose3) -> gtsam.NonlinearFactor:
-        """Return the factor that joins a node to the frame of the odometry: (29) in docs/math.md.
+    def anchored_factor(self, frame_key: int, key: int, motion: gtsam.Pose3) -> gtsam.NonlinearFactor:
+        """Return the factor that joins a node to a place on the odometry's track, `motion` away: (29) in docs/math.md.
 
         Its noise is that of one scan, half the variance of a motion between two.
         """
-        return self._between(frame_key, key, T_I0_I, self._at_imu(0.5 * self._sigmas() ** 2))
+        return self._between(frame_key, key, motion, self._at_imu(0.5 * self._sigmas() ** 2))
 
     def pseudo_global_factor(self, key: int, T_W_I: gtsam.Pose3) -> gtsam.NonlinearFactor:
         """Return the pose factor in W of the paper's fallback graph (IV-A.4b): roll and pitch are left to the IMU."""
@@ -81,18 +87,12 @@ class LidarModel:
         model = noise_model(covariance, self._config.robust_loss)
         return gtsam.PriorFactorNavState(key, gtsam.NavState(T_W_I, np.zeros(3)), model)
 
-    def drift_factor(
-        self, before_key: int, key: int, first: gtsam.Pose3, second: gtsam.Pose3, duration_s: float
-    ) -> gtsam.NonlinearFactor:
-        """Return the factor between the odometry's frame in two epochs: it may have drifted on the way between.
-
-        The drift happens where the IMU is, T_I0_I, not at the far origin of the frame: (28) in docs/math.md.
-        """
-        adjoint = second.AdjointMap()
+    def drift_factor(self, before_key: int, key: int, motion: gtsam.Pose3, duration_s: float) -> gtsam.NonlinearFactor:
+        """Return the factor between two places on the track, which may drift between them: (29) in docs/math.md."""
         covariance = np.eye(9) * STILL**2
-        covariance[:6, :6] = adjoint @ np.diag(self.drift(first.between(second), duration_s) ** 2) @ adjoint.T
+        covariance[:6, :6] = np.diag(self.drift(motion, duration_s) ** 2)
         model = gtsam.noiseModel.Gaussian.Covariance(covariance)
-        return gtsam.BetweenFactorNavState(before_key, key, gtsam.NavState(), model)
+        return gtsam.BetweenFactorNavState(before_key, key, gtsam.NavState(motion, np.zeros(3)), model)
 
     def drift(self, motion: gtsam.Pose3, duration_s: float) -> Array:
         """Return the sigmas (6,) of the drift of the odometry over a motion, rotation [rad] then translation [m].
@@ -115,7 +115,8 @@ class LidarModel:
         rotation = np.hypot(
             config.drift_rad_per_sqrt_m * np.sqrt(way_m), config.drift_rad_per_sqrt_rad * np.sqrt(turn_rad)
         )
-        return np.repeat([rotation, config.drift_m_per_sqrt_m * np.sqrt(way_m)], 3)
+        sigmas: Array = self._drift_scale * np.repeat([rotation, config.drift_m_per_sqrt_m * np.sqrt(way_m)], 3)
+        return sigmas
 
     def _sigmas(self) -> Array:
         return np.repeat([self._config.rotation_sigma_rad, self._config.translation_sigma_m], 3)

@@ -1,0 +1,184 @@
+"""The chassis B: its pose and twist from the cabin's estimate, the turn joint and the gyroscope in the chassis.
+
+Where `extrinsics` join B to the cabin, the same maths holds with a joint that reads zero.
+"""
+
+from collections.abc import Callable
+from math import cos, sin
+
+import gtsam
+import numpy as np
+
+from holdfast.config.model import Config
+from holdfast.estimator.turn_joint import Count, TurnJoint
+from holdfast.messages import Array, ImuSample, JointAngle
+from holdfast.sensors.base_imu import BaseGyro
+from holdfast.sensors.joint import JointModel
+from holdfast.state import BaseState, EncoderState, Estimate, EventKind, Outcome
+
+Tell = Callable[[EventKind, int, str, str], None]
+
+
+class BaseGeometry:
+    """Where the cabin turns on the chassis, and what that makes of an estimate.
+
+    A is the joint as it sits in the cabin, J as it sits in the chassis: both have their origin on the axis and their z
+    along it, and R_J_A = Rz(q). Without a `turn_joint` both are B.
+    """
+
+    def __init__(self, config: Config) -> None:
+        joint, base = config.turn_joint, config.frames.base
+        if joint is None:
+            self._T_I_A, self._T_J_B = gtsam.Pose3(config.T_I(base)), gtsam.Pose3()
+        else:
+            T_P_C = gtsam.Pose3(joint.matrix())
+            unturned = gtsam.Pose3(T_P_C.rotation().inverse(), np.zeros(3))
+            self._T_I_A = gtsam.Pose3(config.T_I(joint.child)) * unturned
+            T_P_J = gtsam.Pose3(gtsam.Rot3(), T_P_C.translation())
+            self._T_J_B = T_P_J.inverse() * gtsam.Pose3(config.T(joint.parent, base))
+        self._R_A_I: Array = self._T_I_A.rotation().matrix().T.copy()
+        self._R_B_J: Array = self._T_J_B.rotation().matrix().T.copy()
+        self._is_aligned = bool((np.eye(3) == self._R_B_J).all())  # as a rule
+        self._arm_A: list[float] = (self._R_A_I @ self._T_I_A.translation()).tolist()
+        self._arm_J: list[float] = self._T_J_B.translation().tolist()
+
+    def T_I_B(self, angle_rad: float) -> gtsam.Pose3:
+        """Return the pose of the chassis in the IMU's frame at an angle of the joint: (36)."""
+        return self._T_I_A * gtsam.Pose3(gtsam.Pose2(0.0, 0.0, -angle_rad)) * self._T_J_B
+
+    def cabin_rates(self, estimate: Estimate) -> list[float]:
+        """Return the angular velocity (3,) of the cabin in A [rad/s]; the last is that about the joint's axis."""
+        rates: list[float] = (self._R_A_I @ estimate.angular_velocity).tolist()
+        return rates
+
+    def twist(
+        self, estimate: Estimate, rates_A: list[float], angle_rad: float, rate_rad_s: float
+    ) -> tuple[Array, Array]:
+        """Return the velocity of B's origin [m/s] and the angular velocity of B [rad/s], each (3,) in B: (37).
+
+        Args:
+            estimate: of the cabin's IMU.
+            rates_A: what `cabin_rates` says of it.
+            angle_rad: of the joint.
+            rate_rad_s: of the chassis about the joint's axis.
+        """
+        wx, wy, wz = rates_A
+        vx, vy, vz = (self._R_A_I @ estimate.nav.bodyVelocity()).tolist()
+        sx, sy, sz = self._arm_A
+        vx, vy, vz = vx + wy * sz - wz * sy, vy + wz * sx - wx * sz, vz + wx * sy - wy * sx
+        c, s = cos(angle_rad), sin(angle_rad)
+        vx, vy, wx, wy, wz = c * vx - s * vy, s * vx + c * vy, c * wx - s * wy, s * wx + c * wy, rate_rad_s
+        rx, ry, rz = self._arm_J
+        vx, vy, vz = vx + wy * rz - wz * ry, vy + wz * rx - wx * rz, vz + wx * ry - wy * rx
+        velocity, angular_velocity = np.array([vx, vy, vz]), np.array([wx, wy, wz])
+        if self._is_aligned:
+            return velocity, angular_velocity
+        return self._R_B_J @ velocity, self._R_B_J @ angular_velocity
+
+    def covariances(self, estimate: Estimate, base: BaseState, rate_variance: float) -> tuple[Array, Array]:
+        """Return the covariances (6, 6) of the pose and of the twist of B: (38) and (39) in docs/math.md.
+
+        Both have rotation before translation, in the axes of B. Not part of every `BaseState`, because they take as
+        long as the state itself.
+
+        Args:
+            estimate: of the cabin's IMU.
+            base: what came of it.
+            rate_variance: of the components of the estimate's angular velocity [rad^2/s^2].
+        """
+        T_I_B = self.T_I_B(base.joint_angle_rad)
+        to_B = T_I_B.inverse().AdjointMap()
+        R_B_I = T_I_B.rotation().matrix().T
+        axis = self._R_B_J[:, 2]  # of the joint, in B; and where B's origin is from it
+        arm = self._R_B_J @ self._T_J_B.translation()
+        by_angle = np.concatenate([-axis, np.cross(arm, axis)])
+        angle_variance, turn_variance = base.joint_angle_sigma_rad**2, base.turn_rate_sigma_rad_s**2
+        pose = to_B @ estimate.covariance[:6, :6] @ to_B.T + angle_variance * np.outer(by_angle, by_angle)
+        across = np.eye(3) - np.outer(axis, axis)
+        # sources: velocity of I in I, angular velocity of I in I, angle of the joint, rate of the chassis
+        G = np.zeros((6, 8))
+        G[:3, 3:6] = across @ R_B_I
+        G[:3, 6] = np.cross(axis, base.angular_velocity)
+        G[:3, 7] = axis
+        velocity_J = base.velocity - np.cross(base.angular_velocity, arm)
+        G[3:, :3] = R_B_I
+        G[3:, 3:6] = -R_B_I @ _skew(self._T_I_A.translation())
+        G[3:, 6] = np.cross(axis, velocity_J)
+        G[3:] -= _skew(arm) @ G[:3]
+        J = np.zeros((3, 9))
+        J[:, :3], J[:, 6:] = _skew(estimate.nav.bodyVelocity()), np.eye(3)
+        sources = np.zeros((8, 8))
+        sources[:3, :3] = J @ estimate.covariance @ J.T
+        sources[range(3, 8), range(3, 8)] = [rate_variance] * 3 + [angle_variance, turn_variance]
+        return pose, G @ sources @ G.T
+
+
+class BaseKinematics:
+    """Takes what encoder and base IMU say as it arrives, and gives a `BaseState` for each estimate of the cabin.
+
+    Args:
+        config: `frames.base` must be joined to the IMU, by `extrinsics` or by `turn_joint`.
+        tell: is told when the encoder fails and when it works again.
+        count: is told what became of each reading.
+    """
+
+    def __init__(self, config: Config, tell: Tell, count: Count) -> None:
+        self.geometry = BaseGeometry(config)
+        self._tell, self._count = tell, count
+        self._joint: TurnJoint | None = None
+        turn_joint, encoder, base_imu = config.turn_joint, config.sensors.joint, config.sensors.base_imu
+        if turn_joint is not None and encoder is not None:
+            gyro = None
+            if base_imu is not None:
+                gyro = BaseGyro(base_imu, config.T(base_imu.frame, turn_joint.parent)[:3, 2])
+            self._joint = TurnJoint(JointModel(encoder), gyro, config, count)
+
+    @property
+    def encoder(self) -> EncoderState | None:
+        """Whether the encoder can be used; None where there is no turn joint."""
+        return None if self._joint is None else self._joint.state
+
+    def add(self, message: ImuSample | JointAngle, imu_arrival_ns: int) -> None:
+        """Take in a sample of the base IMU or a reading of the encoder, in the order of arrival.
+
+        Args:
+            message: what came; without a turn joint it is not needed.
+            imu_arrival_ns: when the newest sample of the cabin's IMU arrived.
+        """
+        if self._joint is None:
+            self._count(message.sensor, Outcome.IGNORED, 1)
+        else:
+            self._joint.add(message, imu_arrival_ns)
+
+    def at(self, estimate: Estimate) -> BaseState | None:
+        """Return the state of the chassis at an estimate; None as long as the encoder has never spoken."""
+        geometry, stamp, joint = self.geometry, estimate.stamp_ns, self._joint
+        rates_A = geometry.cabin_rates(estimate)
+        angle, rate, angle_sigma, rate_sigma, encoder = 0.0, rates_A[2], 0.0, 0.0, None
+        if joint is not None:
+            before = joint.state
+            motion = joint.advance(stamp, rates_A[2], from_imu=estimate.from_imu)
+            encoder = joint.state
+            if encoder is not before:
+                self._tell(EventKind.ENCODER, stamp, "joint", encoder)
+            if motion is None:
+                return None
+            angle, angle_sigma, rate, rate_sigma = motion
+        T_W_B = estimate.nav.pose() * geometry.T_I_B(angle)
+        return BaseState(
+            stamp,
+            estimate.T_W_O.between(T_W_B),
+            T_W_B,
+            *geometry.twist(estimate, rates_A, angle, rate),
+            angle,
+            rates_A[2] - rate,
+            angle_sigma,
+            rate_sigma,
+            encoder,
+        )
+
+
+def _skew(v: Array) -> Array:
+    """Return the matrix (3, 3) of the cross product with a vector (3,)."""
+    x, y, z = v
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -1,0 +1,194 @@
+"""The turn joint over time: readings of the encoder and of the base IMU wait for their stamp and enter the filter.
+
+They wait until the cabin's estimate has reached their stamp and are then taken in by the order of these, so that it
+does not matter in which order they arrive.
+"""
+
+from bisect import insort
+from collections import deque
+from collections.abc import Callable
+from math import copysign, sqrt
+from typing import NamedTuple
+
+from holdfast.config.model import Config
+from holdfast.estimator.joint_filter import JointFilter
+from holdfast.messages import ImuSample, JointAngle
+from holdfast.sensors.base_imu import BaseGyro
+from holdfast.sensors.imu import MOTION_CORRELATION_S
+from holdfast.sensors.joint import JointModel, RepeatWatch
+from holdfast.state import EncoderState, Outcome
+
+FUTURE_NS = 1_000_000_000  # further ahead of the cabin's IMU a stamp is an error
+RECENT = 64  # stamps per sensor among which a duplicate is looked for
+MAX_WAITING = 4096
+USUAL_PERIOD_S = 0.01  # of the base IMU, until it is known
+BELIEVE_AFTER_NS = 5_000_000_000  # an encoder that contradicts two gyroscopes for so long
+MAX_STEP_RAD = 3e-4  # the rest of a correction flows in, so that T_O_B does not step
+SETTLE_S = 0.5
+AT_ONCE_NS = 50_000_000  # a longer silence of the cabin's IMU is crossed from reading to reading
+
+Count = Callable[[str, Outcome, int], None]
+
+_Reading = tuple[int, str, float, bool]  # stamp, sensor, angle [rad] or rate [rad/s], whether it is an angle
+
+
+class JointMotion(NamedTuple):
+    """The turn joint at one time.
+
+    Attributes:
+        angle_rad: of the joint, not wrapped.
+        angle_sigma_rad: of the angle, that of the encoder's zero included.
+        rate_rad_s: of the chassis about the axis of the joint.
+        rate_sigma_rad_s: of that rate.
+    """
+
+    angle_rad: float
+    angle_sigma_rad: float
+    rate_rad_s: float
+    rate_sigma_rad_s: float
+
+
+class TurnJoint:
+    """Follows the joint and the turning of the chassis about its axis.
+
+    Args:
+        encoder: model of the encoder.
+        gyro: model of the base IMU's gyroscope, None where there is none.
+        config: of the estimator.
+        count: is told what became of each reading.
+    """
+
+    def __init__(self, encoder: JointModel, gyro: BaseGyro | None, config: Config, count: Count) -> None:
+        self._model, self._gyro, self._count = encoder, gyro, count
+        imu = config.sensors.imu
+        self._cabin_density2 = imu.gyroscope_noise_density**2
+        self._motion_ratio2 = imu.motion_error_ratio**2 * MOTION_CORRELATION_S
+        self._silent_density2 = config.motion_model.angular_rate_density**2
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything: the clock has gone back."""
+        gyro, max_age_ns = self._gyro, self._model.max_age_ns
+        if gyro is None:  # nothing but the encoder itself contradicts the encoder
+            self._filter = JointFilter(0.0, 0.0, max_age_ns, max_age_ns)
+        else:
+            self._filter = JointFilter(gyro.bias_variance, gyro.walk_variance, max_age_ns, BELIEVE_AFTER_NS)
+        self._watch = RepeatWatch(self._model.variance)
+        self._waiting: list[_Reading] = []
+        self._recent: dict[str, deque[int]] = {}
+        self._gyro_ns = self._angle_ns = self._used_ns = 0  # newest readings, and the newest of the encoder in use
+        self._gyro_period_s = USUAL_PERIOD_S
+        self._held_rad = 0.0  # of the corrections of the angle, what is not let out yet
+        self.state = EncoderState.ABSENT
+
+    def add(self, message: ImuSample | JointAngle, imu_arrival_ns: int) -> None:
+        """Let a reading wait for its stamp, or count why not; what waits is counted when it is taken.
+
+        Args:
+            message: in the order of arrival.
+            imu_arrival_ns: when the newest sample of the cabin's IMU arrived.
+        """
+        if isinstance(message, JointAngle):
+            outcome, value, offset_ns = self._model.check(message), self._model.angle(message), self._model.offset_ns
+        elif self._gyro is not None:
+            outcome, value, offset_ns = self._gyro.check(message), self._gyro.rate(message), self._gyro.offset_ns
+        else:
+            outcome, value, offset_ns = Outcome.IGNORED, 0.0, 0
+        stamp = message.stamp_ns + offset_ns
+        if outcome is Outcome.USED:
+            outcome = self._check_stamp(stamp, message, imu_arrival_ns)
+        if outcome is not Outcome.USED:
+            self._count(message.sensor, outcome, 1)
+            return
+        insort(self._waiting, (stamp, message.sensor, value, isinstance(message, JointAngle)))
+        if len(self._waiting) > MAX_WAITING:
+            self._count(self._waiting.pop(0)[1], Outcome.LATE, 1)
+
+    def _check_stamp(self, stamp_ns: int, message: ImuSample | JointAngle, imu_arrival_ns: int) -> Outcome:
+        reached_ns = self._filter.stamp_ns
+        if reached_ns is None:
+            return Outcome.BEFORE_START
+        recent = self._recent.setdefault(message.sensor, deque(maxlen=RECENT))
+        if recent and stamp_ns <= recent[-1] and stamp_ns in recent:
+            return Outcome.DUPLICATE
+        if stamp_ns - reached_ns > max(0, message.arrival_ns - imu_arrival_ns) + FUTURE_NS:
+            return Outcome.CLOCK_JUMP
+        if stamp_ns < reached_ns - self._model.max_age_ns:
+            return Outcome.LATE
+        recent.append(stamp_ns)
+        return Outcome.USED
+
+    def advance(self, stamp_ns: int, cabin_rate_rad_s: float, *, from_imu: bool) -> JointMotion | None:
+        """Go on to the next estimate, taking in every reading on the way; return None if no angle was ever read.
+
+        Args:
+            stamp_ns: of the estimate.
+            cabin_rate_rad_s: mean rate of the cabin about the axis since the estimate before, bias removed.
+            from_imu: False where the cabin's IMU was silent.
+        """
+        joint, waiting = self._filter, self._waiting
+        if joint.stamp_ns is not None and stamp_ns < joint.stamp_ns:
+            self.restart()
+            return None
+        density2 = self._silent_density2
+        if from_imu:
+            density2 = self._cabin_density2 + self._motion_ratio2 * cabin_rate_rad_s**2
+        step_ns = 0 if joint.stamp_ns is None else stamp_ns - joint.stamp_ns
+        if step_ns <= AT_ONCE_NS:
+            joint.predict(stamp_ns, cabin_rate_rad_s, density2)
+        was_known, corrected_rad = joint.is_known, 0.0
+        while waiting and waiting[0][0] <= stamp_ns:
+            stamp, sensor, value, is_angle = waiting.pop(0)
+            joint.predict(stamp, cabin_rate_rad_s, density2)  # nothing, if it has gone there at once
+            before_rad = joint.angle_rad
+            outcome = self._take_angle(stamp, value) if is_angle else self._take_rate(stamp, value)
+            corrected_rad += joint.angle_rad - before_rad
+            self._count(sensor, outcome, 1)
+        joint.predict(stamp_ns, cabin_rate_rad_s, density2)
+        self.state = self._judge_encoder(stamp_ns)
+        if not was_known:
+            return self._motion(0.0, 0.0) if joint.is_known else None
+        return self._motion(corrected_rad, step_ns * 1e-9)
+
+    def _motion(self, corrected_rad: float, step_s: float) -> JointMotion:
+        """Return the motion, letting out no more of a correction of the angle than goes unnoticed."""
+        joint, model = self._filter, self._model
+        if abs(corrected_rad) > MAX_STEP_RAD:
+            self._held_rad += corrected_rad - copysign(MAX_STEP_RAD, corrected_rad)
+        held_rad = self._held_rad = self._held_rad * max(0.0, 1.0 - step_s / SETTLE_S)
+        angle_sigma = sqrt(joint.angle_variance + model.zero_variance + held_rad**2)
+        return JointMotion(joint.angle_rad - held_rad, angle_sigma, joint.rate_rad_s, sqrt(joint.rate_variance))
+
+    def _take_rate(self, stamp_ns: int, rate_rad_s: float) -> Outcome:
+        assert self._gyro is not None
+        since_ns = stamp_ns - self._gyro_ns
+        if since_ns > 0:
+            self._gyro_ns = stamp_ns
+            if since_ns <= self._gyro.max_gap_ns:
+                self._gyro_period_s = since_ns * 1e-9
+        self._filter.add_rate(stamp_ns, rate_rad_s, self._gyro.noise_variance / self._gyro_period_s)
+        return Outcome.USED
+
+    def _take_angle(self, stamp_ns: int, angle_rad: float) -> Outcome:
+        hidden_rad, turn_rad = 0.0, self._filter.turn_until(stamp_ns)
+        if stamp_ns > self._angle_ns:
+            self._angle_ns = stamp_ns
+            noise = None
+            if self._gyro is not None and stamp_ns - self._gyro_ns <= self._gyro.max_gap_ns:
+                noise = self._cabin_density2 + self._gyro.noise_variance, self._filter.bias_variance
+            hidden_rad = self._watch.hidden_turn(stamp_ns, angle_rad, turn_rad, noise)
+        if self._watch.is_frozen:
+            return Outcome.FROZEN
+        outcome = self._filter.add_angle(stamp_ns, angle_rad, self._model.variance + hidden_rad**2, turn_rad)
+        if outcome is Outcome.USED and stamp_ns > self._used_ns:
+            self._used_ns = stamp_ns
+        return outcome
+
+    def _judge_encoder(self, stamp_ns: int) -> EncoderState:
+        if not self._filter.is_known:
+            return EncoderState.ABSENT
+        is_frozen = self._watch.is_frozen
+        newest_ns = self._angle_ns if is_frozen else self._used_ns
+        if stamp_ns - newest_ns > self._model.max_age_ns:
+            return EncoderState.LATE
+        return EncoderState.FROZEN if is_frozen else EncoderState.OK

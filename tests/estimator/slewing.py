@@ -1,0 +1,241 @@
+"""A cabin that slews on a chassis whose motion is known, in closed form or by the simulator, and its perfect estimates.
+
+The estimates are the truth about the cabin's IMU, so that what is wrong with the chassis is the chassis' own error.
+"""
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import gtsam
+import numpy as np
+
+from holdfast.config.model import Config
+from holdfast.estimator.base import BaseKinematics
+from holdfast.messages import ImuSample, JointAngle
+from holdfast.sim.configuration import configuration
+from holdfast.sim.scenario import load_scenario
+from holdfast.sim.simulation import START_NS, simulate
+from holdfast.state import Estimate
+
+NO_BIAS = gtsam.imuBias.ConstantBias()
+NO_COVARIANCE = np.zeros((9, 9))
+AT_REST = np.array([0.0, 0.0, 9.81])
+
+# an axis that is not the z axis of B, through a point off the origin, and a cabin that sits askew at zero
+T_B_P = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.2, -0.3, 0.8), np.array([0.4, -0.2, 0.3]))
+T_P_C0 = gtsam.Pose3(gtsam.Rot3.RzRyRx(-0.1, 0.15, 0.5), np.array([0.1, 0.3, 1.15]))
+T_C_I = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.4, -0.7, 1.1), np.array([0.25, -0.35, 0.12]))
+T_B_BI = gtsam.Pose3(gtsam.Rot3.RzRyRx(1.2, 0.3, -0.5), np.array([0.4, 0.2, 0.75]))
+T_W_O = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.01, -0.02, 0.3), np.array([3.0, -2.0, 0.5]))
+
+
+def ns(t):
+    return START_NS + round(t * 1e9)
+
+
+def mount(parent, child, T):
+    rotation = tuple(tuple(row) for row in T.rotation().matrix().tolist())
+    return {"parent": parent, "child": child, "translation_m": T.translation().tolist(), "rotation_matrix": rotation}
+
+
+def machine(base_imu=True, imu=None, joint=None):
+    """Configuration of the machine askew; keyword arguments change its sections."""
+    sensors = {"imu": {"topic": "/imu", "motion_error_ratio": 0.0, **(imu or {})}}
+    sensors["joint"] = {"topic": "/joint", "noise_deg": 1e-3, **(joint or {})}
+    if base_imu:
+        sensors["base_imu"] = {"topic": "/base_imu"}
+    return Config.model_validate(
+        {
+            "sensors": sensors,
+            "extrinsics": [
+                mount("cabin", "imu", T_C_I),
+                mount("base_link", "ring", T_B_P),
+                mount("base_link", "base_imu", T_B_BI),
+            ],
+            "turn_joint": mount("ring", "cabin", T_P_C0),
+        }
+    )
+
+
+@dataclass(frozen=True)
+class Machine:
+    """The chassis moves with a constant twist in B: `omega` [rad/s] and `velocity` [m/s]; the cabin sways on it."""
+
+    omega: np.ndarray
+    velocity: np.ndarray
+    swing_rad: float = 1.5
+
+    def angle(self, t):
+        return self.swing_rad * np.sin(0.5 * t) + 0.3
+
+    def angle_rate(self, t):
+        return 0.5 * self.swing_rad * np.cos(0.5 * t)
+
+    def T_W_B(self, t):
+        return gtsam.Pose3.Expmap(np.concatenate([self.omega, self.velocity]) * t)
+
+    def T_W_I(self, t):
+        turned = gtsam.Pose3(gtsam.Rot3.Rz(self.angle(t)), np.zeros(3))
+        at_joint = T_B_P * gtsam.Pose3(gtsam.Rot3(), T_P_C0.translation())
+        return self.T_W_B(t) * at_joint * turned * gtsam.Pose3(T_P_C0.rotation(), np.zeros(3)) * T_C_I
+
+    def estimate(self, t, period_s=0.0):
+        """The truth about I, by differences of poses; the angular velocity is the mean over the period before."""
+        T, h = self.T_W_I(t), 1e-5
+        v_W = (self.T_W_I(t + h).translation() - self.T_W_I(t - h).translation()) / (2.0 * h)
+        a, b, width = (t - period_s, t, period_s) if period_s else (t - h, t + h, 2.0 * h)
+        rate = gtsam.Rot3.Logmap(self.T_W_I(a).rotation().between(self.T_W_I(b).rotation())) / width
+        nav = gtsam.NavState(T.rotation(), T.translation(), v_W)
+        return Estimate(ns(t), nav, T_W_O, NO_BIAS, NO_COVARIANCE, rate, True)
+
+    def reading(self, t, delay_s=0.004):
+        return JointAngle(ns(t), ns(t + delay_s), "joint", float(self.angle(t)))
+
+    def base_sample(self, t, delay_s=0.001, bias=0.0):
+        """What the base IMU says; the bias is about the axis of the joint."""
+        about = T_B_P.rotation().rotate(np.array([0.0, 0.0, bias]))
+        return ImuSample(ns(t), ns(t + delay_s), "base_imu", T_B_BI.rotation().unrotate(self.omega + about), AT_REST)
+
+
+class Listener:
+    """What `BaseKinematics` tells and counts."""
+
+    def __init__(self, config):
+        self.counts = Counter()
+        self.events = []
+        self.base = BaseKinematics(config, lambda *event: self.events.append(event), self._count)
+
+    def _count(self, sensor, outcome, number):
+        self.counts[sensor, str(outcome)] += number
+
+    def run(self, estimates, messages):
+        """Feed both in the order of arrival, an estimate arriving 1 ms after its stamp; return all states."""
+        rows = [(e.stamp_ns + 1_000_000, 0, e) for e in estimates] + [(m.arrival_ns, 1, m) for m in messages]
+        heard_ns, states = 0, []
+        for arrival_ns, _, row in sorted(rows, key=lambda row: row[:2]):
+            if isinstance(row, Estimate):
+                heard_ns = arrival_ns
+                states.append(self.base.at(row))
+            else:
+                self.base.add(row, heard_ns)
+        return states
+
+    def said(self):
+        """When the encoder's state changed to what: seconds and text."""
+        return [((stamp_ns - START_NS) * 1e-9, str(reason)) for _, stamp_ns, _, reason in self.events]
+
+
+SLEWS = [
+    {"stand_s": 2.0},
+    {"slew_to_deg": 200.0},
+    {"slew_to_deg": 0.0},
+    {"drive_to_m": [[4.0, 2.0], [7.0, 1.0]]},
+    {"slew_to_deg": 120.0},
+]
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What is wrong with the chassis at each estimate, (N, ...), the cabin's own error left out."""
+
+    times_s: np.ndarray
+    attitude_rad: np.ndarray
+    position_m: np.ndarray
+    rate_rad_s: np.ndarray
+    velocity_m_s: np.ndarray
+    angle_rad: np.ndarray
+    slew_rad_s: np.ndarray
+    states: list
+
+    def during(self, mask):
+        return replace(self, states=[], **{n: getattr(self, n)[mask] for n in self.__slots_of()})
+
+    def __slots_of(self):
+        return [name for name in self.__dataclass_fields__ if name != "states"]
+
+    def between(self, start_s, end_s):
+        return self.during((self.times_s >= start_s) & (self.times_s < end_s))
+
+
+def rms(errors):
+    """Root of the mean square; of vectors, of their norms."""
+    squares = errors**2 if errors.ndim == 1 else (errors**2).sum(axis=1)
+    return float(np.sqrt(squares.mean()))
+
+
+def slewing(*faults, **overrides):
+    """A scenario: 40 s of slewing at 0.6 rad/s, driving in between; the zero of the encoder is known."""
+    return load_scenario("quick", {"duration_s": 40.0, "activities": SLEWS, "faults": list(faults), **overrides})
+
+
+def messages_of(simulation, *names):
+    found = []
+    for name in names:
+        delivered = simulation.delivered[name]
+        values = delivered.readings.values
+        stamps = zip(delivered.stamps_ns.tolist(), delivered.arrivals_ns.tolist(), strict=True)
+        for row, (stamp, arrival) in enumerate(stamps):
+            if name == "joint":
+                found.append(JointAngle(stamp, arrival, name, float(values["angle_rad"][row])))
+            else:
+                found.append(
+                    ImuSample(stamp, arrival, name, values["angular_velocity"][row], values["specific_force"][row])
+                )
+    return found
+
+
+def calibrated(simulation, **joint):
+    """The configuration with the encoder's zero as a calibration finds it."""
+    config = configuration(simulation.scenario).model_dump(exclude_unset=True)
+    config["sensors"]["joint"] |= {"zero_offset_deg": float(-np.degrees(simulation.joint_bias_rad)), **joint}
+    return Config.model_validate(config)
+
+
+@lru_cache(maxsize=2)
+def _motion(simulation):
+    times_s = simulation.delivered["imu"].readings.times_s
+    return [simulation.motion.frame(frame, times_s) for frame in ("imu", "base_link")]
+
+
+def run_simulated(simulation, config=None, names=("base_imu", "joint")):
+    """Return the listener and the errors of the chassis, the estimates being the truth with the gyroscope's noise."""
+    cabin, chassis = _motion(simulation)
+    imu = simulation.delivered["imu"]
+    rates = imu.readings.values["angular_velocity"] - simulation.biases["imu"].gyroscope
+    means = np.vstack([rates[:1], 0.5 * (rates[1:] + rates[:-1])])
+    estimates = []
+    for row, stamp in enumerate(imu.stamps_ns.tolist()):
+        nav = gtsam.NavState(gtsam.Rot3(cabin.R_W_F[row]), cabin.p_W[row], cabin.v_W[row])
+        estimates.append(Estimate(stamp, nav, T_W_O, NO_BIAS, NO_COVARIANCE, means[row], True))
+    listener = Listener(config or calibrated(simulation))
+    states = listener.run(estimates, messages_of(simulation, *names))
+    known = [row for row, state in enumerate(states) if state is not None]
+    return listener, errors(simulation, imu.readings.times_s, chassis, [(row, states[row]) for row in known])
+
+
+def errors(simulation, times_s, chassis, states):
+    """Compare (row, state) with the true motion of the chassis at the rows."""
+    rows = np.array([row for row, _ in states])
+    found = [[], [], [], []]
+    for row, state in states:
+        truth = gtsam.Pose3(gtsam.Rot3(chassis.R_W_F[row]), chassis.p_W[row])
+        miss = truth.between(state.T_W_B)
+        found[0].append(gtsam.Rot3.Logmap(miss.rotation()))
+        found[1].append(miss.translation())
+        found[2].append(state.angular_velocity - chassis.angular_velocity[row])
+        found[3].append(state.velocity - chassis.R_W_F[row].T @ chassis.v_W[row])
+    angle, rate = simulation.motion.joint(times_s[rows])
+    angles = np.array([state.joint_angle_rad for _, state in states]) - angle
+    columns = [np.array(column) for column in found]
+    return Errors(times_s[rows], *columns, angles, np.abs(rate), [state for _, state in states])
+
+
+def fault(kind, sensor, start_s, end_s, **how):
+    return {"kind": kind, "sensors": [sensor], "start_s": start_s, "end_s": end_s, **how}
+
+
+@lru_cache(maxsize=8)
+def simulated(seed=1, faults=()):
+    """The slewing scenario; faults as tuples (kind, sensor, start, end)."""
+    return simulate(slewing(*(fault(*given) for given in faults)), seed)

@@ -1,0 +1,437 @@
+"""The chassis below a slewing cabin: known answers, the simulator's truth, and an encoder that fails."""
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from slewing import (
+    AT_REST,
+    T_W_O,
+    Listener,
+    Machine,
+    calibrated,
+    machine,
+    mount,
+    ns,
+    rms,
+    run_simulated,
+    simulated,
+)
+
+from holdfast.config.model import Config
+from holdfast.estimator.base import BaseGeometry
+from holdfast.messages import ImuSample, JointAngle
+from holdfast.sim.scenario import load_scenario
+from holdfast.sim.simulation import simulate
+from holdfast.state import BaseState, EncoderState
+
+DRIVING = Machine(np.array([0.05, -0.08, 0.3]), np.array([1.2, -0.1, 0.2]))
+TIMES = np.arange(0.0, 12.0, 0.01)
+MAX_ATTITUDE_DEG, MAX_POSITION_M, MAX_YAW_RATE_RAD_S = 0.1, 0.015, 0.005
+SLEWING_RAD_S = 0.3
+
+
+def estimates(motion, times=TIMES):
+    return [motion.estimate(t, 0.01) for t in times]
+
+
+def spoken(motion, times=TIMES, joint_s=0.004, base_s=0.001, bias=0.0):
+    """Encoder and base IMU at 100 Hz, measured 3 and 6 ms after the cabin's samples."""
+    return [motion.reading(t + 0.003, joint_s) for t in times] + [
+        motion.base_sample(t + 0.006, base_s, bias) for t in times
+    ]
+
+
+# --- geometry ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("t", [0.0, 1.3, 4.0, 7.7])
+def test_pose_and_twist_of_the_chassis_are_its_own_however_the_cabin_turns(t):
+    geometry, given = BaseGeometry(machine()), DRIVING.estimate(t)
+    angle, about = DRIVING.angle(t), DRIVING.omega @ axis_B()
+    velocity, angular_velocity = geometry.twist(given, geometry.cabin_rates(given), angle, about)
+    found = given.nav.pose() * geometry.T_I_B(angle)
+    np.testing.assert_allclose(found.matrix(), DRIVING.T_W_B(t).matrix(), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(velocity, DRIVING.velocity, rtol=0, atol=1e-8)  # differences of poses know no more
+    np.testing.assert_allclose(angular_velocity, DRIVING.omega, rtol=0, atol=1e-8)
+
+
+def axis_B():
+    from slewing import T_B_P
+
+    return T_B_P.rotation().matrix()[:, 2]
+
+
+def test_without_a_turn_joint_the_chassis_is_rigid_with_the_imu():
+    T_I_B = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.3, -0.2, 2.5), np.array([-1.1, 0.6, -1.7]))
+    config = Config.model_validate(
+        {"sensors": {"imu": {"topic": "/imu"}}, "extrinsics": [mount("imu", "base_link", T_I_B)]}
+    )
+    listener, h = Listener(config), 1e-5
+    for t in (0.0, 2.1):
+        (state,) = listener.run([DRIVING.estimate(t)], [DRIVING.reading(t)])
+        before, here, after = (DRIVING.T_W_I(x) * T_I_B for x in (t - h, t, t + h))
+        v_W = (after.translation() - before.translation()) / (2 * h)
+        rate = gtsam.Rot3.Logmap(before.rotation().between(after.rotation())) / (2 * h)
+        np.testing.assert_allclose(state.T_W_B.matrix(), here.matrix(), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(state.T_O_B.matrix(), (T_W_O.inverse() * here).matrix(), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(state.velocity, here.rotation().unrotate(v_W), rtol=0, atol=1e-8)
+        np.testing.assert_allclose(state.angular_velocity, rate, rtol=0, atol=1e-8)
+        assert (state.encoder, state.joint_rate_rad_s) == (None, 0.0)
+    assert listener.counts["joint", "ignored"] == 2
+    assert listener.events == []
+
+
+def test_velocity_in_the_odometry_frame_is_that_of_the_base_in_the_world_turned():
+    (state,) = Listener(machine()).run([DRIVING.estimate(0.0)], []) or [None]
+    assert state is None
+    last = Listener(machine()).run(estimates(DRIVING), spoken(DRIVING))[-1]
+    v_W = DRIVING.T_W_B(TIMES[-1]).rotation().rotate(DRIVING.velocity)
+    np.testing.assert_allclose(last.velocity_O, T_W_O.rotation().unrotate(v_W), rtol=0, atol=2e-3)
+
+
+def test_covariances_are_those_of_samples():
+    rng = np.random.default_rng(4)
+    A = rng.normal(size=(9, 9)) * np.repeat([1e-3, 0.02, 0.02], 3)[:, None]
+    P = A @ A.T / 9.0
+    geometry, t, sigmas = BaseGeometry(machine()), 2.0, (2e-3, 5e-3, 3e-3)
+    given, angle, about = replace(DRIVING.estimate(t), covariance=P), DRIVING.angle(t), DRIVING.omega @ axis_B()
+
+    def state(given, angle, about):
+        T_W_B = given.nav.pose() * geometry.T_I_B(angle)
+        twist = geometry.twist(given, geometry.cabin_rates(given), angle, about)
+        return BaseState(given.stamp_ns, T_W_B, T_W_B, *twist, angle, 0.0, sigmas[0], sigmas[1], EncoderState.OK)
+
+    mean, errors = state(given, angle, about), []
+    for _ in range(8000):
+        rate = given.angular_velocity + rng.normal(0.0, sigmas[2], 3)
+        nav = given.nav.retract(rng.multivariate_normal(np.zeros(9), P))
+        shifted = replace(given, nav=nav, angular_velocity=rate)
+        other = state(shifted, angle + rng.normal(0.0, sigmas[0]), about + rng.normal(0.0, sigmas[1]))
+        pose = gtsam.Pose3.Logmap(mean.T_W_B.between(other.T_W_B))
+        errors.append([*pose, *(other.angular_velocity - mean.angular_velocity), *(other.velocity - mean.velocity)])
+    found = np.cov(np.array(errors).T)
+    for block, expected in zip(
+        (slice(6), slice(6, 12)), geometry.covariances(given, mean, sigmas[2] ** 2), strict=True
+    ):
+        part = found[block, block]
+        # five standard deviations of what so many samples can tell
+        spread = np.sqrt((np.outer(np.diag(part), np.diag(part)) + part**2) / len(errors))
+        assert (abs(part - expected) < 5 * spread).all()
+
+
+# --- readings ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("joint_s", [0.0, 0.004, 0.05, 0.15])
+def test_a_reading_that_lags_is_carried_to_the_stamp_of_the_estimate(joint_s):
+    states = Listener(machine()).run(estimates(DRIVING), spoken(DRIVING, joint_s=joint_s))
+    late = [(t, state) for t, state in zip(TIMES, states, strict=True) if t > 6.0]
+    angles = np.array([state.joint_angle_rad - DRIVING.angle(t) for t, state in late])
+    # without carrying: 0.75 rad/s * 0.15 s = 0.11 rad
+    assert abs(angles).max() < 1e-3
+    for t, state in late[::50]:
+        miss = DRIVING.T_W_B(t).between(state.T_W_B)
+        assert np.linalg.norm(miss.translation()) < 2e-3
+        np.testing.assert_allclose(state.angular_velocity, DRIVING.omega, rtol=0, atol=MAX_YAW_RATE_RAD_S)
+        assert state.joint_rate_rad_s == pytest.approx(DRIVING.angle_rate(t), abs=MAX_YAW_RATE_RAD_S)
+
+
+def test_the_order_of_arrival_between_two_estimates_changes_nothing():
+    messages = spoken(DRIVING, TIMES[:300])
+    shuffled = []
+    for message in messages:  # all arrive with the next estimate, in another order
+        arrival = ((message.arrival_ns - ns(0.0)) // 10_000_000 + 1) * 10_000_000 + ns(0.0)
+        shuffled.append(replace(message, arrival_ns=arrival))
+    given = estimates(DRIVING, TIMES[:310])
+    once, twice = (Listener(machine()).run(given, order)[-1] for order in (shuffled, shuffled[::-1]))
+    assert once.joint_angle_rad == twice.joint_angle_rad
+    np.testing.assert_array_equal(once.T_W_B.matrix(), twice.T_W_B.matrix())
+    np.testing.assert_array_equal(once.angular_velocity, twice.angular_velocity)
+
+
+def test_an_encoder_that_wraps_reads_the_same_angle():
+    far = replace(DRIVING, swing_rad=5.0)
+    messages = spoken(far)
+    wrapped = [
+        replace(m, angle_rad=float(np.arctan2(np.sin(m.angle_rad), np.cos(m.angle_rad))))
+        if isinstance(m, JointAngle)
+        else m
+        for m in messages
+    ]
+    assert any(m.angle_rad != w.angle_rad for m, w in zip(messages, wrapped, strict=True) if isinstance(m, JointAngle))
+    plain, turned = (Listener(machine()).run(estimates(far), order)[-1] for order in (messages, wrapped))
+    assert turned.joint_angle_rad == pytest.approx(plain.joint_angle_rad, abs=1e-6)
+
+
+def test_the_bias_of_the_base_gyroscope_is_learnt_from_the_encoder():
+    bias = 0.02  # two sigmas of the default; 1.1 deg/s
+    listener = Listener(machine())
+    states = listener.run(estimates(DRIVING), spoken(DRIVING, bias=bias))
+    about = np.array([state.angular_velocity @ axis_B() for state in states[600:]])
+    assert abs(about - DRIVING.omega @ axis_B()).max() < MAX_YAW_RATE_RAD_S
+
+
+def test_every_reading_is_counted_under_what_became_of_it():
+    config = machine()
+    good = [*spoken(DRIVING, TIMES[10:50])]
+    rate, t = DRIVING.base_sample(0.2), 0.45
+    bad = [
+        JointAngle(ns(t), ns(t), "joint", float("nan")),
+        JointAngle(ns(0.203), ns(t), "joint", 0.5),  # a duplicate
+        JointAngle(ns(0.05), ns(t), "joint", 0.5),  # older than max_age_s
+        JointAngle(ns(t + 30.0), ns(t), "joint", 0.5),
+        JointAngle(ns(0.0), ns(-0.1), "joint", 0.5),  # before the first estimate
+        replace(rate, stamp_ns=ns(t), arrival_ns=ns(t), angular_velocity=np.array([0.0, np.nan, 0.0])),
+        ImuSample(ns(t), ns(t), "base_imu", np.array([0.0, 0.0, 36.0]), AT_REST),
+        ImuSample(ns(t), ns(t), "base_imu", np.zeros(3), np.array([0.0, 0.0, -161.0])),
+    ]
+    listener = Listener(config)
+    listener.run(estimates(DRIVING, TIMES[:60]), [*good, *bad])
+    assert listener.counts == {
+        ("joint", "used"): 40,
+        ("joint", "not_finite"): 1,
+        ("joint", "duplicate"): 1,
+        ("joint", "late"): 1,
+        ("joint", "clock_jump"): 1,
+        ("joint", "before_start"): 1,
+        ("base_imu", "used"): 40,
+        ("base_imu", "not_finite"): 1,
+        ("base_imu", "out_of_range"): 2,
+    }
+
+
+def test_one_wild_reading_is_refused_and_moves_nothing():
+    wild = JointAngle(ns(8.0005), ns(8.004), "joint", float(DRIVING.angle(8.0) + 0.5))
+    messages = spoken(DRIVING)
+    listener = Listener(machine())
+    states = listener.run(estimates(DRIVING), [*messages, wild])
+    clean = Listener(machine()).run(estimates(DRIVING), messages)
+    assert listener.counts["joint", "innovation"] == 1
+    assert abs(states[810].joint_angle_rad - clean[810].joint_angle_rad) < 1e-12
+
+
+@pytest.mark.parametrize(("base_imu", "after_s"), [(True, 5.0), (False, 0.2)])
+def test_an_encoder_with_a_new_zero_is_believed_in_the_end(base_imu, after_s):
+    still = Machine(np.zeros(3), np.zeros(3), swing_rad=0.0)
+    times = np.arange(0.0, 9.0, 0.01)
+    messages = [replace(m, angle_rad=m.angle_rad + 1.0) if m.stamp_ns > ns(2.0) else m for m in readings(still, times)]
+    messages += [still.base_sample(t + 0.006) for t in times] if base_imu else []
+    states = Listener(machine(base_imu=base_imu)).run(estimates(still, times), messages)
+    angles = np.array([state.joint_angle_rad for state in states[2:]])
+    moved_s = times[2:][abs(angles - 0.3) > 0.5][0]
+    assert moved_s == pytest.approx(2.0 + after_s, abs=0.05)
+    assert angles[-1] == pytest.approx(1.3, abs=1e-3)
+    assert EncoderState.LATE in {state.encoder for state in states[2:]}
+
+
+def readings(motion, times):
+    return [motion.reading(t + 0.003) for t in times]
+
+
+def test_a_clock_that_goes_back_begins_anew():
+    listener = Listener(machine())
+    listener.run(estimates(DRIVING), spoken(DRIVING))
+    earlier = TIMES[:200] - 100.0
+    states = listener.run(estimates(DRIVING, earlier), spoken(DRIVING, earlier))
+    assert states[0] is None
+    assert abs(states[-1].joint_angle_rad - DRIVING.angle(earlier[-1])) < 1e-3
+
+
+# --- the simulator's truth --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_chassis_stays_true_while_the_cabin_slews(seed):
+    listener, found = run_simulated(simulated(seed))
+    slews = found.during((found.slew_rad_s > SLEWING_RAD_S) & (found.times_s > 2.0))
+    assert len(slews.times_s) > 1500
+    assert np.degrees(rms(slews.attitude_rad)) <= MAX_ATTITUDE_DEG
+    assert rms(slews.position_m) <= MAX_POSITION_M
+    settled = found.between(2.0, 40.0)
+    for part in (slews, settled):
+        assert rms(part.rate_rad_s[:, 2]) <= MAX_YAW_RATE_RAD_S
+        # the cabin shakes on its mounts by 2.3e-3 rad/s and, on an arm of a metre, as many m/s
+        assert rms(part.rate_rad_s[:, :2]) <= MAX_YAW_RATE_RAD_S
+        assert rms(part.velocity_m_s) <= 0.01
+    assert [text for _, text in listener.said()] == ["ok"]
+    # before the base gyroscope has spoken, no reading can be carried on
+    assert listener.counts.pop(("joint", "late"), 0) <= 2
+    assert set(listener.counts) == {("joint", "used"), ("base_imu", "used")}
+
+
+def test_the_zero_offset_of_the_configuration_turns_the_chassis():
+    simulation = simulated(2)
+    _, right = run_simulated(simulation)
+    _, off = run_simulated(simulation, calibrated(simulation, zero_offset_deg=0.0))
+    assert rms(right.between(2.0, 40.0).angle_rad) < 0.5e-3
+    turned = off.between(2.0, 40.0).angle_rad.mean()
+    assert turned == pytest.approx(simulation.joint_bias_rad, abs=2e-4)  # the encoder's white noise
+    # what nobody can see is in the sigma: 2 mrad of the datasheet, which the truth obeys
+    assert off.states[-1].joint_angle_sigma_rad >= 2e-3
+    assert abs(turned) < 3 * off.states[-1].joint_angle_sigma_rad
+
+
+def test_the_sigmas_cover_the_errors():
+    found = [run_simulated(simulated(seed))[1] for seed in (1, 2, 3)]
+    for errors in found:
+        rate = np.array([state.turn_rate_sigma_rad_s for state in errors.states])
+        settled = errors.times_s > 2.0
+        ratio = rms(errors.rate_rad_s[settled, 2] / rate[settled])
+        assert 0.2 < ratio < 1.2  # the chassis turns less than the filter allows for
+        angle = np.sqrt(np.array([s.joint_angle_sigma_rad for s in errors.states]) ** 2 - 4e-6)
+        assert 0.4 < rms(errors.angle_rad[settled] / angle[settled]) < 1.6
+
+
+def test_without_a_base_imu_the_encoder_says_how_the_chassis_turns():
+    _, found = run_simulated(simulated(1), names=("joint",))
+    slews = found.during((found.slew_rad_s > SLEWING_RAD_S) & (found.times_s > 2.0))
+    assert np.degrees(rms(slews.attitude_rad)) <= MAX_ATTITUDE_DEG
+    # noise and steps of the encoder: 3e-4 rad, told apart from turning within about 15 ms
+    assert rms(found.between(2.0, 40.0).rate_rad_s[:, 2]) <= 0.02
+    assert rms(slews.rate_rad_s[:, 2]) <= 0.02
+
+
+# --- an encoder that fails --------------------------------------------------------------------------------------------
+
+SLEW_S = (5.0, 9.0)  # the cabin turns by 2.3 rad
+# scale errors of 5e-4 of two gyroscopes over 2.3 rad, and a bias known to 1e-4 rad/s: 1.7 mrad; three times that
+GYRO_ONLY_RAD = 5e-3
+
+
+@pytest.mark.parametrize(("kind", "text", "after_s"), [("freeze", "frozen", 0.1), ("silence", "late", 0.21)])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_angle_goes_on_by_the_gyroscopes_when_the_encoder_fails_and_says_so(kind, text, after_s, seed):
+    listener, found = run_simulated(simulated(seed, ((kind, "joint", *SLEW_S),)))
+    times, texts = zip(*listener.said(), strict=True)
+    assert texts == ("ok", text, "ok")
+    assert SLEW_S[0] < times[1] <= SLEW_S[0] + after_s
+    assert SLEW_S[1] < times[2] <= SLEW_S[1] + 0.1
+    assert abs(found.between(*SLEW_S).angle_rad).max() < GYRO_ONLY_RAD
+    assert rms(found.between(*SLEW_S).rate_rad_s[:, 2]) <= MAX_YAW_RATE_RAD_S
+    assert rms(found.between(SLEW_S[1] + 2.0, 40.0).angle_rad) < 0.5e-3
+    # an IMU-rate consumer of T_O_B sees no step: the bound of T_O_I
+    assert abs(np.diff(found.angle_rad)).max() < np.radians(0.02)
+    said = {state.encoder for state, t in zip(found.states, found.times_s, strict=True) if 5.3 < t < 9.0}
+    assert said == {EncoderState(text)}
+    growing = [state.joint_angle_sigma_rad for state in found.states]
+    rows = np.searchsorted(found.times_s, [5.3, 8.9])
+    assert growing[rows[1]] > growing[rows[0]]
+
+
+def test_a_frozen_encoder_is_found_out_before_it_has_pulled_the_chassis_along_with_a_slow_slew():
+    # it freezes while the machine stands; then the cabin starts to turn by 0.6 rad/s^2
+    listener, found = run_simulated(simulated(1, (("freeze", "joint", 1.5, 4.0),)))
+    assert [text for _, text in listener.said()] == ["ok", "frozen", "ok"]
+    assert abs(found.between(2.0, 4.0).angle_rad).max() < GYRO_ONLY_RAD
+
+
+def test_nothing_is_known_until_the_encoder_has_spoken_once():
+    listener, found = run_simulated(simulated(1, (("silence", "joint", 0.0, 3.0),)))
+    assert found.times_s[0] >= 3.0
+    assert listener.base.encoder is EncoderState.OK
+    absent = Listener(machine())
+    assert absent.run(estimates(DRIVING), [m for m in spoken(DRIVING) if m.sensor != "joint"]) == [None] * len(TIMES)
+    assert absent.base.encoder is EncoderState.ABSENT
+
+
+@pytest.mark.parametrize("step_rad", [1e-6, 6e-3, 0.02])
+def test_an_encoder_with_a_coarse_step_is_not_frozen(step_rad):
+    swaying = replace(DRIVING, swing_rad=0.3)
+    messages = [
+        replace(m, angle_rad=float(np.round(m.angle_rad / step_rad) * step_rad)) if isinstance(m, JointAngle) else m
+        for m in spoken(swaying)
+    ]
+    noise_deg = float(np.degrees(step_rad) / np.sqrt(12))
+    listener = Listener(machine(joint={"noise_deg": max(noise_deg, 1e-3)}))
+    states = listener.run(estimates(swaying), messages)
+    assert [text for _, text in listener.said()] == ["ok"]
+    errors = np.array([s.joint_angle_rad - swaying.angle(t) for s, t in zip(states[300:], TIMES[300:], strict=True)])
+    assert abs(errors).max() < max(step_rad, 1e-3)
+
+
+def test_without_encoder_and_base_imu_the_angle_is_said_to_be_unsure():
+    _, found = run_simulated(simulated(1, (("silence", "joint", *SLEW_S),)), names=("joint",))
+    rows = np.searchsorted(found.times_s, [4.9, 5.5, 8.9])
+    sigmas = [found.states[row].joint_angle_sigma_rad for row in rows]
+    assert sigmas[0] < 3e-3 < sigmas[1] < sigmas[2]
+    assert found.states[rows[2]].encoder is EncoderState.LATE
+    assert abs(found.angle_rad[rows[2]]) < 3 * sigmas[2]
+
+
+def test_a_gap_of_the_base_imu_leaves_the_angle_to_the_encoder():
+    listener, found = run_simulated(simulated(1, (("silence", "base_imu", *SLEW_S),)))
+    assert np.degrees(rms(found.between(*SLEW_S).attitude_rad)) <= MAX_ATTITUDE_DEG
+    assert rms(found.between(*SLEW_S).rate_rad_s[:, 2]) <= 0.02
+    assert rms(found.between(SLEW_S[1] + 0.5, 40.0).rate_rad_s[:, 2]) <= MAX_YAW_RATE_RAD_S
+    assert [text for _, text in listener.said()] == ["ok"]
+
+
+# --- the whole estimator ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def quick():
+    """The shipped scenario through the estimator: outputs with an estimate, by stamp."""
+    from slewing import messages_of
+
+    from holdfast.estimator.estimator import Estimator
+    from holdfast.messages import FixStatus, GnssFix
+
+    simulation = simulate(load_scenario("quick"), 1)
+    messages = messages_of(simulation, "imu", "base_imu", "joint")
+    for name in ("gnss", "gnss_right"):
+        delivered = simulation.delivered[name]
+        values = delivered.readings.values
+        for row, (stamp, arrival) in enumerate(
+            zip(delivered.stamps_ns.tolist(), delivered.arrivals_ns.tolist(), strict=True)
+        ):
+            point = simulation.world.to_geodetic(values["position"][row])
+            covariance = np.diag(values["sigma"][row] ** 2)
+            messages.append(GnssFix(stamp, arrival, name, *point, covariance, FixStatus.GBAS))
+    estimator = Estimator(calibrated(simulation))
+    outputs = [estimator.process(m) for m in sorted(messages, key=lambda m: (m.arrival_ns, m.sensor))]
+    return simulation, estimator, [output for output in outputs if output.estimate is not None]
+
+
+def test_the_estimator_gives_the_chassis_with_every_estimate_once_the_encoder_has_spoken(quick):
+    _, estimator, outputs = quick
+    without = [output for output in outputs if output.base is None]
+    assert len(without) <= 5
+    assert outputs[: len(without)] == without
+    assert all(output.base.stamp_ns == output.estimate.stamp_ns for output in outputs[len(without) :])
+    assert estimator.counts["base_imu", "used"] > 1500
+    assert estimator.counts["joint", "used"] > 1500
+    assert estimator.event_counts["encoder"] == 1
+
+
+def test_the_estimator_keeps_the_chassis_true_to_its_own_cabin(quick):
+    simulation, _, outputs = quick
+    times_s = simulation.delivered["imu"].readings.times_s
+    rows = dict(zip(simulation.delivered["imu"].stamps_ns.tolist(), range(len(times_s)), strict=True))
+    cabin, chassis = (simulation.motion.frame(frame, times_s) for frame in ("imu", "base_link"))
+    _, slew = simulation.motion.joint(times_s)
+    turns, shifts, rates = [], [], []
+    for output in outputs:
+        row = rows[output.estimate.stamp_ns]
+        if output.base is None or times_s[row] < 2.0:
+            continue
+        T_W_I, T_W_B = (gtsam.Pose3(gtsam.Rot3(m.R_W_F[row]), m.p_W[row]) for m in (cabin, chassis))
+        T_O_I = output.estimate.T_W_O.inverse() * output.estimate.nav.pose()
+        miss = T_W_I.between(T_W_B).between(T_O_I.between(output.base.T_O_B))
+        rates.append(output.base.angular_velocity[2] - chassis.angular_velocity[row, 2])
+        if abs(slew[row]) > SLEWING_RAD_S:
+            turns.append(gtsam.Rot3.Logmap(miss.rotation()))
+            shifts.append(miss.translation())
+    assert len(turns) > 300
+    assert np.degrees(rms(np.array(turns))) <= MAX_ATTITUDE_DEG
+    assert rms(np.array(shifts)) <= MAX_POSITION_M
+    assert rms(np.array(rates)) <= MAX_YAW_RATE_RAD_S
+
+
+def test_the_base_imu_is_no_second_imu_of_the_cabin(quick):
+    _, estimator, outputs = quick
+    assert estimator.counts["imu", "used"] == 2000
+    stamps = [output.estimate.stamp_ns for output in outputs]
+    assert (np.diff(stamps) == 10_000_000).all()
