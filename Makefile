@@ -14,10 +14,10 @@ export OMP_NUM_THREADS := 1
 export MPLBACKEND := Agg
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check lint bench results clean
+.PHONY: help demo test check lint bench results scenarios clean
 
 help: ## Show this list
-	@sed -n 's/^\([a-z]*\):.*## /\1: /p' Makefile | awk -F': ' '{ printf "  make %-8s %s\n", $$1, $$2 }'
+	@sed -n 's/^\([a-z]*\):.*## /\1: /p' Makefile | awk -F': ' '{ printf "  make %-9s %s\n", $$1, $$2 }'
 
 demo: $(READY) ## Estimate a real drive, draw it and print how far it is from the reference
 	@$(BIN)/holdfast demo
@@ -39,6 +39,9 @@ bench: $(READY) ## Measure speed on this machine
 
 results: $(READY) ## Run the real drives and print their accuracy
 	@$(BIN)/python benchmarks/real_drives.py
+
+scenarios: $(READY) ## Run the simulated scenarios with ten seeds each and print the tables (long)
+	@$(BIN)/python benchmarks/scenarios.py
 
 clean: ## Remove the virtual environment and the caches, not the results
 	@rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

@@ -62,6 +62,7 @@ class EventKind(StrEnum):
     RECOVERY_REFUSED = "recovery_refused"
     LIDAR_JUMP = "lidar_jump"
     LIDAR_SLIP = "lidar_slip"
+    HEALTH = "health"
     OPTIMISER_FAULT = "optimiser_fault"
     ENCODER = "encoder"
 

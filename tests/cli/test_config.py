@@ -84,6 +84,7 @@ def test_check_shows_what_a_good_file_comes_to(run: Run, tmp_path: Path) -> None
         "  heading  /heading  -      -",
         "  joint    /joints   -      -",
         "  publishes map -> odom, datum: 47.5, 8.5, 480.0",
+        "warning: sensors.joint: is not used, because there is no turn_joint",
     ]
 
 

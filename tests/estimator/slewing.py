@@ -4,7 +4,7 @@ The estimates are the truth about the cabin's IMU, so that what is wrong with th
 """
 
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
 import gtsam
@@ -98,6 +98,22 @@ class Machine:
         return ImuSample(ns(t), ns(t + delay_s), "base_imu", T_B_BI.rotation().unrotate(self.omega + about), AT_REST)
 
 
+DRIVING = Machine(np.array([0.05, -0.08, 0.3]), np.array([1.2, -0.1, 0.2]))
+TIMES = np.arange(0.0, 12.0, 0.01)
+MAX_ATTITUDE_DEG, MAX_POSITION_M, MAX_YAW_RATE_RAD_S = 0.1, 0.015, 0.005
+
+
+def estimates(motion, times=TIMES):
+    return [motion.estimate(t, 0.01) for t in times]
+
+
+def spoken(motion, times=TIMES, joint_s=0.004, base_s=0.001, bias=0.0):
+    """Encoder and base IMU at 100 Hz, measured 3 and 6 ms after the cabin's samples."""
+    return [motion.reading(t + 0.003, joint_s) for t in times] + [
+        motion.base_sample(t + 0.006, base_s, bias) for t in times
+    ]
+
+
 class Listener:
     """What `BaseKinematics` tells and counts."""
 
@@ -149,10 +165,8 @@ class Errors:
     states: list
 
     def during(self, mask):
-        return replace(self, states=[], **{n: getattr(self, n)[mask] for n in self.__slots_of()})
-
-    def __slots_of(self):
-        return [name for name in self.__dataclass_fields__ if name != "states"]
+        columns = {field.name: getattr(self, field.name)[mask] for field in fields(self) if field.name != "states"}
+        return replace(self, states=[], **columns)
 
     def between(self, start_s, end_s):
         return self.during((self.times_s >= start_s) & (self.times_s < end_s))

@@ -7,40 +7,36 @@ import numpy as np
 import pytest
 from slewing import (
     AT_REST,
+    DRIVING,
+    MAX_ATTITUDE_DEG,
+    MAX_POSITION_M,
+    MAX_YAW_RATE_RAD_S,
+    T_B_P,
     T_W_O,
+    TIMES,
     Listener,
-    Machine,
     calibrated,
+    estimates,
     machine,
+    messages_of,
     mount,
     ns,
     rms,
     run_simulated,
     simulated,
+    spoken,
 )
 
 from holdfast.config.model import Config
 from holdfast.estimator.base import BaseGeometry
-from holdfast.messages import ImuSample, JointAngle
+from holdfast.estimator.estimator import Estimator
+from holdfast.messages import FixStatus, GnssFix, ImuSample, JointAngle
 from holdfast.sim.scenario import load_scenario
 from holdfast.sim.simulation import simulate
 from holdfast.state import BaseState, EncoderState
 
-DRIVING = Machine(np.array([0.05, -0.08, 0.3]), np.array([1.2, -0.1, 0.2]))
-TIMES = np.arange(0.0, 12.0, 0.01)
-MAX_ATTITUDE_DEG, MAX_POSITION_M, MAX_YAW_RATE_RAD_S = 0.1, 0.015, 0.005
+AXIS = T_B_P.rotation().matrix()[:, 2]  # of the joint, in B
 SLEWING_RAD_S = 0.3
-
-
-def estimates(motion, times=TIMES):
-    return [motion.estimate(t, 0.01) for t in times]
-
-
-def spoken(motion, times=TIMES, joint_s=0.004, base_s=0.001, bias=0.0):
-    """Encoder and base IMU at 100 Hz, measured 3 and 6 ms after the cabin's samples."""
-    return [motion.reading(t + 0.003, joint_s) for t in times] + [
-        motion.base_sample(t + 0.006, base_s, bias) for t in times
-    ]
 
 
 # --- geometry ---------------------------------------------------------------------------------------------------------
@@ -49,18 +45,12 @@ def spoken(motion, times=TIMES, joint_s=0.004, base_s=0.001, bias=0.0):
 @pytest.mark.parametrize("t", [0.0, 1.3, 4.0, 7.7])
 def test_pose_and_twist_of_the_chassis_are_its_own_however_the_cabin_turns(t):
     geometry, given = BaseGeometry(machine()), DRIVING.estimate(t)
-    angle, about = DRIVING.angle(t), DRIVING.omega @ axis_B()
+    angle, about = DRIVING.angle(t), DRIVING.omega @ AXIS
     velocity, angular_velocity = geometry.twist(given, geometry.cabin_rates(given), angle, about)
     found = given.nav.pose() * geometry.T_I_B(angle)
     np.testing.assert_allclose(found.matrix(), DRIVING.T_W_B(t).matrix(), rtol=0, atol=1e-12)
     np.testing.assert_allclose(velocity, DRIVING.velocity, rtol=0, atol=1e-8)  # differences of poses know no more
     np.testing.assert_allclose(angular_velocity, DRIVING.omega, rtol=0, atol=1e-8)
-
-
-def axis_B():
-    from slewing import T_B_P
-
-    return T_B_P.rotation().matrix()[:, 2]
 
 
 def test_without_a_turn_joint_the_chassis_is_rigid_with_the_imu():
@@ -84,8 +74,6 @@ def test_without_a_turn_joint_the_chassis_is_rigid_with_the_imu():
 
 
 def test_velocity_in_the_odometry_frame_is_that_of_the_base_in_the_world_turned():
-    (state,) = Listener(machine()).run([DRIVING.estimate(0.0)], []) or [None]
-    assert state is None
     last = Listener(machine()).run(estimates(DRIVING), spoken(DRIVING))[-1]
     v_W = DRIVING.T_W_B(TIMES[-1]).rotation().rotate(DRIVING.velocity)
     np.testing.assert_allclose(last.velocity_O, T_W_O.rotation().unrotate(v_W), rtol=0, atol=2e-3)
@@ -93,10 +81,10 @@ def test_velocity_in_the_odometry_frame_is_that_of_the_base_in_the_world_turned(
 
 def test_covariances_are_those_of_samples():
     rng = np.random.default_rng(4)
-    A = rng.normal(size=(9, 9)) * np.repeat([1e-3, 0.02, 0.02], 3)[:, None]
+    A = rng.normal(size=(9, 9)) * np.repeat([1e-3, 2e-3, 2e-3], 3)[:, None]
     P = A @ A.T / 9.0
-    geometry, t, sigmas = BaseGeometry(machine()), 2.0, (2e-3, 5e-3, 3e-3)
-    given, angle, about = replace(DRIVING.estimate(t), covariance=P), DRIVING.angle(t), DRIVING.omega @ axis_B()
+    geometry, t, sigmas = BaseGeometry(machine()), 2.0, (5e-3, 5e-3, 3e-3)
+    given, angle, about = replace(DRIVING.estimate(t), covariance=P), DRIVING.angle(t), DRIVING.omega @ AXIS
 
     def state(given, angle, about):
         T_W_B = given.nav.pose() * geometry.T_I_B(angle)
@@ -104,7 +92,7 @@ def test_covariances_are_those_of_samples():
         return BaseState(given.stamp_ns, T_W_B, T_W_B, *twist, angle, 0.0, sigmas[0], sigmas[1], EncoderState.OK)
 
     mean, errors = state(given, angle, about), []
-    for _ in range(8000):
+    for _ in range(4000):
         rate = given.angular_velocity + rng.normal(0.0, sigmas[2], 3)
         nav = given.nav.retract(rng.multivariate_normal(np.zeros(9), P))
         shifted = replace(given, nav=nav, angular_velocity=rate)
@@ -161,16 +149,39 @@ def test_an_encoder_that_wraps_reads_the_same_angle():
         for m in messages
     ]
     assert any(m.angle_rad != w.angle_rad for m, w in zip(messages, wrapped, strict=True) if isinstance(m, JointAngle))
-    plain, turned = (Listener(machine()).run(estimates(far), order)[-1] for order in (messages, wrapped))
+    listeners = Listener(machine()), Listener(machine())
+    orders = zip(listeners, (messages, wrapped), strict=True)
+    plain, turned = (listener.run(estimates(far), order)[-1] for listener, order in orders)
     assert turned.joint_angle_rad == pytest.approx(plain.joint_angle_rad, abs=1e-6)
+    assert listeners[0].counts == listeners[1].counts
+    assert ("joint", "innovation") not in listeners[1].counts
+
+
+def test_the_encoder_leads_across_a_gap_of_the_cabins_imu():
+    messages = spoken(DRIVING)
+    given = []
+    for t in TIMES:
+        gap_s = t - 6.0
+        if 0.0 < gap_s < 0.995:
+            continue  # then one estimate with the rate of before: the cabin turned by 0.4 rad less than it says
+        is_first = 0.0 < gap_s < 1.005
+        estimate = DRIVING.estimate(t, 0.01)
+        stale = DRIVING.estimate(3.0, 0.01).angular_velocity * -1.0
+        given.append(replace(estimate, angular_velocity=stale, from_imu=False) if is_first else estimate)
+    listener = Listener(machine())
+    states = listener.run(given, messages)
+    after = [state for state in states[5:] if state.stamp_ns > ns(6.5)]
+    angles = np.array([state.joint_angle_rad - DRIVING.angle((state.stamp_ns - ns(0.0)) * 1e-9) for state in after])
+    assert abs(angles).max() < 3e-3
+    assert ("joint", "innovation") not in listener.counts
 
 
 def test_the_bias_of_the_base_gyroscope_is_learnt_from_the_encoder():
     bias = 0.02  # two sigmas of the default; 1.1 deg/s
     listener = Listener(machine())
     states = listener.run(estimates(DRIVING), spoken(DRIVING, bias=bias))
-    about = np.array([state.angular_velocity @ axis_B() for state in states[600:]])
-    assert abs(about - DRIVING.omega @ axis_B()).max() < MAX_YAW_RATE_RAD_S
+    about = np.array([state.angular_velocity @ AXIS for state in states[600:]])
+    assert abs(about - DRIVING.omega @ AXIS).max() < MAX_YAW_RATE_RAD_S
 
 
 def test_every_reading_is_counted_under_what_became_of_it():
@@ -200,34 +211,6 @@ def test_every_reading_is_counted_under_what_became_of_it():
         ("base_imu", "not_finite"): 1,
         ("base_imu", "out_of_range"): 2,
     }
-
-
-def test_one_wild_reading_is_refused_and_moves_nothing():
-    wild = JointAngle(ns(8.0005), ns(8.004), "joint", float(DRIVING.angle(8.0) + 0.5))
-    messages = spoken(DRIVING)
-    listener = Listener(machine())
-    states = listener.run(estimates(DRIVING), [*messages, wild])
-    clean = Listener(machine()).run(estimates(DRIVING), messages)
-    assert listener.counts["joint", "innovation"] == 1
-    assert abs(states[810].joint_angle_rad - clean[810].joint_angle_rad) < 1e-12
-
-
-@pytest.mark.parametrize(("base_imu", "after_s"), [(True, 5.0), (False, 0.2)])
-def test_an_encoder_with_a_new_zero_is_believed_in_the_end(base_imu, after_s):
-    still = Machine(np.zeros(3), np.zeros(3), swing_rad=0.0)
-    times = np.arange(0.0, 9.0, 0.01)
-    messages = [replace(m, angle_rad=m.angle_rad + 1.0) if m.stamp_ns > ns(2.0) else m for m in readings(still, times)]
-    messages += [still.base_sample(t + 0.006) for t in times] if base_imu else []
-    states = Listener(machine(base_imu=base_imu)).run(estimates(still, times), messages)
-    angles = np.array([state.joint_angle_rad for state in states[2:]])
-    moved_s = times[2:][abs(angles - 0.3) > 0.5][0]
-    assert moved_s == pytest.approx(2.0 + after_s, abs=0.05)
-    assert angles[-1] == pytest.approx(1.3, abs=1e-3)
-    assert EncoderState.LATE in {state.encoder for state in states[2:]}
-
-
-def readings(motion, times):
-    return [motion.reading(t + 0.003) for t in times]
 
 
 def test_a_clock_that_goes_back_begins_anew():
@@ -274,8 +257,8 @@ def test_the_zero_offset_of_the_configuration_turns_the_chassis():
 
 
 def test_the_sigmas_cover_the_errors():
-    found = [run_simulated(simulated(seed))[1] for seed in (1, 2, 3)]
-    for errors in found:
+    for seed in (1, 2):
+        _, errors = run_simulated(simulated(seed))
         rate = np.array([state.turn_rate_sigma_rad_s for state in errors.states])
         settled = errors.times_s > 2.0
         ratio = rms(errors.rate_rad_s[settled, 2] / rate[settled])
@@ -293,92 +276,12 @@ def test_without_a_base_imu_the_encoder_says_how_the_chassis_turns():
     assert rms(slews.rate_rad_s[:, 2]) <= 0.02
 
 
-# --- an encoder that fails --------------------------------------------------------------------------------------------
-
-SLEW_S = (5.0, 9.0)  # the cabin turns by 2.3 rad
-# scale errors of 5e-4 of two gyroscopes over 2.3 rad, and a bias known to 1e-4 rad/s: 1.7 mrad; three times that
-GYRO_ONLY_RAD = 5e-3
-
-
-@pytest.mark.parametrize(("kind", "text", "after_s"), [("freeze", "frozen", 0.1), ("silence", "late", 0.21)])
-@pytest.mark.parametrize("seed", [1, 2])
-def test_the_angle_goes_on_by_the_gyroscopes_when_the_encoder_fails_and_says_so(kind, text, after_s, seed):
-    listener, found = run_simulated(simulated(seed, ((kind, "joint", *SLEW_S),)))
-    times, texts = zip(*listener.said(), strict=True)
-    assert texts == ("ok", text, "ok")
-    assert SLEW_S[0] < times[1] <= SLEW_S[0] + after_s
-    assert SLEW_S[1] < times[2] <= SLEW_S[1] + 0.1
-    assert abs(found.between(*SLEW_S).angle_rad).max() < GYRO_ONLY_RAD
-    assert rms(found.between(*SLEW_S).rate_rad_s[:, 2]) <= MAX_YAW_RATE_RAD_S
-    assert rms(found.between(SLEW_S[1] + 2.0, 40.0).angle_rad) < 0.5e-3
-    # an IMU-rate consumer of T_O_B sees no step: the bound of T_O_I
-    assert abs(np.diff(found.angle_rad)).max() < np.radians(0.02)
-    said = {state.encoder for state, t in zip(found.states, found.times_s, strict=True) if 5.3 < t < 9.0}
-    assert said == {EncoderState(text)}
-    growing = [state.joint_angle_sigma_rad for state in found.states]
-    rows = np.searchsorted(found.times_s, [5.3, 8.9])
-    assert growing[rows[1]] > growing[rows[0]]
-
-
-def test_a_frozen_encoder_is_found_out_before_it_has_pulled_the_chassis_along_with_a_slow_slew():
-    # it freezes while the machine stands; then the cabin starts to turn by 0.6 rad/s^2
-    listener, found = run_simulated(simulated(1, (("freeze", "joint", 1.5, 4.0),)))
-    assert [text for _, text in listener.said()] == ["ok", "frozen", "ok"]
-    assert abs(found.between(2.0, 4.0).angle_rad).max() < GYRO_ONLY_RAD
-
-
-def test_nothing_is_known_until_the_encoder_has_spoken_once():
-    listener, found = run_simulated(simulated(1, (("silence", "joint", 0.0, 3.0),)))
-    assert found.times_s[0] >= 3.0
-    assert listener.base.encoder is EncoderState.OK
-    absent = Listener(machine())
-    assert absent.run(estimates(DRIVING), [m for m in spoken(DRIVING) if m.sensor != "joint"]) == [None] * len(TIMES)
-    assert absent.base.encoder is EncoderState.ABSENT
-
-
-@pytest.mark.parametrize("step_rad", [1e-6, 6e-3, 0.02])
-def test_an_encoder_with_a_coarse_step_is_not_frozen(step_rad):
-    swaying = replace(DRIVING, swing_rad=0.3)
-    messages = [
-        replace(m, angle_rad=float(np.round(m.angle_rad / step_rad) * step_rad)) if isinstance(m, JointAngle) else m
-        for m in spoken(swaying)
-    ]
-    noise_deg = float(np.degrees(step_rad) / np.sqrt(12))
-    listener = Listener(machine(joint={"noise_deg": max(noise_deg, 1e-3)}))
-    states = listener.run(estimates(swaying), messages)
-    assert [text for _, text in listener.said()] == ["ok"]
-    errors = np.array([s.joint_angle_rad - swaying.angle(t) for s, t in zip(states[300:], TIMES[300:], strict=True)])
-    assert abs(errors).max() < max(step_rad, 1e-3)
-
-
-def test_without_encoder_and_base_imu_the_angle_is_said_to_be_unsure():
-    _, found = run_simulated(simulated(1, (("silence", "joint", *SLEW_S),)), names=("joint",))
-    rows = np.searchsorted(found.times_s, [4.9, 5.5, 8.9])
-    sigmas = [found.states[row].joint_angle_sigma_rad for row in rows]
-    assert sigmas[0] < 3e-3 < sigmas[1] < sigmas[2]
-    assert found.states[rows[2]].encoder is EncoderState.LATE
-    assert abs(found.angle_rad[rows[2]]) < 3 * sigmas[2]
-
-
-def test_a_gap_of_the_base_imu_leaves_the_angle_to_the_encoder():
-    listener, found = run_simulated(simulated(1, (("silence", "base_imu", *SLEW_S),)))
-    assert np.degrees(rms(found.between(*SLEW_S).attitude_rad)) <= MAX_ATTITUDE_DEG
-    assert rms(found.between(*SLEW_S).rate_rad_s[:, 2]) <= 0.02
-    assert rms(found.between(SLEW_S[1] + 0.5, 40.0).rate_rad_s[:, 2]) <= MAX_YAW_RATE_RAD_S
-    assert [text for _, text in listener.said()] == ["ok"]
-
-
 # --- the whole estimator ----------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def quick():
     """The shipped scenario through the estimator: outputs with an estimate, by stamp."""
-    from slewing import messages_of
-
-    from holdfast.estimator.estimator import Estimator
-    from holdfast.messages import FixStatus, GnssFix
-
     simulation = simulate(load_scenario("quick"), 1)
     messages = messages_of(simulation, "imu", "base_imu", "joint")
     for name in ("gnss", "gnss_right"):

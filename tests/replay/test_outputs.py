@@ -195,10 +195,14 @@ def test_twist_is_in_the_body(replayed):
 def test_diagnostics_come_once_a_second_and_count(replayed):
     found = messages(replayed, "/diagnostics")
     assert abs(len(found) - SECONDS) <= 1
-    final = {value.key: int(value.value) for value in found[-1][1].status[0].values}
+    status = found[-1][1].status[0]
+    assert status.message == "nominal" and status.level == 0
+    told = {value.key: value.value for value in status.values}
+    assert told["fused"].split()[0] == "imu"
+    final = {key: int(value) for key, value in told.items() if key.startswith("imu ")}
     counts = summary(replayed)["counts"]
     assert 0.9 * counts["imu"]["used"] < final["imu used"] <= counts["imu"]["used"]
-    assert found[-1][1].status[0].message == "running"
+    assert found[-1][1].status[0].message == "nominal"
     assert found[-1][1].status[0].level in (0, b"\x00")
 
 

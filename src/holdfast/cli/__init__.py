@@ -15,7 +15,9 @@ COMMANDS = {
     "config": ("holdfast.cli.config", "Start, check and describe configuration files."),
     "evaluate": ("holdfast.cli.evaluate", "Judge a trajectory against a reference."),
     "simulate": ("holdfast.cli.simulate", "Simulate a machine on a site; its truth is known."),
+    "lidar-odometry": ("holdfast.cli.lidar_odometry", "Turn the point clouds of a recording into poses."),
     "demo": ("holdfast.cli.demo", "Estimate 3.7 km of real driving; needs no download."),
+    "ablate": ("holdfast.cli.ablate", "Measure on a scenario what each part is worth."),
     "bench": ("holdfast.cli.bench", "Measure speed on this machine."),
 }
 
@@ -31,7 +33,7 @@ class LazyGroup(click.Group):
         """Import the module of one command and return the command."""
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = getattr(import_module(COMMANDS[cmd_name][0]), cmd_name)
+        command: click.Command = getattr(import_module(COMMANDS[cmd_name][0]), cmd_name.replace("-", "_"))
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 from holdfast.config.document import Document, Path, raise_faults, read_document, value_text, yaml_text
 from holdfast.config.faults import note_validation_error
 from holdfast.config.model import Config
+from holdfast.config.presets import with_preset
 from holdfast.config.schema import Place, is_optional
 from holdfast.config.units import conversion
 from holdfast.errors import ConfigError
@@ -34,7 +35,9 @@ def parse_config(text: str, name: str = "config") -> Config:
     Raises:
         ConfigError: the text holds mistakes, one line each.
     """
-    return validate(read_document(text, name), Config)
+    document = read_document(text, name)
+    document.data = with_preset(document.data)
+    return validate(document, Config)
 
 
 def read_yaml(path: str | PathLike[str], remedy: str) -> str:

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from holdfast.config.frame_tree import Link, poses_from
 from holdfast.messages import Array
 
 
@@ -45,7 +46,7 @@ class ImuConfig(Section):
     accelerometer_random_walk: float = quantity("m/s^3/sqrt(Hz)", 1e-4, gt=0, le=1, doc="drift of the bias")
     gyroscope_random_walk: float = quantity("rad/s^2/sqrt(Hz)", 1e-5, gt=0, le=1, doc="drift of the bias")
     motion_error_ratio: float = quantity(
-        "1", 0.02, ge=0, le=0.2, doc="error in proportion to the motion: scale factor, misalignment, sampling"
+        "1", 0.005, ge=0, le=0.2, doc="error in proportion to the motion: scale factor, misalignment, sampling"
     )
     accelerometer_bias_sigma: float = quantity("m/s^2", 0.1, gt=0, le=5, doc="bias at power-on, from the datasheet")
     gyroscope_bias_sigma: float = quantity("rad/s", 0.01, gt=0, le=1, doc="bias at power-on, from the datasheet")
@@ -90,9 +91,9 @@ class LidarConfig(Section):
     time_offset_s: float = quantity("s", 0.0, ge=-10, le=10, doc="added to every stamp of this sensor")
     translation_sigma_m: float = quantity("m", 0.02, gt=0, doc="noise of the motion between two scans, per axis")
     rotation_sigma_rad: float = quantity("rad", 0.002, gt=0, doc="noise of the turn between two scans, per axis")
-    drift_m_per_sqrt_m: float = quantity("m/sqrt(m)", 0.02, ge=0, le=10, doc="random walk of the position, per way")
-    drift_rad_per_sqrt_m: float = quantity("rad/sqrt(m)", 5e-4, ge=0, le=1, doc="random walk of the attitude, per way")
-    drift_rad_per_sqrt_rad: float = quantity("sqrt(rad)", 1e-3, ge=0, le=1, doc="random walk of the attitude, per turn")
+    drift_m_per_sqrt_m: float = quantity("m/sqrt(m)", 0.05, ge=0, le=10, doc="random walk of the position, per way")
+    drift_rad_per_sqrt_m: float = quantity("rad/sqrt(m)", 1e-3, ge=0, le=1, doc="random walk of the attitude, per way")
+    drift_rad_per_sqrt_rad: float = quantity("sqrt(rad)", 5e-3, ge=0, le=1, doc="random walk of the attitude, per turn")
     max_interval_s: float = quantity("s", 1.0, gt=0, le=10, doc="scans further apart are not joined")
     jump_sigma: float = quantity(
         "sigma", 8.0, gt=3, doc="a motion further from that of the IMU is a jump of the odometry"
@@ -122,6 +123,10 @@ class JointConfig(Section):
     topic: Topic
     joint_name: str | None = Field(None, description="name in JointState; needed if the message has several joints")
     time_offset_s: float = quantity("s", 0.0, ge=-10, le=10, doc="added to every stamp of this sensor")
+    zero_offset_deg: float = quantity("deg", 0.0, ge=-360, le=360, doc="added to every angle")
+    zero_offset_sigma_deg: float = quantity("deg", 0.1, gt=0, le=180, doc="trust in zero_offset_deg")
+    noise_deg: float = quantity("deg", 0.02, gt=0, le=10, doc="noise of a reading, rounding to its resolution included")
+    max_age_s: float = quantity("s", 0.2, gt=0, le=10, doc="older readings are late: not used, and their absence said")
 
 
 class SensorsConfig(Section):
@@ -133,6 +138,15 @@ class SensorsConfig(Section):
     lidar: LidarConfig | None = None
     heading: HeadingConfig | None = None
     joint: JointConfig | None = None
+    base_imu: ImuConfig | None = Field(
+        None, description="IMU of the chassis, in frame `base_imu` if not said; of its noise the gyroscope's is used"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _name_base_frame(cls, data: Any) -> Any:
+        base_imu = data.get("base_imu") if isinstance(data, dict) else None
+        return {**data, "base_imu": {"frame": "base_imu", **base_imu}} if isinstance(base_imu, dict) else data
 
     def antennas(self) -> dict[str, GnssConfig]:
         """Return the configured GNSS antennas by sensor name, the left one first."""
@@ -194,6 +208,13 @@ class Extrinsic(Section):
         T[:3, :3] = U @ Vt
         T[:3, 3] = self.translation_m
         return T
+
+
+class TurnJointConfig(Extrinsic):
+    """How the cabin sits on the chassis while the turn joint reads zero; it turns about the z axis of `parent`."""
+
+    parent: str = Field("base_link", description="frame on the side of the chassis: its z axis is that of the joint")
+    child: str = Field(description="frame on the side of the cabin, its origin on the axis")
 
 
 class Datum(Section):
@@ -281,7 +302,9 @@ class FramesConfig(Section):
 
     world: str = Field("map", description="W: east, north, up at the datum")
     odometry: str = Field("odom", description="O: continuous, never jumps")
-    base: str = Field("base_link", description="B: the chassis; published if `extrinsics` join it to the IMU")
+    base: str = Field(
+        "base_link", description="B: the chassis; published if `extrinsics` or `turn_joint` join it to the IMU"
+    )
     odometry_policy: Literal["always", "at_recovery"] = Field(
         "always", description="T_W_O takes every correction, or (the paper) only the one at the recovery of GNSS"
     )
@@ -292,8 +315,10 @@ class FramesConfig(Section):
 class Config(Section):
     """The whole configuration."""
 
+    preset: Literal["holdfast", "paper"] = Field("holdfast", description="whose defaults: ours, or the paper's rules")
     sensors: SensorsConfig
     extrinsics: tuple[Extrinsic, ...] = ()
+    turn_joint: TurnJointConfig | None = Field(None, description="where the cabin turns on the chassis")
     frames: FramesConfig = FramesConfig()
     initialisation: InitialisationConfig = InitialisationConfig()
     graph: GraphConfig = GraphConfig()
@@ -315,42 +340,60 @@ class Config(Section):
         left, right = self.sensors.gnss, self.sensors.gnss_right
         if left is not None and right is not None and left.frame == right.frame:
             faults.append("sensors.gnss_right.frame: two antennas cannot share one frame")
+        faults += self._faults_of_chassis()
         if faults:
             raise ValueError("\n".join(faults))
         return self
 
-    def reaches(self, frame: str) -> bool:
-        """Whether `extrinsics` join a frame to the IMU's."""
-        return frame in self._frames_from_imu()
+    def _faults_of_chassis(self) -> list[str]:
+        imu, base, joint = self.sensors.imu.frame, self.frames.base, self.turn_joint
+        faults = []
+        if joint is not None:
+            if self.sensors.joint is None:
+                faults.append("turn_joint: needs sensors.joint, the encoder that reads its angle")
+            if self.reaches(base):
+                faults.append(f"turn_joint: extrinsics join {imu!r} and {base!r} already, as if nothing turned")
+            elif not self.reaches(joint.parent, base):
+                faults.append(f"turn_joint.parent: {self._unreachable(joint.parent, base)}")
+            if not self.reaches(joint.child):
+                faults.append(f"turn_joint.child: {self._unreachable(joint.child)}")
+        base_imu = self.sensors.base_imu
+        if base_imu is not None and not self.reaches(base_imu.frame, base):
+            faults.append(f"sensors.base_imu.frame: {self._unreachable(base_imu.frame, base)}")
+        return faults
 
-    def T_I(self, frame: str) -> Array:
-        """Return T_I_frame, the pose of a frame in the IMU's frame, as a (4, 4) matrix [m].
+    def has_base(self) -> bool:
+        """Whether the chassis is joined to the IMU, rigidly or by the turn joint, and is not the IMU itself."""
+        base = self.frames.base
+        return self.turn_joint is not None or (self.reaches(base) and base != self.sensors.imu.frame)
+
+    def reaches(self, frame: str, origin: str | None = None) -> bool:
+        """Whether `extrinsics` join a frame to another, by default to the IMU's."""
+        return frame in self._frames_from(origin or self.sensors.imu.frame)
+
+    def T(self, origin: str, frame: str) -> Array:
+        """Return T_origin_frame, the pose of a frame in another, as a (4, 4) matrix [m].
 
         Raises:
             ValueError: no chain of `extrinsics` joins the two frames.
         """
-        frames = self._frames_from_imu()
+        frames = self._frames_from(origin)
         if frame not in frames:
-            raise ValueError(self._unreachable(frame))
+            raise ValueError(self._unreachable(frame, origin))
         return frames[frame]
 
-    def _unreachable(self, frame: str) -> str:
-        known = ", ".join(sorted({e.parent for e in self.extrinsics} | {e.child for e in self.extrinsics})) or "none"
-        return f"no transforms lead from {self.sensors.imu.frame!r} to {frame!r} (frames in extrinsics: {known})"
+    def T_I(self, frame: str) -> Array:
+        """Return T_I_frame, the pose of a frame in the IMU's frame, as `T` does."""
+        return self.T(self.sensors.imu.frame, frame)
 
-    def _frames_from_imu(self) -> dict[str, Array]:
-        edges: dict[str, list[tuple[str, Array]]] = {}
-        for extrinsic in self.extrinsics:
-            T = extrinsic.matrix()
-            edges.setdefault(extrinsic.parent, []).append((extrinsic.child, T))
-            inverse: Array = np.asarray(np.linalg.inv(T), dtype=np.float64)
-            edges.setdefault(extrinsic.child, []).append((extrinsic.parent, inverse))
-        reached = {self.sensors.imu.frame: np.eye(4)}
-        frontier = [self.sensors.imu.frame]
-        while frontier:
-            at = frontier.pop()
-            for neighbour, T in edges.get(at, []):
-                if neighbour not in reached:
-                    reached[neighbour] = reached[at] @ T
-                    frontier.append(neighbour)
-        return reached
+    def links(self) -> list[Link]:
+        """Return the transforms of `extrinsics`."""
+        return [Link(extrinsic.parent, extrinsic.child, extrinsic.matrix()) for extrinsic in self.extrinsics]
+
+    def _frames_from(self, origin: str) -> dict[str, Array]:
+        return poses_from(origin, self.links())
+
+    def _unreachable(self, frame: str, origin: str | None = None) -> str:
+        known = ", ".join(sorted({e.parent for e in self.extrinsics} | {e.child for e in self.extrinsics})) or "none"
+        start = origin or self.sensors.imu.frame
+        return f"no transforms lead from {start!r} to {frame!r} (frames in extrinsics: {known})"

@@ -20,7 +20,7 @@ USUAL_RANGES = {
 
 @dataclass(frozen=True)
 class SensorRow:
-    """One sensor as it is resolved; `lever_arm_m` is the distance from the IMU, None without a frame."""
+    """One sensor as it is resolved; `lever_arm_m` is the distance from the IMU, None without a fixed one."""
 
     sensor: str
     topic: str
@@ -41,7 +41,9 @@ def sensor_rows(config: Config) -> list[SensorRow]:
     rows = []
     for name, section in configured_sensors(config):
         frame = getattr(section, "frame", None)
-        lever_arm_m = None if frame is None else float(np.linalg.norm(config.T_I(frame)[:3, 3]))
+        lever_arm_m = None
+        if frame is not None and config.reaches(frame):  # not beyond the turn joint
+            lever_arm_m = float(np.linalg.norm(config.T_I(frame)[:3, 3]))
         rows.append(SensorRow(name, getattr(section, "topic", ""), frame, lever_arm_m))
     return rows
 
@@ -52,8 +54,10 @@ def warnings(config: Config) -> list[str]:
     for name, section in configured_sensors(config):
         found += [f"sensors.{name}.{text}" for text in _unusual_values(section)]
         frame = getattr(section, "frame", None)
-        if name != "imu" and frame is not None:
+        if name not in ("imu", "base_imu") and frame is not None:
             found += [f"sensors.{name}: {text}" for text in _unusual_mounting(config, frame)]
+        if name in ("joint", "base_imu") and config.turn_joint is None:
+            found.append(f"sensors.{name}: is not used, because there is no turn_joint")
     return found + list(_shared_frames(config))
 
 

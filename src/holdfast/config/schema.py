@@ -116,12 +116,18 @@ def type_text(annotation: Any) -> str:
         return " or ".join(map(str, arguments))
     if get_origin(annotation) in (tuple, list):
         if Ellipsis in arguments or get_origin(annotation) is list:
-            return f"list of {type_text(arguments[0])}s"
+            return f"list of {_plural(type_text(arguments[0]))}"
         entry = type_text(arguments[0])
-        return f"{len(arguments)} x {entry}" if entry[0].isdigit() else f"{len(arguments)} {entry}s"
+        return f"{len(arguments)} x {entry}" if entry[0].isdigit() else f"{len(arguments)} {_plural(entry)}"
     if get_origin(annotation) in (Union, UnionType):
         return " or ".join(type_text(member) for member in arguments)
     return "section" if Place(annotation, None).section else "value"
+
+
+def _plural(words: str) -> str:
+    if " or " in words:
+        return f"values, each {words}"
+    return words if words.endswith("s") else f"{words}s"
 
 
 def bounds_text(at: Place) -> str:

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 from holdfast.config.assignment import Guess, Topic, assign, described
 from holdfast.config.document import one_line, yaml_text
-from holdfast.config.schema import ROOT, Place, allowed_text, place, type_text
+from holdfast.config.schema import ROOT, Place, allowed_text, is_optional, place, type_text
 from holdfast.errors import RecordingError
 
 HEAD = """\
@@ -49,6 +49,10 @@ def starter_yaml(recording: str, topics: Iterable[Topic], types: Mapping[str, Co
             lines += ["sensors:", *_sensor_lines(child, guesses)]
         elif name == "extrinsics":
             lines += _extrinsic_lines(child, _sensor_frames(guesses))
+        elif child.field is not None and is_optional(child.field):  # it makes no sense before it is filled in
+            lines += [f"# {name}:{_comment(child.about)}", *(f"# {line}" for line in _commented(child, None, 1))]
+        elif child.section is None:
+            lines += _defaults(ROOT, 0, name)
         else:
             lines += [f"{name}:{_comment(child.about)}", *_defaults(child, 1)]
         lines.append("")
@@ -62,8 +66,9 @@ def _sensor_lines(sensors: Place, guesses: Mapping[str, Guess]) -> Iterator[str]
         yield f"  # {name}: {one_line(guess.reason)}"
         yield from (f"  #   could also be {one_line(described(other))}" for other in guess.others)
         if guess.topic is None:
-            yield f"  #{name}:{_comment(section.about)}"
-            yield from (f"  #{line}" for line in _commented(section, None, 1, {"frame": name}))
+            mark = "#" if name in guesses else "# "
+            yield f"  {mark}{name}:{_comment(section.about)}"
+            yield from (f"  {mark}{line}" for line in _commented(section, None, 1, {"frame": name}))
             continue
         yield f"  {name}:{_comment(section.about)}"
         live = {"topic": guess.topic, "frame": name}

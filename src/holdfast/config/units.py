@@ -16,6 +16,7 @@ STANDARD_GRAVITY = 9.80665  # m/s^2, by definition of the g in which datasheets 
 NAMES: dict[str, tuple[float, dict[str, int]]] = {
     "1": (1.0, {}),
     "%": (0.01, {}),
+    "ppm": (1e-6, {}),
     "sigma": (1.0, {"sigma": 1}),
     "m": (1.0, {"m": 1}),
     "mm": (1e-3, {"m": 1}),
@@ -38,7 +39,7 @@ NAMES: dict[str, tuple[float, dict[str, int]]] = {
 
 # what datasheets and people write; an error message lists those of the right dimension
 USUAL = (
-    *("m", "mm", "cm", "km", "s", "ms", "us", "rad", "mrad", "deg", "1", "%"),
+    *("m", "mm", "cm", "km", "s", "ms", "us", "rad", "mrad", "deg", "1", "%", "ppm"),
     *("m/s", "km/h", "mm/s", "rad/s", "deg/s", "deg/h", "m/s^2", "g", "mg", "ug"),
     *("m/s^2/sqrt(Hz)", "mg/sqrt(Hz)", "ug/sqrt(Hz)", "m/s/sqrt(s)", "m/s/sqrt(h)"),
     *("rad/s/sqrt(Hz)", "deg/s/sqrt(Hz)", "deg/h/sqrt(Hz)", "deg/sqrt(s)", "deg/sqrt(h)"),

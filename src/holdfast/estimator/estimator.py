@@ -77,6 +77,7 @@ class Estimator:
         self._base = BaseKinematics(config, self._tell, self._count) if config.has_base() else None
         self._health = HealthMonitor(config)
         self._hears_imu = True
+        self._told = Health.INITIALISING
         self._world: LocalFrame | None = None
         self._initializer: Initializer | None = None
         self._started = False
@@ -325,6 +326,9 @@ class Estimator:
         is_recovery = self._gnss.review(self._graph, self._buffer.latest_ns)
         if is_recovery:
             self._health.recovered(self._buffer.latest_ns)
+        if (health := self.health) is not self._told:
+            self._told = health
+            self._tell(EventKind.HEALTH, self._buffer.latest_ns, "", health)
         published = self._graph.published
         self._predictor.anchor(published.state, is_recovery=is_recovery)
         self._buffer.forget_before(min(s.oldest_ns for s in self._graph.smoothers()) - self._node_interval_ns)

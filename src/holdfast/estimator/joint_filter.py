@@ -1,46 +1,50 @@
-"""A Kalman filter of the turn joint: its angle, how fast the chassis turns about its axis, and the base gyro's bias.
+"""A Kalman filter of the turn joint: its angle, how fast the chassis turns, and what is wrong with two sensors.
 
-Three scalars and plain floats, because it runs at every sample: (33) to (35) in docs/math.md. The cabin's gyroscope
+Four scalars and plain floats, because it runs at every sample: (33) and (34) in docs/math.md. The cabin's gyroscope
 drives the angle, the base gyroscope measures the chassis, the encoder the angle; each may be late or absent.
 """
 
 from bisect import bisect_right
 from math import ceil, remainder, tau
 
+from holdfast.sensors.base_imu import BaseGyro
 from holdfast.state import Outcome
 
 TURN_S = 5.0  # how long a turn of the chassis lasts
 TURN_DENSITY = 0.1  # [rad/s^2/sqrt(Hz)], how it begins and ends
 ANY_RATE = 0.5 * TURN_DENSITY**2 * TURN_S  # [rad^2/s^2], variance of the rate of which nothing is known
+LAG_SIGMA_S, LAG_WALK = 0.02, 1e-3  # of the encoder's stamps; [s/sqrt(s)]
+MAX_LAG_S = 0.2
 STEP_S, MAX_STEPS = 0.05, 500  # a silence is crossed in steps
 GATE_SIGMA = 6.0
 SILENT_NS = 100_000_000  # after such a silence of the base gyroscope nothing before it is sure any more
 
 
 class JointFilter:
-    """Angle q, rate w of the chassis about the joint's axis, bias b of the base gyroscope about it.
+    """Angle q, rate w of the chassis about the joint's axis, bias b of the base gyroscope, lag l of the encoder.
 
     Args:
-        bias_variance: of b at power-on [rad^2/s^2].
-        bias_walk: growth of it per second [rad^2/s^3].
+        gyro: the base gyroscope; without one nothing can be told of b and l.
         memory_ns: how late a measurement may be.
         believe_after_ns: readings of the angle that contradict the prediction for so long are right after all.
     """
 
-    def __init__(self, bias_variance: float, bias_walk: float, memory_ns: int, believe_after_ns: int) -> None:
+    def __init__(self, gyro: BaseGyro | None, memory_ns: int, believe_after_ns: int) -> None:
         self.stamp_ns: int | None = None
-        self.angle_rad = 0.0
-        self.rate_rad_s = 0.0
-        self.bias_rad_s = 0.0
+        self.angle_rad = self.rate_rad_s = self.bias_rad_s = self.lag_s = 0.0
         self.is_known = False  # whether there was a reading of the angle
-        self._bias_walk = bias_walk
-        self._memory_ns, self._believe_after_ns = memory_ns, believe_after_ns
-        # variances and covariances: angle, angle-rate, angle-bias, rate, rate-bias, bias
-        self._P = (0.0, 0.0, 0.0, ANY_RATE, 0.0, bias_variance)
+        bias_variance, self._bias_walk, lag_variance, self._lag_walk = 0.0, 0.0, 0.0, 0.0
+        if gyro is not None:
+            bias_variance, self._bias_walk = gyro.bias_variance, gyro.walk_variance
+            lag_variance, self._lag_walk = LAG_SIGMA_S**2, LAG_WALK**2
+        self._memory_ns, self._believe_after_ns = memory_ns + round(MAX_LAG_S * 1e9), believe_after_ns
+        # the upper triangle of the covariance of q, w, b, l, row by row
+        self._P = (0.0, 0.0, 0.0, 0.0, ANY_RATE, 0.0, 0.0, bias_variance, 0.0, lag_variance)
         self._refused_ns: int | None = None  # since when readings are refused
         self._rate_ns: int | None = None  # newest of the base gyroscope
         self._stamps: list[int] = []  # of the recent past, and by how much the joint has turned since the start
         self._turns: list[float] = []
+        self._joint_rate_rad_s = 0.0
 
     @property
     def angle_variance(self) -> float:
@@ -50,12 +54,12 @@ class JointFilter:
     @property
     def rate_variance(self) -> float:
         """Variance of the chassis' rate [rad^2/s^2]."""
-        return self._P[3]
+        return self._P[4]
 
     @property
     def bias_variance(self) -> float:
         """Variance of the bias [rad^2/s^2]."""
-        return self._P[5]
+        return self._P[7]
 
     def predict(self, stamp_ns: int, cabin_rate_rad_s: float, cabin_density2: float) -> None:
         """Go on to a later time, over which the cabin turned at a rate about the axis: (33).
@@ -75,36 +79,52 @@ class JointFilter:
         steps = 1 if whole_s <= STEP_S else min(ceil(whole_s / STEP_S), MAX_STEPS)
         dt = whole_s / steps
         keep = max(0.0, 1.0 - dt / TURN_S)
-        qq, qw, qb, ww, wb, bb = self._P
+        qq, qw, qb, ql, ww, wb, wl, bb, bl, ll = self._P
         rate, turned = self.rate_rad_s, 0.0
         for _ in range(steps):
             turned += (cabin_rate_rad_s - rate) * dt
             rate *= keep
             qq += dt * (dt * ww - 2.0 * qw + cabin_density2)
             qb -= dt * wb
+            ql -= dt * wl
             qw = keep * (qw - dt * ww)
             ww = keep * keep * ww + TURN_DENSITY**2 * dt
             wb *= keep
-            bb += self._bias_walk * dt
-        self._P = (qq, qw, qb, ww, wb, bb)
+            wl *= keep
+        bb += self._bias_walk * whole_s
+        ll += self._lag_walk * whole_s
+        self._P = (qq, qw, qb, ql, ww, wb, wl, bb, bl, ll)
         self.angle_rad += turned
         self.rate_rad_s = rate
         self.stamp_ns = stamp_ns
+        self._joint_rate_rad_s = cabin_rate_rad_s - rate
         self._remember(turned)
 
     def add_rate(self, stamp_ns: int, rate_rad_s: float, variance: float) -> None:
         """Take in what the base gyroscope measured, at the filter's time or before: (34)."""
-        _, qw, qb, ww, wb, bb = self._P
-        S = ww + 2.0 * wb + bb + variance + TURN_DENSITY**2 * self._late_s(stamp_ns)
-        self._correct((rate_rad_s - self.rate_rad_s - self.bias_rad_s) / S, S, (qw + qb, ww + wb, wb + bb))
+        _, qw, qb, _, ww, wb, wl, bb, bl, _ = self._P
+        S = ww + 2.0 * wb + bb + variance + TURN_DENSITY**2 * self._since_s(stamp_ns)
+        self._correct((rate_rad_s - self.rate_rad_s - self.bias_rad_s) / S, S, (qw + qb, ww + wb, wb + bb, wl + bl))
         if self._rate_ns is None or stamp_ns - self._rate_ns > SILENT_NS:
             del self._stamps[:-1], self._turns[:-1]
-        self._rate_ns = stamp_ns
+        self._rate_ns = max(stamp_ns, self._rate_ns or stamp_ns)
+
+    def turn_until(self, stamp_ns: int) -> float:
+        """Return by how much the joint had turned when a reading with a stamp was taken, since long ago [rad]."""
+        stamps, turns = self._stamps, self._turns
+        taken_ns = stamp_ns - round(self.lag_s * 1e9)
+        k = bisect_right(stamps, taken_ns)
+        if k == len(stamps):
+            return turns[-1] + self._joint_rate_rad_s * (taken_ns - stamps[-1]) * 1e-9
+        if k == 0:
+            return turns[0]
+        share = (taken_ns - stamps[k - 1]) / (stamps[k] - stamps[k - 1])
+        return turns[k - 1] + share * (turns[k] - turns[k - 1])
 
     def add_angle(self, stamp_ns: int, angle_rad: float, variance: float, turn_rad: float) -> Outcome:
         """Take in a reading of the encoder, at the filter's time or before; whole turns do not matter: (34).
 
-        What the joint turned since the stamp is added to the reading; what is unsure of that is the chassis' rate.
+        What the joint turned since it was taken is added to the reading.
 
         Args:
             stamp_ns: of the reading.
@@ -112,52 +132,57 @@ class JointFilter:
             variance: of the reading [rad^2].
             turn_rad: what `turn_until` says of the stamp.
         """
-        if stamp_ns < self._stamps[0]:
+        since_s = self._since_s(stamp_ns - round(self.lag_s * 1e9))
+        if stamp_ns - round(self.lag_s * 1e9) < self._stamps[0]:
             return Outcome.LATE
         angle_rad += self._turns[-1] - turn_rad
-        late_s = self._late_s(stamp_ns)
         if not self.is_known:
             self.is_known = True
-            return self._start_at(angle_rad, variance, late_s)
-        qq, qw, qb, ww, wb, _ = self._P
-        covariances = (qq + late_s * qw, qw + late_s * ww, qb + late_s * wb)
-        S = covariances[0] + late_s * covariances[1] + variance
+            return self._start_at(angle_rad, variance, since_s)
+        joint_rate = self._joint_rate_rad_s
+        qq, qw, qb, ql, ww, wb, wl, _, bl, ll = self._P
+        a = qq + since_s * qw - joint_rate * ql
+        c = qw + since_s * ww - joint_rate * wl
+        d = qb + since_s * wb - joint_rate * bl
+        e = ql + since_s * wl - joint_rate * ll
+        S = a + since_s * c - joint_rate * e + variance
         innovation = remainder(angle_rad - self.angle_rad, tau)
         if innovation * innovation > GATE_SIGMA**2 * S:
             self._refused_ns = stamp_ns if self._refused_ns is None else self._refused_ns
             if stamp_ns - self._refused_ns < self._believe_after_ns:
                 return Outcome.INNOVATION
-            return self._start_at(self.angle_rad + innovation, variance, late_s)
+            return self._start_at(self.angle_rad + innovation, variance, since_s)
         self._refused_ns = None
-        self._correct(innovation / S, S, covariances)
+        self._correct(innovation / S, S, (a, c, d, e))
         return Outcome.USED
 
-    def turn_until(self, stamp_ns: int) -> float:
-        """Return by how much the joint has turned until a time, as the gyroscopes say, since long ago [rad]."""
-        stamps, turns = self._stamps, self._turns
-        k = bisect_right(stamps, stamp_ns)
-        if k in (0, len(stamps)):
-            return turns[min(k, len(stamps) - 1)]
-        share = (stamp_ns - stamps[k - 1]) / (stamps[k] - stamps[k - 1])
-        return turns[k - 1] + share * (turns[k] - turns[k - 1])
-
-    def _start_at(self, angle_rad: float, variance: float, late_s: float) -> Outcome:
+    def _start_at(self, angle_rad: float, variance: float, since_s: float) -> Outcome:
         """Let a reading alone say what the angle is, carried on for some time; the rate may be as wrong as it was."""
         self._refused_ns = None
         self.angle_rad = angle_rad
-        self._P = (variance + late_s**2 * ANY_RATE, -late_s * ANY_RATE, 0.0, ANY_RATE, 0.0, self._P[5])
+        *_, bb, _, ll = self._P
+        qq, qw, ql = since_s**2 * ANY_RATE, -since_s * ANY_RATE, self._joint_rate_rad_s * ll
+        qq += variance + self._joint_rate_rad_s * ql
+        self._P = (qq, qw, 0.0, ql, ANY_RATE, 0.0, 0.0, bb, 0.0, ll)
         return Outcome.USED
 
-    def _correct(self, share: float, S: float, covariances: tuple[float, float, float]) -> None:
-        """Correct by an innovation over its variance S, given its covariances with angle, rate and bias."""
-        a, c, d = covariances
-        qq, qw, qb, ww, wb, bb = self._P
+    def _correct(self, share: float, S: float, covariances: tuple[float, float, float, float]) -> None:
+        """Correct by an innovation over its variance S, given its covariances with the state."""
+        a, c, d, e = covariances
+        qq, qw, qb, ql, ww, wb, wl, bb, bl, ll = self._P
         self.angle_rad += a * share
         self.rate_rad_s += c * share
         self.bias_rad_s += d * share
-        self._P = (qq - a * a / S, qw - a * c / S, qb - a * d / S, ww - c * c / S, wb - c * d / S, bb - d * d / S)
+        self.lag_s = min(max(self.lag_s + e * share, -MAX_LAG_S), MAX_LAG_S)
+        A, C, D = a / S, c / S, d / S
+        self._P = (
+            *(qq - a * A, qw - c * A, qb - d * A, ql - e * A),
+            *(ww - c * C, wb - d * C, wl - e * C),
+            *(bb - d * D, bl - e * D),
+            ll - e * e / S,
+        )
 
-    def _late_s(self, stamp_ns: int) -> float:
+    def _since_s(self, stamp_ns: int) -> float:
         assert self.stamp_ns is not None
         return max(0, self.stamp_ns - stamp_ns) * 1e-9
 

@@ -14,17 +14,17 @@ from holdfast.config.model import Config
 from holdfast.estimator.joint_filter import JointFilter
 from holdfast.messages import ImuSample, JointAngle
 from holdfast.sensors.base_imu import BaseGyro
-from holdfast.sensors.imu import MOTION_CORRELATION_S
 from holdfast.sensors.joint import JointModel, RepeatWatch
 from holdfast.state import EncoderState, Outcome
 
 FUTURE_NS = 1_000_000_000  # further ahead of the cabin's IMU a stamp is an error
 RECENT = 64  # stamps per sensor among which a duplicate is looked for
 MAX_WAITING = 4096
+CORRECTED_S = 0.1  # so long an error in proportion to the cabin's turning adds up before the encoder corrects it
 USUAL_PERIOD_S = 0.01  # of the base IMU, until it is known
 BELIEVE_AFTER_NS = 5_000_000_000  # an encoder that contradicts two gyroscopes for so long
-MAX_STEP_RAD = 3e-4  # the rest of a correction flows in, so that T_O_B does not step
-SETTLE_S = 0.5
+MAX_STEP_RAD = 2.5e-4  # that the encoder may correct the angle at once: T_O_B does not step
+SETTLE_S = 0.5  # in which the rest of the correction flows in
 AT_ONCE_NS = 50_000_000  # a longer silence of the cabin's IMU is crossed from reading to reading
 
 Count = Callable[[str, Outcome, int], None]
@@ -62,24 +62,27 @@ class TurnJoint:
         self._model, self._gyro, self._count = encoder, gyro, count
         imu = config.sensors.imu
         self._cabin_density2 = imu.gyroscope_noise_density**2
-        self._motion_ratio2 = imu.motion_error_ratio**2 * MOTION_CORRELATION_S
+        self._motion_ratio2 = imu.motion_error_ratio**2 * CORRECTED_S
         self._silent_density2 = config.motion_model.angular_rate_density**2
         self.restart()
 
     def restart(self) -> None:
         """Forget everything: the clock has gone back."""
-        gyro, max_age_ns = self._gyro, self._model.max_age_ns
-        if gyro is None:  # nothing but the encoder itself contradicts the encoder
-            self._filter = JointFilter(0.0, 0.0, max_age_ns, max_age_ns)
-        else:
-            self._filter = JointFilter(gyro.bias_variance, gyro.walk_variance, max_age_ns, BELIEVE_AFTER_NS)
+        # without a base gyroscope nothing but the encoder itself contradicts the encoder
+        max_age_ns = self._model.max_age_ns
+        self._filter = JointFilter(self._gyro, max_age_ns, max_age_ns if self._gyro is None else BELIEVE_AFTER_NS)
         self._watch = RepeatWatch(self._model.variance)
         self._waiting: list[_Reading] = []
         self._recent: dict[str, deque[int]] = {}
         self._gyro_ns = self._angle_ns = self._used_ns = 0  # newest readings, and the newest of the encoder in use
         self._gyro_period_s = USUAL_PERIOD_S
-        self._held_rad = 0.0  # of the corrections of the angle, what is not let out yet
+        self._held_rad = 0.0  # of the correction of the angle, what is not let out yet
         self.state = EncoderState.ABSENT
+
+    @property
+    def lag_s(self) -> float:
+        """By how much the encoder's readings are older than their stamps, as the gyroscopes say."""
+        return self._filter.lag_s
 
     def add(self, message: ImuSample | JointAngle, imu_arrival_ns: int) -> None:
         """Let a reading wait for its stamp, or count why not; what waits is counted when it is taken.
@@ -134,29 +137,27 @@ class TurnJoint:
         if from_imu:
             density2 = self._cabin_density2 + self._motion_ratio2 * cabin_rate_rad_s**2
         step_ns = 0 if joint.stamp_ns is None else stamp_ns - joint.stamp_ns
-        if step_ns <= AT_ONCE_NS:
+        at_once, had_encoder = step_ns <= AT_ONCE_NS, self.state is EncoderState.OK
+        if at_once:
             joint.predict(stamp_ns, cabin_rate_rad_s, density2)
         was_known, corrected_rad = joint.is_known, 0.0
         while waiting and waiting[0][0] <= stamp_ns:
             stamp, sensor, value, is_angle = waiting.pop(0)
-            joint.predict(stamp, cabin_rate_rad_s, density2)  # nothing, if it has gone there at once
+            if not at_once:
+                joint.predict(stamp, cabin_rate_rad_s, density2)
             before_rad = joint.angle_rad
             outcome = self._take_angle(stamp, value) if is_angle else self._take_rate(stamp, value)
             corrected_rad += joint.angle_rad - before_rad
             self._count(sensor, outcome, 1)
-        joint.predict(stamp_ns, cabin_rate_rad_s, density2)
+        if not at_once:
+            joint.predict(stamp_ns, cabin_rate_rad_s, density2)
         self.state = self._judge_encoder(stamp_ns)
-        if not was_known:
-            return self._motion(0.0, 0.0) if joint.is_known else None
-        return self._motion(corrected_rad, step_ns * 1e-9)
-
-    def _motion(self, corrected_rad: float, step_s: float) -> JointMotion:
-        """Return the motion, letting out no more of a correction of the angle than goes unnoticed."""
-        joint, model = self._filter, self._model
-        if abs(corrected_rad) > MAX_STEP_RAD:
+        if not joint.is_known:
+            return None
+        if was_known and (self._gyro is not None or not had_encoder) and abs(corrected_rad) > MAX_STEP_RAD:
             self._held_rad += corrected_rad - copysign(MAX_STEP_RAD, corrected_rad)
-        held_rad = self._held_rad = self._held_rad * max(0.0, 1.0 - step_s / SETTLE_S)
-        angle_sigma = sqrt(joint.angle_variance + model.zero_variance + held_rad**2)
+        held_rad = self._held_rad = self._held_rad * max(0.0, 1.0 - step_ns * 1e-9 / SETTLE_S)
+        angle_sigma = sqrt(joint.angle_variance + self._model.zero_variance + held_rad**2)
         return JointMotion(joint.angle_rad - held_rad, angle_sigma, joint.rate_rad_s, sqrt(joint.rate_variance))
 
     def _take_rate(self, stamp_ns: int, rate_rad_s: float) -> Outcome:

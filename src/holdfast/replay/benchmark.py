@@ -166,7 +166,7 @@ def measure_floor(job: Job) -> list[int]:
     pim = gtsam.PreintegratedImuMeasurements(params, bias)
     took_ns: list[int] = []
     with open_recording(job.recording) as recording:
-        imu = [subscription for subscription in job.subscriptions if subscription.kind == "imu"]
+        imu = [subscription for subscription in job.subscriptions if subscription.sensor == "imu"]
         last_ns: int | None = None
         for sample in islice(_samples(recording.read(imu, 0.0, job.duration_s)), FLOOR_SAMPLES):
             dt_s = 0.01 if last_ns is None else (sample.stamp_ns - last_ns) * 1e-9

@@ -5,8 +5,9 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 
+from holdfast.estimator.base import BaseGeometry
 from holdfast.messages import Array
-from holdfast.state import Estimate
+from holdfast.state import BaseState, Estimate
 
 
 class RosOdometry(NamedTuple):
@@ -37,6 +38,20 @@ def pose_covariance(covariance: Array, R: Array) -> Array:
     M[3:, :3] = R
     rotated: Array = M @ covariance[:6, :6] @ M.T
     return rotated
+
+
+def base_odometry(estimate: Estimate, base: BaseState, geometry: BaseGeometry, rate_variance: float) -> RosOdometry:
+    """Return the odometry of the chassis: T_O_B, and its twist in B; arguments as for `BaseGeometry.covariances`."""
+    pose, twist = geometry.covariances(estimate, base, rate_variance)
+    rotation = base.T_O_B.rotation()
+    return RosOdometry(
+        base.T_O_B.translation(),
+        quaternion_xyzw(rotation),
+        pose_covariance(pose, rotation.matrix()).ravel(),
+        base.velocity,
+        base.angular_velocity,
+        np.roll(twist, 3, axis=(0, 1)).ravel(),
+    )
 
 
 def odometry(estimate: Estimate, pose: gtsam.Pose3, rate_variance: float) -> RosOdometry:

@@ -1,6 +1,7 @@
 """Drives the estimator with a stream of messages, and measures how long each took."""
 
 from array import array
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from time import perf_counter, perf_counter_ns, sleep
@@ -15,7 +16,7 @@ from holdfast.messages import GnssFix, ImuSample, Message
 from holdfast.replay.held_out import HeldOutJudge, HoldOut, HoldOutFilter
 from holdfast.replay.outputs import Outputs
 from holdfast.report.track import JudgedTrack
-from holdfast.state import Estimate
+from holdfast.state import Estimate, Health
 
 
 @dataclass(slots=True)
@@ -47,6 +48,7 @@ class Replay:
     ) -> None:
         self.estimator = Estimator(config)
         self.timing = Timing()
+        self.health: Counter[Health] = Counter()  # estimates by health
         self.causal = HeldOutJudge(config)
         self.smoothed = HeldOutJudge(config)
         self._filter = HoldOutFilter(hold_out, config)
@@ -87,13 +89,15 @@ class Replay:
         took_ns = perf_counter_ns() - began_ns
         if output.optimised is not None:
             self.timing.update_ns.append(took_ns)
-        elif isinstance(message, ImuSample):
+        elif isinstance(message, ImuSample) and message.sensor == "imu":
             self.timing.imu_ns.append(took_ns)
         if self._outputs is not None:
             self._outputs.write(output)
             self._outputs.diagnose(self.estimator, message.arrival_ns)
             if self.estimator.events:
                 self._outputs.write_events(self.estimator.take_events())
+        if output.estimate is not None:
+            self.health[self.estimator.health] += 1
         self._judge(output)
 
     def _judge(self, output: Output) -> None:

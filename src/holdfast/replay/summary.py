@@ -29,6 +29,7 @@ def summarise_replay(replay: Replay, recording: str, warnings: Sequence[str], fi
         "datum": None if estimator.datum is None else estimator.datum._asdict(),
         "counts": counts,
         "events": dict(sorted(estimator.event_counts.items())),
+        "health": {str(health): count for health, count in sorted(replay.health.items())},
         "timing": timing_summary(replay.timing),
         "held_out": {
             "causal": held_out_summary(replay.causal.judgements, silent),

@@ -23,7 +23,7 @@ class Clock(Section):
     """How the sensor's stamps depart from true time, which is the clock of the recording computer."""
 
     offset_s: float = quantity("s", 0.0, ge=-10, le=10, doc="added to every stamp")
-    drift_ppm: float = quantity("1e-6", 0.0, ge=-1000, le=1000, doc="growth of the offset")
+    drift_ppm: float = quantity("ppm", 0.0, ge=-1000, le=1000, doc="growth of the offset")
     jitter_s: float = quantity("s", 0.0, ge=0, le=1, doc="sigma of every stamp")
     calibrated: bool = Field(True, description="the configuration written beside the recording knows offset_s")
 

@@ -97,7 +97,7 @@ class Motion:
         if name == BASE:
             return _frame_motion(turning, place)
         parent, T = (CABIN, np.eye(4)) if name == CABIN else self._mounts[name]
-        if parent == CABIN:
+        if parent == CABIN or self._turn_joint is None:  # without a joint the body on its wheels is the cabin
             turning, place = _child(turning, place, *self._cabin(times_s, q, dq, ddq))
         n = len(times_s)
         still = np.zeros((n, 3))

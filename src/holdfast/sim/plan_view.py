@@ -69,8 +69,8 @@ def _at(simulation: Simulation, quality: Quality, times_s: Array) -> NDArray[np.
     if fixes is None or len(fixes.readings.times_s) == 0:
         return np.full(len(times_s), quality == Quality.NONE)
     at = fixes.readings.times_s
-    newest = np.searchsorted(at, times_s, side="right") - 1
-    silent = (newest < 0) | (times_s - at[newest] > 1.0)
+    newest = np.maximum(np.searchsorted(at, times_s, side="right") - 1, 0)
+    silent = abs(times_s - at[newest]) > 1.0
     return np.asarray(np.where(silent, Quality.NONE, fixes.readings.values["quality"][newest]) == quality)
 
 

@@ -69,7 +69,7 @@ class Ground(Section):
 class Heap(Section):
     """A spoil heap, or with negative height a pit."""
 
-    center_m: Point
+    center_m: Point = quantity("m", doc="east, north")
     radius_m: float = quantity("m", gt=0, doc="to its foot")
     height_m: float = quantity("m", doc="above the ground; negative: a pit")
 
@@ -77,8 +77,8 @@ class Heap(Section):
 class Trench(Section):
     """A trench with sloped ends and walls."""
 
-    start_m: Point
-    end_m: Point
+    start_m: Point = quantity("m", doc="east, north")
+    end_m: Point = quantity("m", doc="east, north")
     width_m: float = quantity("m", 1.2, gt=0.2, doc="between the walls")
     depth_m: float = quantity("m", 1.5, gt=0, doc="below the ground")
 
@@ -86,7 +86,7 @@ class Trench(Section):
 class Box(Section):
     """A container, a wall or a building without a roof of its own: a box on the ground."""
 
-    center_m: Point
+    center_m: Point = quantity("m", doc="east, north")
     size_m: Vector3 = quantity("m", doc="length, width, height")
     yaw_deg: float = quantity("deg", 0.0, doc="of its length")
     roof_m: float = quantity("m", 0.0, ge=0, doc="height of a gable roof on top")
@@ -95,7 +95,7 @@ class Box(Section):
 class Tree(Section):
     """A tree: a trunk and an ellipsoid of leaves that shades GNSS."""
 
-    center_m: Point
+    center_m: Point = quantity("m", doc="east, north")
     height_m: float = quantity("m", 9.0, gt=1, le=60, doc="to the top of the crown")
     crown_radius_m: float = quantity("m", 2.5, gt=0.2, le=20, doc="of the crown, horizontally")
     trunk_radius_m: float = quantity("m", 0.2, gt=0.02, le=2, doc="of the trunk")

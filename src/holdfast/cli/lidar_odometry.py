@@ -1,0 +1,101 @@
+"""`holdfast lidar-odometry`: a recording with point clouds in, the recording with poses in their place out."""
+
+from pathlib import Path
+from time import perf_counter
+
+import click
+
+from holdfast.cli.progress import progress_bar
+from holdfast.errors import ConfigError
+
+
+@click.command("lidar-odometry")
+@click.argument("bag", type=click.Path(path_type=Path))
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="MCAP file to write.")
+@click.option(
+    "-c", "--config", "config_path", type=click.Path(), help="Deskew with the gyroscope of this configuration."
+)
+@click.option("--topic", help="Of the clouds. [default: the only PointCloud2]")
+@click.option("--output-topic", default="/lidar/odometry", show_default=True, help="Of the poses.")
+@click.option(
+    "--method",
+    type=click.Choice(["small-gicp", "genz-icp", "kiss-icp"]),
+    default="small-gicp",
+    show_default=True,
+    help="Library that registers the clouds.",
+)
+@click.option(
+    "--threads", type=click.IntRange(1, 64), default=1, show_default=True, help="More than 1 varies the bits."
+)
+@click.option(
+    "--latency-s",
+    type=click.FloatRange(0, 10),
+    default=0.08,
+    show_default=True,
+    help="Poses arrive so long after their cloud.",
+)
+@click.option(
+    "--min-range-m", type=click.FloatRange(0), default=1.0, show_default=True, help="Nearer points are the machine."
+)
+@click.option("--keep-scans", is_flag=True, help="Copy the clouds too.")
+@click.option("--replace", is_flag=True, help="Drop what BAG itself has on the output topic.")
+@click.option("--force", is_flag=True, help="Overwrite the output.")
+def lidar_odometry(  # noqa: PLR0917 (click passes the options by name)
+    bag: Path,
+    output: Path,
+    config_path: str | None,
+    topic: str | None,
+    output_topic: str,
+    method: str,
+    threads: int,
+    latency_s: float,
+    min_range_m: float,
+    keep_scans: bool,
+    replace: bool,
+    force: bool,
+) -> None:
+    """Estimate the lidar's motion from the clouds of BAG.
+
+    Writes everything that BAG holds except its clouds, and nav_msgs/Odometry of the lidar: a recording for `holdfast
+    replay`. BAG is a ROS 1 or ROS 2 bag, an .mcap or a .db3 file.
+    """
+    from holdfast.config.load import load_config
+    from holdfast.lidar_odometry.gyroscope import Gyroscope
+    from holdfast.lidar_odometry.registration import DEFAULT_METHOD, check_installed
+    from holdfast.lidar_odometry.runner import Options, choose_topic, run
+    from holdfast.recording.mcap_writer import McapWriter
+    from holdfast.recording.raw import RawBag
+
+    options = Options(topic, output_topic, method, threads, latency_s, min_range_m, keep_scans, replace)
+    if config_path is not None and method != DEFAULT_METHOD:
+        raise ConfigError(f"--config: {method} takes no gyroscope (allowed: with {DEFAULT_METHOD})")
+    check_installed(method)
+    config = None if config_path is None else load_config(config_path)
+    _check_output(output, bag, force)
+    began_s = perf_counter()
+    with RawBag(bag) as opened:
+        chosen = choose_topic(opened, options)
+        gyroscope = None if config is None else Gyroscope(config, opened)
+        begin_ns, end_ns = opened.recording.start_ns, opened.recording.end_ns
+        try:
+            output.parent.mkdir(parents=True, exist_ok=True)
+            with McapWriter(output) as writer, progress_bar("registering", begin_ns, end_ns) as progress:
+                summary = run(opened, chosen, writer, options, gyroscope, progress)
+        except OSError as error:
+            raise ConfigError(f"{error.filename or output}: cannot be written ({error.strerror or error})") from None
+    for warning in summary.warnings:
+        click.echo(f"warning: {warning}", err=True)
+    milliseconds = (perf_counter() - began_s) / summary.poses * 1e3
+    click.echo(f"{chosen} -> {output_topic}: {summary.poses} poses by {method}, {milliseconds:.0f} ms each")
+    click.echo(f"written to {output}")
+
+
+def _check_output(output: Path, bag: Path, force: bool) -> None:
+    if output.suffix != ".mcap":
+        raise ConfigError(f"{output}: must end in .mcap")
+    if not output.exists():
+        return
+    if bag.exists() and (output.samefile(bag) or bag in output.parents):
+        raise ConfigError(f"{output}: is the recording that is read")
+    if not force:
+        raise ConfigError(f"{output}: exists already: --force overwrites it")

@@ -1,0 +1,51 @@
+"""What must never happen, whatever the sensors do: numbers that are none, and an odometry frame that jumps."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from holdfast.evaluation.evidence import Published
+from holdfast.evaluation.smoothness import steps
+
+MAX_STEP_M = 0.002
+MAX_STEP_DEG = 0.02
+
+
+def violations(published: Published, start_ns: int) -> Iterator[str]:
+    """Yield in one line each what is wrong with one life of the estimator; times count from `start_ns`."""
+    stamps = published.world.poses.stamps_ns
+    times_s = (stamps - start_ns) * 1e-9
+    backward = np.flatnonzero(np.diff(stamps) <= 0)
+    if len(backward):
+        yield f"the stamps do not increase at {times_s[backward[0] + 1]:.2f} s"
+        return
+    columns = {
+        "position": published.world.poses.positions,
+        "attitude": published.world.poses.quaternions,
+        "velocity": published.world.velocities,
+        "pose in O": np.hstack([published.odometry.poses.positions, published.odometry.poses.quaternions]),
+        "angular velocity": published.inertial.angular_velocity,
+        "covariance": published.covariances.reshape(-1, 81),
+    }
+    broken = False
+    for name, values in columns.items():
+        bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+        if len(bad):
+            broken = True
+            yield f"{name} is not finite at {times_s[bad[0]]:.2f} s, in {len(bad)} estimates"
+    if broken:
+        return
+    smallest = np.linalg.eigvalsh(published.covariances)[:, 0]
+    if (smallest <= 0.0).any():
+        worst = int(smallest.argmin())
+        yield f"the covariance is not positive at {times_s[worst]:.2f} s: smallest eigenvalue {smallest[worst]:.1e}"
+    moved, turned = steps(published.odometry, published.inertial)
+    for values, limit, unit in ((moved * 1e3, MAX_STEP_M * 1e3, "mm"), (turned, MAX_STEP_DEG, "deg")):
+        beyond = np.flatnonzero(values > limit)
+        if len(beyond):
+            worst = int(np.nanargmax(values))
+            change = float(np.linalg.norm(np.diff(published.odometry.velocities[worst - 1 : worst + 1], axis=0)))
+            yield (
+                f"O steps by up to {values[worst]:.3g} {unit} at {times_s[worst]:.2f} s, where its velocity changes by "
+                f"{change:.2f} m/s; {len(beyond)} steps, the first at {times_s[beyond[0]]:.2f} s"
+            )

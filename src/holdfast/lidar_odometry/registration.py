@@ -1,0 +1,64 @@
+"""What a registration library must do for us, and which there are."""
+
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Protocol
+
+from holdfast.errors import ConfigError
+from holdfast.messages import Array
+
+if TYPE_CHECKING:
+    from holdfast.lidar_odometry.sweep import Sweep
+
+# name -> (package to import, our adapter, the class in it)
+METHODS = {
+    "small-gicp": ("small_gicp", "holdfast.lidar_odometry.small_gicp", "SmallGicp"),
+    "genz-icp": ("genz_icp", "holdfast.lidar_odometry.genz_icp", "GenzIcp"),
+    "kiss-icp": ("kiss_icp", "holdfast.lidar_odometry.kiss_icp", "KissIcp"),
+}
+DEFAULT_METHOD = "small-gicp"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registered:
+    """Where the lidar was at one instant of a sweep.
+
+    Attributes:
+        stamp_ns: the instant.
+        T_L0_L: (4, 4) pose of the lidar in the frame where it was in its first sweep.
+        covariance: (6, 6) of this registration against the map, rotation [rad] then translation [m], expressed in L
+            (GTSAM's order); or None where the library does not tell. It says nothing of the map's own drift.
+        restarted: the sweep could not be joined to the map; a new one begins, and the motion since the last pose is
+            not measured.
+    """
+
+    stamp_ns: int
+    T_L0_L: Array
+    covariance: Array | None = None
+    restarted: bool = False
+
+
+class Registration(Protocol):
+    """A lidar odometry: sweeps in, poses out, in order; deterministic with one thread."""
+
+    def register(self, sweep: "Sweep") -> Registered:
+        """Join the next sweep to the map."""
+
+
+def check_installed(method: str) -> None:
+    """Refuse a method whose library is not there, without importing it.
+
+    Raises:
+        ConfigError: one line with the remedy.
+    """
+    package, _, _ = METHODS[method]
+    if find_spec(package) is None:
+        raise ConfigError(f"lidar odometry by {method} needs {package}: pip install 'holdfast[lidar]'")
+
+
+def make_registration(method: str, threads: int) -> Registration:
+    """Return a fresh odometry."""
+    _, module, name = METHODS[method]
+    registration: Registration = getattr(import_module(module), name)(threads)
+    return registration

@@ -1,0 +1,149 @@
+"""Runs the estimator over messages and keeps everything that it publishes, for the judge of a simulated run."""
+
+from collections.abc import Callable, Iterable, Sequence
+from itertools import accumulate, pairwise
+from time import perf_counter, perf_counter_ns
+
+import numpy as np
+from numpy.typing import NDArray
+
+from holdfast.config.model import Config
+from holdfast.estimator.estimator import Estimator, Output
+from holdfast.evaluation.evidence import Chassis, Published
+from holdfast.evaluation.smoothness import Inertial
+from holdfast.evaluation.states import States
+from holdfast.geometry.earth import gravity
+from holdfast.messages import Array, ImuSample, Message
+from holdfast.replay.ros import quaternion_xyzw
+from holdfast.replay.runner import Timing
+from holdfast.state import BaseState, Estimate, Event, EventKind, Trajectory
+
+STANDARD_GRAVITY = 9.80665
+PROGRESS_EVERY = 1000  # messages
+TRUST = {
+    EventKind.INITIALISED: True,
+    EventKind.GNSS_LOST: False,
+    EventKind.GNSS_REGAINED: True,
+    EventKind.ESTIMATE_SUSPECT: True,  # fixes that were not trusted are believed after all
+    EventKind.CLOCK_STEP: False,
+}
+
+
+class PublishedRecorder:
+    """Feeds an estimator and keeps what comes out; `run` once, then ask for `published`."""
+
+    def __init__(self, config: Config) -> None:
+        self.estimator = Estimator(config)
+        self.timing = Timing()
+        self.events: list[Event] = []
+        self._max_gap_ns = round(config.sensors.imu.max_gap_s * 1e9)
+        self._is_trusted = False
+        self._trusted: list[bool] = []
+        self._begun: list[int] = []  # rows at which the estimator started, or started over
+        self._estimates: list[Estimate] = []
+        self._forces: list[Array] = []
+        self._bases: list[BaseState | None] = []
+
+    def run(self, messages: Iterable[Message], progress: Callable[[int], None] | None = None) -> None:
+        """Process all messages, in the order of arrival."""
+        began, first_ns, last_ns = perf_counter(), 0, 0
+        for count, message in enumerate(messages):
+            last_ns = message.arrival_ns
+            first_ns = first_ns or last_ns
+            began_ns = perf_counter_ns()
+            output = self.estimator.process(message)
+            took_ns = perf_counter_ns() - began_ns
+            self._keep(message, output, took_ns)
+            if progress is not None and count % PROGRESS_EVERY == 0:
+                progress(last_ns)
+        self.timing.wall_s = perf_counter() - began
+        self.timing.recorded_s = (last_ns - first_ns) * 1e-9
+
+    def _keep(self, message: Message, output: Output, took_ns: int) -> None:
+        if output.optimised is not None:
+            self.timing.update_ns.append(took_ns)
+        elif isinstance(message, ImuSample):
+            self.timing.imu_ns.append(took_ns)
+        if output.estimate is not None and isinstance(message, ImuSample):
+            self._estimates.append(output.estimate)
+            self._forces.append(message.specific_force)
+            self._bases.append(output.base)
+            self._trusted.append(self._is_trusted)
+        if self.estimator.events:
+            events = self.estimator.take_events()
+            self.events += events
+            for event in events:
+                self._is_trusted = TRUST.get(event.kind, self._is_trusted)
+                if event.kind is EventKind.INITIALISED:
+                    self._begun.append(len(self._estimates))
+
+    def lives(self) -> list[Published]:
+        """Return what was published from each start of the estimator to the next; O is another one in each."""
+        edges = [*self._begun, len(self._estimates)]
+        return [self._published(range(begin, end)) for begin, end in pairwise(edges) if begin < end]
+
+    def published(self) -> Published:
+        """Return everything that was published for a time later than all before."""
+        stamps = [estimate.stamp_ns for estimate in self._estimates]
+        newest = accumulate([-1, *stamps], max)
+        later = [stamp > latest for stamp, latest in zip(stamps, newest, strict=False)]
+        return self._published([row for row, is_later in enumerate(later) if is_later])
+
+    def _published(self, rows: Sequence[int]) -> Published:
+        kept = [self._estimates[row] for row in rows]
+        stamps = np.array([estimate.stamp_ns for estimate in kept], dtype=np.int64)
+        quaternions = _stack([quaternion_xyzw(e.nav.attitude()) for e in kept], 4)
+        world = Trajectory(stamps, _stack([e.nav.position() for e in kept], 3), quaternions)
+        T_O_I = [e.T_W_O.inverse() * e.nav.pose() for e in kept]
+        odometry = Trajectory(
+            stamps,
+            _stack([T.translation() for T in T_O_I], 3),
+            _stack([quaternion_xyzw(T.rotation()) for T in T_O_I], 4),
+        )
+        return Published(
+            world=States(world, _stack([e.nav.velocity() for e in kept], 3)),
+            odometry=States(odometry, _stack([e.T_W_O.rotation().unrotate(e.nav.velocity()) for e in kept], 3)),
+            covariances=np.array([e.covariance for e in kept]).reshape(-1, 9, 9),
+            inertial=self._inertial(rows, kept),
+            trusted=np.array([self._trusted[row] for row in rows], dtype=np.bool_),
+            chassis=self._chassis(rows, kept),
+        )
+
+    def _inertial(self, rows: Sequence[int], kept: list[Estimate]) -> Inertial:
+        datum = self.estimator.datum
+        configured = self.estimator.config.frames.gravity
+        fallback = STANDARD_GRAVITY if datum is None else gravity(datum.latitude_deg, datum.altitude_m)
+        down = np.array([0.0, 0.0, -(configured or fallback)])
+        forces = [self._forces[row] - e.bias.accelerometer() for row, e in zip(rows, kept, strict=True)]
+        in_world = [e.nav.attitude().rotate(force) + down for e, force in zip(kept, forces, strict=True)]
+        return Inertial(
+            angular_velocity=_stack([e.angular_velocity for e in kept], 3),
+            acceleration=_stack([e.T_W_O.rotation().unrotate(a) for e, a in zip(kept, in_world, strict=True)], 3),
+            heard=self._heard(rows, kept),
+        )
+
+    def _chassis(self, rows: Sequence[int], kept: list[Estimate]) -> Chassis | None:
+        bases = [self._bases[row] for row in rows]
+        if all(base is None for base in bases):
+            return None
+        poses, rates = np.full((len(rows), 7), np.nan), np.full(len(rows), np.nan)
+        for k, (base, estimate) in enumerate(zip(bases, kept, strict=True)):
+            if base is not None:
+                T_I_B = estimate.nav.pose().inverse() * base.T_W_B
+                poses[k, :3], poses[k, 3:] = T_I_B.translation(), quaternion_xyzw(T_I_B.rotation())
+                rates[k] = base.angular_velocity[2]
+        stamps = np.array([estimate.stamp_ns for estimate in kept], dtype=np.int64)
+        return Chassis(Trajectory(stamps, poses[:, :3], poses[:, 3:]), rates)
+
+    def _heard(self, rows: Sequence[int], kept: list[Estimate]) -> NDArray[np.bool_]:
+        """Tell where the IMU was heard at an estimate and all the way from the one before, within one life."""
+        begun = set(self._begun)
+        from_imu = np.array([e.from_imu for e in kept], dtype=np.bool_)
+        within = np.array([row not in begun for row in rows], dtype=np.bool_)
+        near = np.diff([e.stamp_ns for e in kept], prepend=0) <= self._max_gap_ns
+        heard: NDArray[np.bool_] = from_imu & np.concatenate([[False], from_imu[:-1]]) & within & near
+        return heard
+
+
+def _stack(vectors: list[Array], length: int) -> Array:
+    return np.array(vectors, dtype=np.float64).reshape(-1, length)

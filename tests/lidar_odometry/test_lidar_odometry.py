@@ -1,0 +1,375 @@
+"""`holdfast lidar-odometry`: bags in, bags out, in whatever way it ends."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from bags import HUMBLE, NOETIC, bare, imu, odometry, store_of, write_bag
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
+from rosbags.typesys import get_types_from_msg
+from yard import START_NS, error, message, sweep
+
+from holdfast.cli.lidar_odometry import lidar_odometry
+from holdfast.errors import ConfigError, EstimatorError, RecordingError
+from holdfast.lidar_odometry import registration, runner
+from holdfast.lidar_odometry.registration import Registered
+from holdfast.lidar_odometry.worker import RegistrationProcess
+from holdfast.recording.bag_file import Channel
+from holdfast.recording.mcap_writer import McapWriter
+from holdfast.recording.raw import RawChannel, RawCopier
+from holdfast.recording.source import Subscription, open_recording
+
+pytest.importorskip("small_gicp")
+
+COMMAND = """
+import holdfast.cli as cli
+from holdfast.cli.lidar_odometry import lidar_odometry
+cli.holdfast = lidar_odometry
+cli.main()
+"""
+DELAY_NS = 212_000_000
+SWEEPS = 7
+THING = "site_msgs/msg/Thing"
+for store in (HUMBLE, NOETIC):
+    store.register(get_types_from_msg("std_msgs/Header header\nfloat64 load\nstring[] who\n", THING))
+
+
+def turning(t):
+    return 0.1 * np.asarray(t)
+
+
+@cache
+def sweeps():
+    rng = np.random.default_rng(3)
+    return [sweep(k, rng, turning) for k in range(SWEEPS)]
+
+
+def messages(store, more=(), number=SWEEPS):
+    """(topic, arrival, message) of a short recording: clouds, an IMU and something that no standard knows."""
+    rows = list(more)
+    for k in range(number):
+        swept = replace(sweeps()[k % SWEEPS], stamp_ns=START_NS + k * 200_000_000)
+        rows.append(("/points", swept.stamp_ns + DELAY_NS, message(store, swept)))
+    for k in range(number * 20):
+        stamp_ns = START_NS + k * 10_000_000
+        rows.append(("/imu", stamp_ns + 1_000_000, imu(store, stamp_ns, rate=(0.0, 0.0, 0.1))))
+    header = imu(store, START_NS).header
+    rows.append(("/things", START_NS + 500_000_000, store.types[THING](header, 1250.5, ["left", "right"])))
+    return sorted(rows, key=lambda row: row[1])
+
+
+def convert(bag, out, *options):
+    """Run the command in this process."""
+    lidar_odometry.main([str(bag), "-o", str(out), *map(str, options)], standalone_mode=False)
+    return out
+
+
+def read(path, topic=None):
+    """(topic, arrival, message) rows of a bag, in its own order."""
+    with AnyReader([Path(path)]) as reader:
+        connections = [c for c in reader.connections if topic in (None, c.topic)]
+        return [(c.topic, at, reader.deserialize(raw, c.msgtype)) for c, at, raw in reader.messages(connections)]
+
+
+@pytest.fixture(scope="module", params=["bag", "db3", "mcap"])
+def converted(request, tmp_path_factory):
+    """A bag of every kind, and what the command made of it."""
+    folder = tmp_path_factory.mktemp(request.param)
+    bag = write_bag(folder / "in", request.param, messages(store_of(request.param)))
+    return bag, convert(bag, folder / "new" / "out.mcap")
+
+
+def test_poses_take_the_place_of_the_clouds(converted):
+    _, out = converted
+    with open_recording(out) as recording:
+        counts = {info.topic: (info.type, info.count) for info in recording.topics}
+    assert counts == {
+        "/imu": ("sensor_msgs/msg/Imu", SWEEPS * 20),
+        "/things": (THING, 1),
+        "/lidar/odometry": ("nav_msgs/msg/Odometry", SWEEPS),
+    }
+    arrivals = [at for _, at, _ in read(out)]
+    assert arrivals == sorted(arrivals)
+
+
+def test_what_is_copied_is_the_same_message_at_the_same_time(converted):
+    bag, out = converted
+    for topic in ("/imu", "/things"):
+        before, after = read(bag, topic), read(out, topic)
+        assert [at for _, at, _ in after] == [at for _, at, _ in before]
+        for (_, _, a), (_, _, b) in zip(before, after, strict=True):
+            assert (a.header.stamp.sec, a.header.stamp.nanosec) == (b.header.stamp.sec, b.header.stamp.nanosec)
+            assert a.header.frame_id == b.header.frame_id
+    [(_, _, thing)] = read(out, "/things")
+    assert (thing.load, thing.who) == (1250.5, ["left", "right"])
+    assert read(out, "/imu")[5][2].angular_velocity.z == 0.1
+
+
+def test_poses_are_true_at_their_stamps_and_arrive_late(converted):
+    _, out = converted
+    poses = [(at, m) for _, at, m in read(out, "/lidar/odometry")]
+    assert [at for at, _ in poses] == [START_NS + k * 200_000_000 + DELAY_NS + 80_000_000 for k in range(SWEEPS)]
+    with open_recording(out) as recording:
+        lidar = list(recording.read([Subscription("/lidar/odometry", "lidar", "lidar")]))
+    middle_ns = round(sweeps()[0].middle_s * 1e9)
+    assert [pose.stamp_ns for pose in lidar] == [START_NS + k * 200_000_000 + middle_ns for k in range(SWEEPS)]
+    first = Registered(lidar[0].stamp_ns, np.eye(4))
+    for pose in lidar:
+        x, y, z, w = pose.quaternion
+        T = gtsam.Pose3(gtsam.Rot3.Quaternion(w, x, y, z), pose.position).matrix()
+        miss = error(Registered(pose.stamp_ns, T), first, turning)
+        assert np.abs(miss[:3]).max() < 2e-3
+        assert np.abs(miss[3:]).max() < 0.05  # the first sweep cannot be deskewed
+    _, last = poses[-1]
+    assert (last.header.frame_id, last.child_frame_id) == ("lidar_odom", "lidar")
+
+
+def test_the_first_covariance_is_unknown_and_the_others_are_small_and_positive(converted):
+    covariances = [m.pose.covariance.reshape(6, 6) for _, _, m in read(converted[1], "/lidar/odometry")]
+    assert not covariances[0].any()
+    for covariance in covariances[1:]:
+        sigmas = np.sqrt(np.linalg.eigvalsh(covariance))
+        assert (sigmas > 1e-6).all()
+        assert np.sqrt(covariance.diagonal()[:3]).max() < 0.01
+        assert np.sqrt(covariance.diagonal()[3:]).max() < 0.001
+
+
+def test_a_covariance_is_turned_to_the_axes_of_the_frame():
+    from holdfast.recording.cdr import OdometryEncoder
+
+    T = np.eye(4)
+    T[:3, :3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]  # x of L is y of the frame
+    covariance = np.diag([1e-6, 2e-6, 3e-6, 1e-2, 2e-2, 3e-2])
+    raw = runner.encode(Registered(START_NS, T, covariance), OdometryEncoder("a", "b"))
+    ros = HUMBLE.deserialize_cdr(raw, "nav_msgs/msg/Odometry").pose.covariance.reshape(6, 6)
+    np.testing.assert_allclose(ros.diagonal(), [2e-2, 1e-2, 3e-2, 2e-6, 1e-6, 3e-6])
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    """A bare MCAP file whose lidar odometry is there already."""
+    more = [("/lidar/odometry", START_NS + 10, odometry(HUMBLE, START_NS))]
+    return bare(write_bag(tmp_path_factory.mktemp("bag") / "in", "mcap", messages(HUMBLE, more)))
+
+
+@pytest.fixture(scope="module")
+def plain(bag, tmp_path_factory):
+    """What the command makes of the bag without further options."""
+    return convert(bag, tmp_path_factory.mktemp("plain") / "out.mcap", "--replace")
+
+
+def test_the_same_bag_gives_the_same_bytes(bag, plain, tmp_path):
+    assert convert(bag, tmp_path / "out.mcap", "--replace").read_bytes() == plain.read_bytes()
+
+
+def test_options_of_the_output(bag, tmp_path):
+    out = convert(bag, tmp_path / "out.mcap", "--output-topic", "/new", "--keep-scans", "--latency-s", 0.5)
+    rows = read(out)
+    assert {topic for topic, _, _ in rows} == {"/imu", "/things", "/points", "/lidar/odometry", "/new"}
+    assert [at for _, at, _ in rows] == sorted(at for _, at, _ in rows)
+    clouds = [at for topic, at, _ in rows if topic == "/points"]
+    assert [at - 500_000_000 for topic, at, _ in rows if topic == "/new"] == clouds
+    [(_, _, cloud), *_] = read(out, "/points")
+    np.testing.assert_array_equal(cloud.data, message(HUMBLE, sweeps()[0]).data)
+
+
+def test_the_gyroscope_of_a_configuration_is_used(bag, plain, tmp_path, capsys):
+    text = "sensors: {{imu: {{topic: {}}}, lidar: {{topic: /lidar/odometry}}}}\n"
+    text += "extrinsics: [{{parent: imu, child: lidar, translation_m: [0, 0, 0]}}]"
+    config = tmp_path / "config.yaml"
+    config.write_text(text.format("/imu"))
+    helped = convert(bag, tmp_path / "helped.mcap", "--replace", "-c", config)
+    assert capsys.readouterr().err == ""
+    assert plain.read_bytes() != helped.read_bytes()
+    config.write_text(text.format("/nothing"))
+    with pytest.raises(RecordingError, match="has no topic '/nothing'"):
+        convert(bag, tmp_path / "none.mcap", "--replace", "-c", config)
+
+
+@pytest.mark.parametrize(
+    ("options", "kind", "words"),
+    [
+        ([], ConfigError, "has a topic '/lidar/odometry' already: give another --output-topic or --replace"),
+        (["--replace", "--topic", "/imu"], RecordingError, "is sensor_msgs/msg/Imu (allowed: sensor_msgs/msg/Point"),
+        (["--replace", "--topic", "/pionts"], RecordingError, "did you mean '/points'?"),
+        (["--output-topic", "/points"], ConfigError, "has a topic '/points' already: give another --output-topic"),
+        (["--replace", "--min-range-m", 500], RecordingError, "0 points lie beyond 500 m"),
+        (["--method", "kiss-icp", "-c", "x.yaml"], ConfigError, "kiss-icp takes no gyroscope"),
+    ],
+)
+def test_a_mistake_is_one_clear_line(bag, tmp_path, options, kind, words):
+    with pytest.raises(kind) as raised:
+        convert(bag, tmp_path / "out.mcap", *options)
+    assert words in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_bag_needs_one_topic_of_clouds(tmp_path):
+    none = write_bag(tmp_path / "none", "mcap", [("/imu", START_NS, imu(HUMBLE, START_NS))])
+    with pytest.raises(RecordingError, match=r"has no topic of sensor_msgs/msg/PointCloud2; it has /imu"):
+        convert(none, tmp_path / "out.mcap")
+    rows = [(topic, START_NS, message(HUMBLE, sweeps()[0])) for topic in ("/front", "/rear")]
+    two = write_bag(tmp_path / "two", "mcap", rows)
+    with pytest.raises(ConfigError, match="give --topic one of /front, /rear"):
+        convert(two, tmp_path / "out.mcap")
+
+
+def test_nothing_is_overwritten_unasked(bag, tmp_path):
+    out = tmp_path / "out.mcap"
+    out.write_bytes(b"precious")
+    with pytest.raises(ConfigError, match="exists already: --force overwrites it"):
+        convert(bag, out, "--replace")
+    with pytest.raises(ConfigError, match="has a topic"):  # found before anything is overwritten
+        convert(bag, out, "--force")
+    assert out.read_bytes() == b"precious"
+    convert(bag, out, "--replace", "--force")
+    assert len(read(out, "/lidar/odometry")) == SWEEPS
+    with pytest.raises(ConfigError, match="is the recording that is read"):
+        convert(bag, bag, "--replace", "--force")
+    with pytest.raises(ConfigError, match=r"must end in \.mcap"):
+        convert(bag, tmp_path / "out.bag", "--replace")
+
+
+def test_clouds_that_cannot_be_used_are_counted_and_the_others_are(tmp_path, capsys):
+    rows = messages(HUMBLE)
+    clouds = [number for number, row in enumerate(rows) if row[0] == "/points"]
+    raw = {clouds[2]: b"\x00\x01\x00\x00 no cloud"}
+    topic, arrival, _ = rows[clouds[4]]
+    rows[clouds[4]] = (topic, arrival, rows[clouds[3]][2])  # the same cloud twice
+    broken = write_bag(tmp_path / "in", "mcap", rows, raw=raw)
+    out = convert(broken, tmp_path / "out.mcap")
+    assert len(read(out, "/lidar/odometry")) == SWEEPS - 2
+    [warning] = capsys.readouterr().err.splitlines()
+    assert "2 messages of /points" in warning
+
+
+def test_a_missing_library_is_named_with_the_command_that_installs_it(bag, tmp_path, monkeypatch):
+    monkeypatch.setattr(registration, "find_spec", lambda _: None)
+    with pytest.raises(ConfigError, match=r"needs genz_icp: pip install 'holdfast\[lidar\]'"):
+        convert(bag, tmp_path / "out.mcap", "--method", "genz-icp")
+    assert not (tmp_path / "out.mcap").exists()
+
+
+def test_what_nobody_could_read_later_is_left_out_and_named(tmp_path):
+    undefined = MessageDefinition(MessageDefinitionFormat.NONE, "")
+    channels = [
+        RawChannel(tmp_path, False, Channel(number, topic, type_name, undefined, "", 1))
+        for number, (topic, type_name) in enumerate([("/imu", "sensor_msgs/msg/Imu"), ("/things", THING)])
+    ]
+    with McapWriter(tmp_path / "out.mcap") as writer:
+        copier = RawCopier(writer, channels)
+        for channel in channels:
+            copier.copy(START_NS, channel, bytes(HUMBLE.serialize_cdr(imu(HUMBLE, START_NS), "sensor_msgs/msg/Imu")))
+    [line] = copier.left_out
+    assert line.startswith(f"/things ({THING}): ")
+    assert [topic for topic, _, _ in read(tmp_path / "out.mcap")] == ["/imu"]
+
+
+def test_stamps_may_begin_at_zero(tmp_path, capfd):
+    rows = [
+        ("/points", k * 200_000_000, message(HUMBLE, replace(sweeps()[k], stamp_ns=k * 200_000_000))) for k in range(2)
+    ]
+    out = convert(write_bag(tmp_path / "in", "mcap", rows), tmp_path / "out.mcap")
+    assert len(read(out, "/lidar/odometry")) == 2
+    assert capfd.readouterr().err == ""
+
+
+# --- however it ends --------------------------------------------------------------------------------------------------
+
+
+def test_a_library_that_throws_is_one_line():
+    with RegistrationProcess("small-gicp", 1) as process:
+        process.submit(replace(sweeps()[0], points=np.zeros((5, 2)), offsets_s=None))
+        with pytest.raises(EstimatorError, match="lidar odometry by small-gicp failed: ") as raised:
+            process.result()
+    assert "\n" not in str(raised.value)
+
+
+def test_a_killed_process_is_one_line_and_what_was_written_is_kept(bag, tmp_path, monkeypatch):
+    class Doomed(RegistrationProcess):
+        asked = 0
+
+        def result(self):
+            self.asked += 1
+            if self.asked == 4:
+                os.kill(self.pid, signal.SIGKILL)
+                time.sleep(0.2)
+            return super().result()
+
+    monkeypatch.setattr(runner, "RegistrationProcess", Doomed)
+    with pytest.raises(EstimatorError, match="its process was killed by SIGKILL") as raised:
+        convert(bag, tmp_path / "out.mcap", "--replace")
+    assert "\n" not in str(raised.value)
+    assert len(read(tmp_path / "out.mcap", "/lidar/odometry")) >= 3
+
+
+@pytest.fixture(scope="module")
+def long_bag(tmp_path_factory):
+    """More sweeps than are registered before somebody interrupts."""
+    return bare(write_bag(tmp_path_factory.mktemp("long") / "in", "mcap", messages(HUMBLE, number=150)))
+
+
+def start(bag, out):
+    """The real command in a session of its own, some chunks into its work."""
+    running = subprocess.Popen(
+        [sys.executable, "-c", COMMAND, str(bag), "-o", str(out)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + 30
+    while not (out.exists() and out.stat().st_size > 1000) and time.monotonic() < deadline:
+        assert running.poll() is None, running.communicate()
+        time.sleep(0.02)
+    return running
+
+
+def survivors(session):
+    """Processes of a session."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[3]) == session and fields[0] != "Z":
+            found.append(int(stat.parent.name))
+    return found
+
+
+def assert_nobody_survives(session):
+    deadline = time.monotonic() + 10
+    while survivors(session) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert survivors(session) == []
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
+def test_ctrl_c_leaves_a_readable_file_and_no_process(long_bag, tmp_path):
+    running = start(long_bag, tmp_path / "out.mcap")
+    os.killpg(running.pid, signal.SIGINT)
+    out, err = running.communicate(timeout=30)
+    assert (running.returncode, out, err.strip()) == (130, "", "interrupted")
+    with open_recording(tmp_path / "out.mcap") as recording:
+        assert recording.warnings == []
+        assert sum(info.count for info in recording.topics) > 10
+    assert_nobody_survives(running.pid)
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
+def test_no_process_outlives_one_that_was_killed(long_bag, tmp_path):
+    running = start(long_bag, tmp_path / "out.mcap")
+    assert len(survivors(running.pid)) >= 2
+    running.kill()
+    running.communicate(timeout=30)
+    assert_nobody_survives(running.pid)
