@@ -250,6 +250,7 @@ def fault(kind, sensor, start_s, end_s, **how):
 
 
 @lru_cache(maxsize=8)
-def simulated(seed=1, faults=()):
-    """The slewing scenario; faults as tuples (kind, sensor, start, end)."""
-    return simulate(slewing(*(fault(*given) for given in faults)), seed)
+def simulated(seed=1, faults=(), encoder_offset_s=0.0):
+    """The slewing scenario; faults as tuples (kind, sensor, start, end), and an offset that nobody knows."""
+    clock = {"offset_s": encoder_offset_s, "calibrated": False}
+    return simulate(slewing(*(fault(*given) for given in faults), sensors={"joint": {"clock": clock}}), seed)

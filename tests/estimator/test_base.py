@@ -213,6 +213,32 @@ def test_every_reading_is_counted_under_what_became_of_it():
     }
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_whatever_the_sensors_send_every_state_is_finite(seed):
+    rng = np.random.default_rng(seed)
+    messages = []
+    for message in spoken(DRIVING, TIMES[:400]):
+        kind = rng.integers(12)
+        shift_ns = round(rng.normal(0.0, rng.choice([1e-3, 0.05, 1.0, 1e4])) * 1e9) if kind < 3 else 0
+        changed = replace(message, stamp_ns=message.stamp_ns + shift_ns)
+        if kind == 3 and isinstance(message, JointAngle):
+            changed = replace(changed, angle_rad=float(rng.choice([np.nan, np.inf, 1e9, -7.0, 0.0])))
+        if kind == 4 and isinstance(message, ImuSample):
+            changed = replace(changed, angular_velocity=rng.choice([np.nan, 30.0, -30.0, 0.0], 3))
+        messages += [changed] * rng.integers(0, 3)
+    given = [replace(e, from_imu=bool(rng.integers(9))) for e in estimates(DRIVING, TIMES[:400]) if rng.integers(5)]
+    listener = Listener(machine(base_imu=bool(seed % 4)))
+    states = [state for state in listener.run(given, messages) if state is not None]
+    assert len(states) > 100
+    for state in states:
+        numbers = [*state.velocity, *state.angular_velocity, state.joint_angle_rad, state.joint_angle_sigma_rad]
+        assert np.isfinite(numbers).all()
+        assert np.isfinite(state.T_O_B.matrix()).all()
+        assert state.turn_rate_sigma_rad_s >= 0.0
+    waiting = sum(count for (sensor, _), count in listener.counts.items() if sensor != "imu")
+    assert len(messages) - 60 <= waiting <= len(messages)  # each is counted once, or waits for its stamp
+
+
 def test_a_clock_that_goes_back_begins_anew():
     listener = Listener(machine())
     listener.run(estimates(DRIVING), spoken(DRIVING))

@@ -22,7 +22,7 @@ def test_ten_minutes_leave_the_window_as_it_was_after_one():
     for message in messages:
         estimator.process(message)
         if message.sensor == "imu" and estimator.initialised:
-            s = estimator._smoother
+            s = estimator._graph.main
             sizes[round(seconds(message.stamp_ns), 1)] = (
                 len(s),
                 len(s._links),

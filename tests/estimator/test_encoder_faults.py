@@ -65,6 +65,17 @@ def test_nothing_is_known_until_the_encoder_has_spoken_once():
     assert absent.base.encoder is EncoderState.ABSENT
 
 
+@pytest.mark.parametrize("offset_s", [-0.02, 0.03])
+def test_stamps_that_are_off_by_a_time_that_nobody_knows_are_learnt_in_one_slew(offset_s):
+    # 30 ms at 0.6 rad/s: 1 deg
+    listener, found = run_simulated(simulated(1, (), offset_s))
+    assert listener.base.encoder_lag_s == pytest.approx(offset_s, abs=3e-3)
+    again = found.between(25.0, 40.0)
+    assert again.slew_rad_s.max() > 0.5
+    assert np.degrees(rms(again.attitude_rad)) <= MAX_ATTITUDE_DEG
+    assert abs(np.diff(found.angle_rad)).max() < np.radians(0.02)
+
+
 @pytest.mark.parametrize("step_rad", [1e-6, 6e-3, 0.02])
 def test_an_encoder_with_a_coarse_step_is_not_frozen(step_rad):
     swaying = replace(DRIVING, swing_rad=0.3)

@@ -91,7 +91,7 @@ class LidarConfig(Section):
     time_offset_s: float = quantity("s", 0.0, ge=-10, le=10, doc="added to every stamp of this sensor")
     translation_sigma_m: float = quantity("m", 0.02, gt=0, doc="noise of the motion between two scans, per axis")
     rotation_sigma_rad: float = quantity("rad", 0.002, gt=0, doc="noise of the turn between two scans, per axis")
-    drift_m_per_sqrt_m: float = quantity("m/sqrt(m)", 0.05, ge=0, le=10, doc="random walk of the position, per way")
+    drift_m_per_sqrt_m: float = quantity("m/sqrt(m)", 0.04, ge=0, le=10, doc="random walk of the position, per way")
     drift_rad_per_sqrt_m: float = quantity("rad/sqrt(m)", 1e-3, ge=0, le=1, doc="random walk of the attitude, per way")
     drift_rad_per_sqrt_rad: float = quantity("sqrt(rad)", 5e-3, ge=0, le=1, doc="random walk of the attitude, per turn")
     max_interval_s: float = quantity("s", 1.0, gt=0, le=10, doc="scans further apart are not joined")

@@ -138,6 +138,11 @@ class BaseKinematics:
         """Whether the encoder can be used; None where there is no turn joint."""
         return None if self._joint is None else self._joint.state
 
+    @property
+    def encoder_lag_s(self) -> float | None:
+        """By how much the encoder's readings are older than their stamps, as learnt; None without a turn joint."""
+        return None if self._joint is None else self._joint.lag_s
+
     def add(self, message: ImuSample | JointAngle, imu_arrival_ns: int) -> None:
         """Take in a sample of the base IMU or a reading of the encoder, in the order of arrival.
 

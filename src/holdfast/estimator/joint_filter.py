@@ -10,11 +10,12 @@ from math import ceil, remainder, tau
 from holdfast.sensors.base_imu import BaseGyro
 from holdfast.state import Outcome
 
-TURN_S = 5.0  # how long a turn of the chassis lasts
+TURN_S = 5.0  # how long a turn of the chassis lasts, where nothing else is known
 TURN_DENSITY = 0.1  # [rad/s^2/sqrt(Hz)], how it begins and ends
 ANY_RATE = 0.5 * TURN_DENSITY**2 * TURN_S  # [rad^2/s^2], variance of the rate of which nothing is known
 LAG_SIGMA_S, LAG_WALK = 0.02, 1e-3  # of the encoder's stamps; [s/sqrt(s)]
 MAX_LAG_S = 0.2
+LAG_RATE_RAD_S = 0.05  # slower turns tell of noise rather than of the lag
 STEP_S, MAX_STEPS = 0.05, 500  # a silence is crossed in steps
 GATE_SIGMA = 6.0
 SILENT_NS = 100_000_000  # after such a silence of the base gyroscope nothing before it is sure any more
@@ -49,17 +50,17 @@ class JointFilter:
     @property
     def angle_variance(self) -> float:
         """Variance of the angle [rad^2]."""
-        return self._P[0]
+        return max(self._P[0], 0.0)
 
     @property
     def rate_variance(self) -> float:
         """Variance of the chassis' rate [rad^2/s^2]."""
-        return self._P[4]
+        return max(self._P[4], 0.0)
 
     @property
     def bias_variance(self) -> float:
         """Variance of the bias [rad^2/s^2]."""
-        return self._P[7]
+        return max(self._P[7], 0.0)
 
     def predict(self, stamp_ns: int, cabin_rate_rad_s: float, cabin_density2: float) -> None:
         """Go on to a later time, over which the cabin turned at a rate about the axis: (33).
@@ -78,7 +79,7 @@ class JointFilter:
             return
         steps = 1 if whole_s <= STEP_S else min(ceil(whole_s / STEP_S), MAX_STEPS)
         dt = whole_s / steps
-        keep = max(0.0, 1.0 - dt / TURN_S)
+        keep = 1.0 if self._hears_gyro(stamp_ns) else max(0.0, 1.0 - dt / TURN_S)
         qq, qw, qb, ql, ww, wb, wl, bb, bl, ll = self._P
         rate, turned = self.rate_rad_s, 0.0
         for _ in range(steps):
@@ -132,15 +133,19 @@ class JointFilter:
             variance: of the reading [rad^2].
             turn_rad: what `turn_until` says of the stamp.
         """
-        since_s = self._since_s(stamp_ns - round(self.lag_s * 1e9))
-        if stamp_ns - round(self.lag_s * 1e9) < self._stamps[0]:
+        taken_ns = stamp_ns - round(self.lag_s * 1e9)
+        if taken_ns < self._stamps[0]:
             return Outcome.LATE
+        since_s = self._since_s(taken_ns)
         angle_rad += self._turns[-1] - turn_rad
         if not self.is_known:
             self.is_known = True
             return self._start_at(angle_rad, variance, since_s)
-        joint_rate = self._joint_rate_rad_s
         qq, qw, qb, ql, ww, wb, wl, _, bl, ll = self._P
+        joint_rate = self._joint_rate_rad_s
+        tells_lag = abs(joint_rate) > LAG_RATE_RAD_S and self._hears_gyro(stamp_ns)
+        if not tells_lag:
+            joint_rate = 0.0
         a = qq + since_s * qw - joint_rate * ql
         c = qw + since_s * ww - joint_rate * wl
         d = qb + since_s * wb - joint_rate * bl
@@ -153,7 +158,7 @@ class JointFilter:
                 return Outcome.INNOVATION
             return self._start_at(self.angle_rad + innovation, variance, since_s)
         self._refused_ns = None
-        self._correct(innovation / S, S, (a, c, d, e))
+        self._correct(innovation / S, S, (a, c, d, e), moves_lag=tells_lag)
         return Outcome.USED
 
     def _start_at(self, angle_rad: float, variance: float, since_s: float) -> Outcome:
@@ -161,26 +166,36 @@ class JointFilter:
         self._refused_ns = None
         self.angle_rad = angle_rad
         *_, bb, _, ll = self._P
-        qq, qw, ql = since_s**2 * ANY_RATE, -since_s * ANY_RATE, self._joint_rate_rad_s * ll
-        qq += variance + self._joint_rate_rad_s * ql
+        qw, ql = -since_s * ANY_RATE, self._joint_rate_rad_s * ll
+        qq = variance - since_s * qw + self._joint_rate_rad_s * ql
         self._P = (qq, qw, 0.0, ql, ANY_RATE, 0.0, 0.0, bb, 0.0, ll)
         return Outcome.USED
 
-    def _correct(self, share: float, S: float, covariances: tuple[float, float, float, float]) -> None:
-        """Correct by an innovation over its variance S, given its covariances with the state."""
+    def _correct(
+        self, share: float, S: float, covariances: tuple[float, float, float, float], *, moves_lag: bool = False
+    ) -> None:
+        """Correct by an innovation over its variance S, given its covariances with the state.
+
+        A lag that is not moved keeps its variance, too (Schmidt's consider filter).
+        """
         a, c, d, e = covariances
         qq, qw, qb, ql, ww, wb, wl, bb, bl, ll = self._P
         self.angle_rad += a * share
         self.rate_rad_s += c * share
         self.bias_rad_s += d * share
-        self.lag_s = min(max(self.lag_s + e * share, -MAX_LAG_S), MAX_LAG_S)
+        if moves_lag:
+            self.lag_s = min(max(self.lag_s + e * share, -MAX_LAG_S), MAX_LAG_S)
+            ll -= e * e / S
         A, C, D = a / S, c / S, d / S
         self._P = (
             *(qq - a * A, qw - c * A, qb - d * A, ql - e * A),
             *(ww - c * C, wb - d * C, wl - e * C),
-            *(bb - d * D, bl - e * D),
-            ll - e * e / S,
+            *(bb - d * D, bl - e * D, ll),
         )
+
+    def _hears_gyro(self, stamp_ns: int) -> bool:
+        """Whether the base gyroscope says how the chassis turns; else a lag of the encoder looks like a turn."""
+        return self._rate_ns is not None and stamp_ns - self._rate_ns < SILENT_NS
 
     def _since_s(self, stamp_ns: int) -> float:
         assert self.stamp_ns is not None
