@@ -349,3 +349,10 @@ def test_every_section_of_the_model_is_reached_by_the_walk() -> None:
 
     names = {model.__name__ for model in models(Config)}
     assert names == set(Config.model_json_schema()["$defs"]) | {"Config"}
+
+
+def test_a_list_of_three_sigmas_is_three_numbers() -> None:
+    """Once refused: a validator that rebuilt the section took the lists of the file for no tuples."""
+    text = "sensors:\n  imu: {topic: /imu}\n  gnss: {topic: /g, frame: imu, default_sigma_m: [1, 1, 2]}\n"
+    gnss = parse_config(text).sensors.gnss
+    assert gnss is not None and gnss.default_sigma_m == (1, 1, 2)

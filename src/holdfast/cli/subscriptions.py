@@ -2,11 +2,12 @@
 
 from pydantic import BaseModel
 
-from holdfast.config.model import Config, GnssConfig, HeadingConfig, ImuConfig, JointConfig, LidarConfig
+from holdfast.config.model import BaseImuConfig, Config, GnssConfig, HeadingConfig, ImuConfig, JointConfig, LidarConfig
 from holdfast.recording.source import Kind, Subscription
 
 KINDS: dict[type[BaseModel], Kind] = {
     ImuConfig: "imu",
+    BaseImuConfig: "imu",
     GnssConfig: "gnss",
     LidarConfig: "lidar",
     HeadingConfig: "heading",

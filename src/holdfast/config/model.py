@@ -55,6 +55,12 @@ class ImuConfig(Section):
     max_gap_s: float = quantity("s", 0.05, gt=0, le=1, doc="longer silence (or 2.5 periods, if more) is a drop-out")
 
 
+class BaseImuConfig(ImuConfig):
+    """The inertial measurement unit on the chassis; settings as those of the IMU in the cabin."""
+
+    frame: str = Field("base_imu", description="name of the IMU's frame in `extrinsics`")
+
+
 class GnssConfig(Section):
     """One GNSS antenna."""
 
@@ -138,15 +144,9 @@ class SensorsConfig(Section):
     lidar: LidarConfig | None = None
     heading: HeadingConfig | None = None
     joint: JointConfig | None = None
-    base_imu: ImuConfig | None = Field(
+    base_imu: BaseImuConfig | None = Field(
         None, description="IMU of the chassis, in frame `base_imu` if not said; of its noise the gyroscope's is used"
     )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _name_base_frame(cls, data: Any) -> Any:
-        base_imu = data.get("base_imu") if isinstance(data, dict) else None
-        return {**data, "base_imu": {"frame": "base_imu", **base_imu}} if isinstance(base_imu, dict) else data
 
     def antennas(self) -> dict[str, GnssConfig]:
         """Return the configured GNSS antennas by sensor name, the left one first."""
