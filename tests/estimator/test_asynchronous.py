@@ -85,11 +85,11 @@ def test_the_order_in_which_two_sensors_arrive_changes_the_result_by_less_than_a
 
 @pytest.mark.parametrize("nodes", ["measurement", pytest.param("imu", marks=pytest.mark.slow)])
 def test_the_order_of_arrival_matters_little_to_a_window_that_holds_and_relinearises_all(nodes):
-    """What is left is the noise of the motion, which is weighed with the attitude as it was known then."""
+    """What is left is rounding: a node per sample is stiff, its positions are tied to a tenth of a millimetre."""
     graph = {"nodes": nodes, "lag_s": 60.0, "relinearize_threshold_rad": 1e-9}
     position, rotation, _ = spread(machine(graph=graph, standstill={"enabled": False}, gate=PATIENT))
-    assert position < 1e-5  # a thousandth of a fix
-    assert rotation < 1e-5
+    assert position < 1e-4  # a hundredth of a fix
+    assert rotation < 1e-4
 
 
 @POLICIES

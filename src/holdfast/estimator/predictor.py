@@ -2,6 +2,10 @@
 
 Between optimisations the newest optimised state is carried forward by the samples since, with its biases and its
 covariance; after each optimisation the samples since that node are propagated again (paper, IV-B).
+
+What was published goes on beside its successor until the next sample. There the two are compared, and T_W_O takes the
+difference: T_O_I arrives where the state published before leads it, whatever has become of position, attitude or
+velocity, also where the IMU was silent in between.
 """
 
 import gtsam
@@ -16,56 +20,31 @@ from holdfast.state import Estimate, OptimisedState
 FOLD_S = 1.0  # the walk of the biases enters the covariance this often
 
 
-class Predictor:
-    """Propagates attitude, position, velocity and their covariance at IMU rate, from `state` on."""
+class Propagation:
+    """An optimised state, carried forward by the samples since; `nav` and `covariance` are those of `stamp_ns`."""
 
-    def __init__(self, config: Config, buffer: ImuBuffer, gravity: float, state: OptimisedState) -> None:
+    def __init__(self, config: Config, buffer: ImuBuffer, gravity: float) -> None:
         imu = config.sensors.imu
         self._buffer = buffer
         self._noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
         self._motion_model = MotionModel(config.motion_model, gravity)
         walk = np.repeat([imu.accelerometer_random_walk, imu.gyroscope_random_walk], 3) ** 2
         self._bias_walk = np.diag(np.concatenate([np.zeros(9), walk]))
-        self._frame = OdometryFrame(config.frames.odometry_policy)
         self._H_nav = np.zeros((9, 9), order="F")
         self._H_bias = np.zeros((9, 6), order="F")
         self._transition = np.zeros((9, 15))
-        self._state = state
-        self._stamp_ns: int
+        self.state: OptimisedState
+        self.stamp_ns: int
+        self.rate: Array
+        self.from_imu: bool
         self._pim: gtsam.PreintegratedImuMeasurements
         self._base: gtsam.NavState
-        self._propagate_again()
 
-    @property
-    def stamp_ns(self) -> int:
-        """Time that the newest state has reached."""
-        return self._stamp_ns
-
-    def anchor(self, state: OptimisedState, *, is_recovery: bool = False) -> None:
-        """Continue from a new optimised state: propagate the samples since its stamp again."""
-        before = self._nav.pose()
-        self._state = state
-        self._propagate_again()
-        self._frame.correct(before, self._nav.pose(), is_recovery=is_recovery)
-
-    def add(self, stamp_ns: int, step: Step | None) -> Estimate:
-        """Carry the state to the newest sample; `step` is None where the IMU was silent before it."""
-        before_ns = self._stamp_ns
-        if self._buffer.gap_found_ns is not None:
-            self._propagate_again()  # samples that looked good were a straight line
-        elif step is None:
-            self._coast(stamp_ns)
-        else:
-            self._integrate(step)
-            self._stamp_ns = stamp_ns
-            if self._pim.deltaTij() > FOLD_S:
-                self._fold(self._pim)
-        return self._estimate((stamp_ns - before_ns) * 1e-9)
-
-    def _propagate_again(self) -> None:
-        state = self._state
-        self._rate = state.angular_velocity
-        self._from_imu = True
+    def start(self, state: OptimisedState) -> None:
+        """Begin with a state and carry it to the newest sample."""
+        self.state = state
+        self.rate = state.angular_velocity
+        self.from_imu = True
         self._begin(state.stamp_ns, state.nav, state.covariance)
         for piece in self._buffer.pieces(state.stamp_ns, max(state.stamp_ns, self._buffer.latest_ns)):
             if piece.is_gap:
@@ -73,25 +52,46 @@ class Predictor:
                 continue
             for step in self._buffer.steps(piece.start_ns, piece.end_ns):
                 self._integrate(step)
-            self._stamp_ns = piece.end_ns
-        self._nav = self._pim.predict(self._base, state.bias)
+            self.stamp_ns = piece.end_ns
+
+    def advance(self, stamp_ns: int, step: Step | None) -> None:
+        """Carry the state to a later sample; `step` is None where the IMU was silent before it."""
+        if step is None:
+            self._coast(stamp_ns)
+            return
+        missing_ns = stamp_ns - round(step.dt_s * 1e9) - self.stamp_ns
+        if missing_ns > 0:
+            self._coast(self.stamp_ns + missing_ns)
+        elif missing_ns < 0:  # a measurement led the state into this step while the IMU was silent
+            step = step._replace(dt_s=(stamp_ns - self.stamp_ns) * 1e-9)
+        self._integrate(step)
+        self.stamp_ns = stamp_ns
+        if self._pim.deltaTij() > FOLD_S:
+            self._fold(self._pim)
+
+    def nav(self) -> gtsam.NavState:
+        """Return the state now."""
+        return self._pim.predict(self._base, self.state.bias)
+
+    def predict(self) -> tuple[gtsam.NavState, Array]:
+        """Return the state now and its covariance (9, 9): (8) in docs/math.md."""
+        return self._predict(self._pim)
 
     def _integrate(self, step: Step) -> None:
         integrate(self._pim, step, self._bias_accel, self._bias_gyro)
-        self._rate = step.angular_velocity - self._bias_gyro
-        self._from_imu = True
+        self.rate = step.angular_velocity - self._bias_gyro
+        self.from_imu = True
 
     def _begin(self, stamp_ns: int, nav: gtsam.NavState, covariance: Array) -> None:
         """Make a state the base of what follows; the noise is that of the motion at the newest sample."""
-        bias = self._state.bias
-        self._stamp_ns, self._base, self._base_covariance = stamp_ns, nav, covariance
+        bias = self.state.bias
+        self.stamp_ns, self._base, self._base_covariance = stamp_ns, nav, covariance
         self._bias_accel, self._bias_gyro = bias.accelerometer(), bias.gyroscope()
         force = self._buffer.latest_force() - self._bias_accel
-        self._pim = gtsam.PreintegratedImuMeasurements(self._noise.params(force, self._rate, nav.attitude()), bias)
+        self._pim = gtsam.PreintegratedImuMeasurements(self._noise.params(force, self.rate, nav.attitude()), bias)
 
     def _predict(self, pim: gtsam.PreintegratedImuMeasurements) -> tuple[gtsam.NavState, Array]:
-        """Return the state after `pim` and its covariance (9, 9): (8) in docs/math.md."""
-        nav = pim.predict(self._base, self._state.bias, self._H_nav, self._H_bias)
+        nav = pim.predict(self._base, self.state.bias, self._H_nav, self._H_bias)
         F = self._transition
         F[:, :9], F[:, 9:] = self._H_nav, self._H_bias
         covariance: Array = F @ self._base_covariance @ F.T
@@ -105,25 +105,55 @@ class Predictor:
         covariance[:9, 9:] = self._transition @ self._base_covariance[:, 9:]
         covariance[9:, :9] = covariance[:9, 9:].T
         covariance[:9, :9] = nav_covariance
-        self._begin(self._stamp_ns, nav, covariance)
+        self._begin(self.stamp_ns, nav, covariance)
 
     def _coast(self, stamp_ns: int) -> None:
         """Cross a stretch in which the IMU was silent with the motion model."""
         self._fold(self._pim)
-        duration_s = (stamp_ns - self._stamp_ns) * 1e-9
+        duration_s = (stamp_ns - self.stamp_ns) * 1e-9
         if duration_s > 0.0:
-            self._fold(self._motion_model.preintegrate(duration_s, self._base, self._rate, self._state.bias))
-        self._stamp_ns, self._from_imu = stamp_ns, False
+            self._fold(self._motion_model.preintegrate(duration_s, self._base, self.rate, self.state.bias))
+        self.stamp_ns, self.from_imu = stamp_ns, False
 
-    def _estimate(self, since_last_s: float) -> Estimate:
-        self._nav, covariance = self._predict(self._pim)
-        self._frame.flow(self._nav.pose(), since_last_s)
+
+class Predictor:
+    """Gives attitude, position, velocity and their covariance at IMU rate, from `state` on."""
+
+    def __init__(self, config: Config, buffer: ImuBuffer, gravity: float, state: OptimisedState) -> None:
+        self._buffer = buffer
+        self._frame = OdometryFrame(config.frames.odometry_policy)
+        self._newest = Propagation(config, buffer, gravity)
+        self._other = Propagation(config, buffer, gravity)  # what was published, or nothing
+        self._is_replaced = self._is_recovery = False
+        self._newest.start(state)
+
+    @property
+    def stamp_ns(self) -> int:
+        """Time that the newest state has reached."""
+        return self._newest.stamp_ns
+
+    def anchor(self, state: OptimisedState, *, is_recovery: bool = False) -> None:
+        """Continue from a new optimised state: propagate the samples since its stamp again."""
+        if not self._is_replaced:
+            self._newest, self._other = self._other, self._newest
+            self._is_replaced = True
+        self._is_recovery |= is_recovery
+        self._newest.start(state)
+
+    def add(self, stamp_ns: int, step: Step | None) -> Estimate:
+        """Carry the state to the newest sample; `step` is None where the IMU was silent before it."""
+        newest, before_ns = self._newest, self._newest.stamp_ns
+        if self._buffer.gap_found_ns is not None:
+            self.anchor(newest.state)  # samples that looked good were a straight line
+            newest = self._newest
+        else:
+            newest.advance(stamp_ns, step)
+        nav, covariance = newest.predict()
+        if self._is_replaced:
+            self._other.advance(stamp_ns, step)
+            self._frame.correct(self._other.nav().pose(), nav.pose(), is_recovery=self._is_recovery)
+            self._is_replaced = self._is_recovery = False
+        self._frame.flow(nav.pose(), (stamp_ns - before_ns) * 1e-9)
         return Estimate(
-            self._stamp_ns,
-            self._nav,
-            self._frame.T_W_O,
-            self._state.bias,
-            covariance,
-            self._rate,
-            self._from_imu,
+            newest.stamp_ns, nav, self._frame.T_W_O, newest.state.bias, covariance, newest.rate, newest.from_imu
         )
