@@ -1,3 +1,71 @@
-"""Holdfast tells a construction machine where it is: IMU, RTK-GNSS and lidar odometry fused in factor graphs."""
+"""Holdfast tells a construction machine where it is: IMU, RTK-GNSS and lidar odometry fused in factor graphs.
+
+```python
+with holdfast.RealtimeEstimator(holdfast.load_config("machine.yaml")) as estimator:
+    output = estimator.add_imu(stamp_ns, angular_velocity, specific_force)
+```
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from holdfast.config.load import load_config as load_config
+    from holdfast.config.model import Config as Config
+    from holdfast.errors import ConfigError as ConfigError
+    from holdfast.errors import EstimatorError as EstimatorError
+    from holdfast.errors import HoldfastError as HoldfastError
+    from holdfast.errors import RecordingError as RecordingError
+    from holdfast.estimator.estimator import Estimator as Estimator
+    from holdfast.estimator.estimator import Output as Output
+    from holdfast.geometry.earth import Geodetic as Geodetic
+    from holdfast.messages import FixStatus as FixStatus
+    from holdfast.messages import GnssFix as GnssFix
+    from holdfast.messages import Heading as Heading
+    from holdfast.messages import ImuSample as ImuSample
+    from holdfast.messages import JointAngle as JointAngle
+    from holdfast.messages import LidarPose as LidarPose
+    from holdfast.realtime.engine import RealtimeEstimator as RealtimeEstimator
+    from holdfast.state import BaseState as BaseState
+    from holdfast.state import Estimate as Estimate
+    from holdfast.state import Event as Event
+    from holdfast.state import Health as Health
 
 __version__ = "0.1.0"
+
+# name -> module; imported when it is first asked for, so that `import holdfast` costs nothing
+_PUBLIC = {
+    "BaseState": "state",
+    "Config": "config.model",
+    "ConfigError": "errors",
+    "Estimate": "state",
+    "Estimator": "estimator.estimator",
+    "EstimatorError": "errors",
+    "Event": "state",
+    "FixStatus": "messages",
+    "Geodetic": "geometry.earth",
+    "GnssFix": "messages",
+    "Heading": "messages",
+    "Health": "state",
+    "HoldfastError": "errors",
+    "ImuSample": "messages",
+    "JointAngle": "messages",
+    "LidarPose": "messages",
+    "Output": "estimator.estimator",
+    "RealtimeEstimator": "realtime.engine",
+    "RecordingError": "errors",
+    "load_config": "config.load",
+}
+__all__ = ["__version__", *_PUBLIC]  # noqa: PLE0604 (names)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PUBLIC:
+        raise AttributeError(f"module 'holdfast' has no attribute {name!r}")
+    value = getattr(import_module(f"holdfast.{_PUBLIC[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -114,7 +114,7 @@ def test_a_measurement_between_two_nodes_leaves_less_than_a_millimetre(nodes):
 def test_a_node_lies_within_a_twentieth_of_a_millisecond_of_its_measurement(nodes):
     _, samples, antenna, lidar = recorded()
     estimator, _ = run(machine(graph={"nodes": nodes}), in_order(samples, antenna, lidar))
-    stamps = np.array(estimator._graph.published._nodes.stamps)
+    stamps = np.array(estimator._optimiser.graph.published._nodes.stamps)
     inside = [m.stamp_ns for m in antenna + lidar if stamps[0] < m.stamp_ns < stamps[-1]]
     assert len(inside) > 30
     nearest = [abs(stamps - stamp).min() for stamp in inside]
@@ -159,7 +159,7 @@ def test_what_is_later_than_the_lag_is_counted_and_told_and_changes_nothing(sens
     _drive, samples, antenna, lidar = recorded()
     messages = in_order(samples, antenna, lidar)
     estimator, _ = run(machine(), messages)
-    clean = estimator._graph.published.state
+    clean = estimator._optimiser.graph.published.state
     old = {"gnss": antenna, "lidar": lidar}[sensor][(30 if sensor == "gnss" else 15)]
     old = replace(old, stamp_ns=old.stamp_ns + 1, arrival_ns=messages[-1].arrival_ns)  # no duplicate
     output = estimator.process(old)
@@ -168,7 +168,7 @@ def test_what_is_later_than_the_lag_is_counted_and_told_and_changes_nothing(sens
     event = estimator.events[-1]
     assert (event.kind, event.sensor, event.stamp_ns) == (EventKind.LATE, sensor, old.stamp_ns)
     assert "behind the newest state" in event.reason
-    assert estimator._graph.published.state is clean
+    assert estimator._optimiser.graph.published.state is clean
 
 
 def test_delays_up_to_the_lag_are_used():
@@ -218,7 +218,7 @@ def test_every_link_integrates_exactly_the_time_between_its_nodes(nodes):
     samples = imu(drive, 0.0, 6.0, 100.0, rng, phase_s=0.00006)
     fixed = fixes(drive, 0.0, 6.0, 10.0, rng, phase_s=0.00006)
     estimator, _ = run(machine(lidar=False, graph={"nodes": nodes}), in_order(samples, fixed))
-    links = list(estimator._graph.published._links.values())
+    links = list(estimator._optimiser.graph.published._links.values())
     assert len(links) > 10
     for link in links:
         measured = link.factor.preintegratedMeasurements().deltaTij()
@@ -254,10 +254,10 @@ def test_the_node_policy_decides_where_nodes_are():
     few, _ = run(machine(graph={"nodes": "measurement", "lag_s": 2.0}), messages)
     many, _ = run(machine(graph={"nodes": "imu", "lag_s": 2.0}), messages)
     # 10 + 5 measurements and 100 samples a second, in two seconds; while only the IMU speaks a node each 0.5 s
-    assert 20 <= len(few._graph.published) <= 32
-    assert 180 <= len(many._graph.published) <= 235
+    assert 20 <= len(few._optimiser.graph.published) <= 32
+    assert 180 <= len(many._optimiser.graph.published) <= 235
     used = {m.stamp_ns for m in antenna + lidar}
     grid = NODE_RESOLUTION_NS // 2
-    stamps = few._graph.published._nodes.stamps
+    stamps = few._optimiser.graph.published._nodes.stamps
     measured = [s for s in stamps if any(abs(s - u) <= grid for u in used)]
     assert len(measured) >= len(stamps) - 3

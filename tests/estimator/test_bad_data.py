@@ -155,10 +155,10 @@ def test_a_measurement_from_2100_is_counted(sensor):
     k = at(streams[sensor], 5.0)
     streams[sensor][k] = replace(streams[sensor][k], stamp_ns=FROM_2100_NS)
     estimator = survives(streams, drive)
-    waiting = sum(p.sensor == sensor for p in estimator._pending)
+    waiting = sum(p.sensor == sensor for p in estimator._optimiser.pending)
     assert sum(n for (name, _), n in estimator.counts.items() if name == sensor) + waiting == len(streams[sensor])
     assert estimator.counts[sensor, Outcome.CLOCK_JUMP] == 1
-    assert not [p for p in estimator._pending if p.stamp_ns == FROM_2100_NS]
+    assert not [p for p in estimator._optimiser.pending if p.stamp_ns == FROM_2100_NS]
 
 
 def test_a_fix_from_the_future_does_not_lead_the_state_away_while_the_imu_is_silent():
@@ -207,7 +207,7 @@ def test_scans_in_the_wrong_order_are_survived():
     streams["lidar"][k] = replace(streams["lidar"][k], arrival_ns=streams["lidar"][k].arrival_ns + 300_000_000)
     estimator = survives(streams, drive)
     total = sum(n for (name, _), n in estimator.counts.items() if name == "lidar")
-    assert total + sum(p.sensor == "lidar" for p in estimator._pending) == len(streams["lidar"])
+    assert total + sum(p.sensor == "lidar" for p in estimator._optimiser.pending) == len(streams["lidar"])
 
 
 def test_every_measurement_is_counted_under_exactly_one_outcome():
@@ -215,7 +215,7 @@ def test_every_measurement_is_counted_under_exactly_one_outcome():
     estimator = survives(streams, drive)
     for sensor, messages in streams.items():
         counted = sum(n for (name, _), n in estimator.counts.items() if name == sensor)
-        assert counted + sum(p.sensor == sensor for p in estimator._pending) == len(messages)
+        assert counted + sum(p.sensor == sensor for p in estimator._optimiser.pending) == len(messages)
 
 
 @pytest.mark.parametrize("off_m", [20.0, 100.0, 1e6])

@@ -84,7 +84,7 @@ def test_covariances_are_those_of_samples():
     A = rng.normal(size=(9, 9)) * np.repeat([1e-3, 2e-3, 2e-3], 3)[:, None]
     P = A @ A.T / 9.0
     geometry, t, sigmas = BaseGeometry(machine()), 2.0, (5e-3, 5e-3, 3e-3)
-    given, angle, about = replace(DRIVING.estimate(t), covariance=P), DRIVING.angle(t), DRIVING.omega @ AXIS
+    given, angle, about = DRIVING.estimate(t)._replace(spread=P), DRIVING.angle(t), DRIVING.omega @ AXIS
 
     def state(given, angle, about):
         T_W_B = given.nav.pose() * geometry.T_I_B(angle)
@@ -95,7 +95,7 @@ def test_covariances_are_those_of_samples():
     for _ in range(4000):
         rate = given.angular_velocity + rng.normal(0.0, sigmas[2], 3)
         nav = given.nav.retract(rng.multivariate_normal(np.zeros(9), P))
-        shifted = replace(given, nav=nav, angular_velocity=rate)
+        shifted = given._replace(nav=nav, angular_velocity=rate)
         other = state(shifted, angle + rng.normal(0.0, sigmas[0]), about + rng.normal(0.0, sigmas[1]))
         pose = gtsam.Pose3.Logmap(mean.T_W_B.between(other.T_W_B))
         errors.append([*pose, *(other.angular_velocity - mean.angular_velocity), *(other.velocity - mean.velocity)])
@@ -167,7 +167,7 @@ def test_the_encoder_leads_across_a_gap_of_the_cabins_imu():
         is_first = 0.0 < gap_s < 1.005
         estimate = DRIVING.estimate(t, 0.01)
         stale = DRIVING.estimate(3.0, 0.01).angular_velocity * -1.0
-        given.append(replace(estimate, angular_velocity=stale, from_imu=False) if is_first else estimate)
+        given.append(estimate._replace(angular_velocity=stale, from_imu=False) if is_first else estimate)
     listener = Listener(machine())
     states = listener.run(given, messages)
     after = [state for state in states[5:] if state.stamp_ns > ns(6.5)]
@@ -226,7 +226,7 @@ def test_whatever_the_sensors_send_every_state_is_finite(seed):
         if kind == 4 and isinstance(message, ImuSample):
             changed = replace(changed, angular_velocity=rng.choice([np.nan, 30.0, -30.0, 0.0], 3))
         messages += [changed] * rng.integers(0, 3)
-    given = [replace(e, from_imu=bool(rng.integers(9))) for e in estimates(DRIVING, TIMES[:400]) if rng.integers(5)]
+    given = [e._replace(from_imu=bool(rng.integers(9))) for e in estimates(DRIVING, TIMES[:400]) if rng.integers(5)]
     listener = Listener(machine(base_imu=bool(seed % 4)))
     states = [state for state in listener.run(given, messages) if state is not None]
     assert len(states) > 100

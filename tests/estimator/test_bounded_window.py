@@ -22,13 +22,13 @@ def test_ten_minutes_leave_the_window_as_it_was_after_one():
     for message in messages:
         estimator.process(message)
         if message.sensor == "imu" and estimator.initialised:
-            s = estimator._graph.main
+            s = estimator._optimiser.graph.main
             sizes[round(seconds(message.stamp_ns), 1)] = (
                 len(s),
                 len(s._links),
                 len(s._bias_stamps),
                 len(estimator._buffer._stamps),
-                len(estimator._pending),
+                len(estimator._optimiser.pending),
                 len(s._smoother.timestamps()),
                 s._smoother.getFactors().nrFactors(),
             )

@@ -68,7 +68,7 @@ def test_the_gap_is_told_once(spoil):
 @pytest.mark.parametrize("nodes", ["measurement", "imu"])
 def test_no_imu_factor_spans_a_gap(spoil, nodes):
     _, estimator, _ = crossed(spoil, gnss_in_gap=True, graph={"nodes": nodes, "lag_s": 4.0})
-    links = estimator._graph.published._links.values()
+    links = estimator._optimiser.graph.published._links.values()
     assert any(link.is_gap for link in links)
     for link in links:
         silent = sum(

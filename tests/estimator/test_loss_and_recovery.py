@@ -97,7 +97,7 @@ def test_both_graphs_are_identical_at_the_switch_and_go_their_own_ways_after_it(
     estimator, apart_since = Estimator(with_frames(PAPER)), []
     for message in in_order(*streams.values()):
         estimator.process(message)
-        graph = getattr(estimator, "_graph", None)
+        graph = getattr(estimator._optimiser, "graph", None)
         if graph is None or not graph.is_lost:
             continue
         main, published = graph.main.state, graph.published.state
@@ -106,7 +106,7 @@ def test_both_graphs_are_identical_at_the_switch_and_go_their_own_ways_after_it(
             continue  # fixes in quarantine have nodes in the published graph only
         apart_since.append(apart(main.nav, published.nav)[0])
     assert apart_since[0] < 1e-6 < max(apart_since)
-    assert estimator._graph.main is estimator._graph.published  # after the recovery they are one again
+    assert estimator._optimiser.graph.main is estimator._optimiser.graph.published  # after the recovery they are one again
 
 
 def test_without_a_difference_between_the_graphs_there_is_one():
@@ -114,8 +114,8 @@ def test_without_a_difference_between_the_graphs_there_is_one():
     estimator = Estimator(machine())
     for message in in_order(*streams.values()):
         estimator.process(message)
-        if hasattr(estimator, "_graph"):
-            assert estimator._graph.main is estimator._graph.published
+        if hasattr(estimator._optimiser, "graph"):
+            assert estimator._optimiser.graph.main is estimator._optimiser.graph.published
 
 
 @pytest.mark.parametrize("offset_m", [0.5, 5.0, 300.0])
@@ -145,7 +145,7 @@ def test_every_fix_is_counted_under_exactly_one_outcome_over_loss_and_recovery()
     _, streams = recorded()
     estimator, _ = run(machine(), in_order(*streams.values()))
     counted = sum(n for (sensor, _), n in estimator.counts.items() if sensor == "gnss")
-    waiting = sum(pending.sensor == "gnss" for pending in estimator._pending)
+    waiting = sum(pending.sensor == "gnss" for pending in estimator._optimiser.pending)
     assert counted + waiting == len(streams["gnss"])
 
 

@@ -35,9 +35,9 @@ def driven(failures, from_s=5.0, end_s=11.0):
 
     for message in messages:
         if message.stamp_ns >= ns(from_s) and left[0] > 0:
-            inner = estimator._graph.main._smoother
+            inner = estimator._optimiser.graph.main._smoother
             if not isinstance(inner, Failing):
-                estimator._graph.main._smoother = Failing(inner)
+                estimator._optimiser.graph.main._smoother = Failing(inner)
         outputs.append(estimator.process(message))
     assert left[0] == 0
     return drive, estimator, estimates(outputs)

@@ -74,6 +74,28 @@ def test_the_bias_of_the_accelerometer_is_found_along_gravity():
     assert np.linalg.norm(found - along) < 4.0 * 0.02 / np.sqrt(100.0)
 
 
+def test_an_engine_that_shakes_the_standing_machine_by_a_metre_per_second_squared_does_not_keep_it_from_starting():
+    shaken = [
+        replace(m, specific_force=m.specific_force + np.sin(2.0 * np.pi * 28.0 * seconds(m.stamp_ns)) * np.ones(3))
+        for m in standing()
+    ]
+    _, outputs = run(machine(), in_order(shaken, fixes(STANDING, 0.0, 3.0, rng=np.random.default_rng(2))))
+    state = first_state(outputs)
+    assert seconds(state.stamp_ns) < 1.5
+    assert apart(TRUTH, state.nav)[1] < 5.0 * 0.02 / np.sqrt(100.0) / 9.8 + 0.01 / 9.8  # 28 periods leave 1 % at most
+
+
+def test_two_antennas_of_a_standing_machine_are_no_motion():
+    config = without_heading(right=True, standstill={"max_acceleration": 1e-4})  # never quiet
+    estimator, _ = run(
+        config,
+        in_order(
+            standing(), fixes(STANDING, 0.0, 3.0), fixes(STANDING, 0.0, 3.0, arm=ARM_RIGHT, sensor="gnss_right")
+        ),
+    )
+    assert "moved 0.0 m" in estimator.waiting_for
+
+
 def test_a_heading_message_is_believed_before_the_configuration():
     axis = TRUTH.attitude().rotate(np.array([np.cos(np.radians(30.0)), np.sin(np.radians(30.0)), 0.0]))
     message = Heading(ns(0.5), ns(0.5), "heading", np.arctan2(axis[1], axis[0]), 0.01)

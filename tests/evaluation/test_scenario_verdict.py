@@ -169,9 +169,15 @@ def test_recovery_lasts_until_the_error_stays_small_and_until_gnss_is_used():
     error = constant(0.0, 0.0, 0.0)
     error[between(20.0, 31.5)] = [0.05, 0.0, 0.0]
     error[between(31.8, 32.0)] = [0.03, 0.0, 0.0]  # small for 0.3 s in between
-    (outage,) = judge(*evidence(error, trusted=~between(21.0, 33.0))).outages
-    assert outage.settled_s == pytest.approx(2.0, abs=0.03)
+    (outage,) = judge(*evidence(error, trusted=~between(21.0, 30.5))).outages
+    assert outage.regained_s == pytest.approx(0.5, abs=0.03)
+    assert outage.settled_s == pytest.approx(1.5, abs=0.03)  # from there on
+
+
+def test_an_error_that_was_small_when_gnss_came_back_has_settled_at_once():
+    (outage,) = judge(*evidence(constant(0.0, 0.0, 0.0), trusted=~between(21.0, 33.0))).outages
     assert outage.regained_s == pytest.approx(3.0, abs=0.03)
+    assert outage.settled_s == 0.0
 
 
 def test_gnss_that_is_never_used_again_is_said():

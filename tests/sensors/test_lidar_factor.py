@@ -154,6 +154,15 @@ def test_a_jump_is_told_from_noise_by_the_motion_of_the_imu():
     assert MODEL.jumped(motion * gtsam.Pose3(gtsam.Rot3(), np.array([0.5, 0.0, 0.0])), motion)
 
 
+def test_an_odometry_that_jumps_four_times_in_twenty_seconds_is_noisier_than_it_says():
+    model = LidarModel(CONFIG, gtsam.Pose3())
+    motion = gtsam.Pose3(gtsam.Rot3(), np.array([0.3, 0.0, 0.0]))
+    before = model.covariance(motion)
+    assert [model.note_jump(round(t * 1e9)) for t in (0.0, 15.0, 30.0, 45.0)] == [False] * 4
+    assert [model.note_jump(round(t * 1e9)) for t in (46.0, 47.0)] == [False, True]
+    np.testing.assert_allclose(model.covariance(motion), 9.0 * before)
+
+
 def test_velocity_is_free():
     motion = tilted_circle()
     factor = MODEL.factor(XI, XJ, motion.pose(0.0).between(motion.pose(0.2)))

@@ -11,13 +11,18 @@ from holdfast.errors import HoldfastError
 # name -> (module, one-line help); the module has a click command of that name
 COMMANDS = {
     "replay": ("holdfast.cli.replay", "Estimate the trajectory of a recording."),
+    "live": ("holdfast.cli.live", "Estimate on a running ROS 2 machine, over DDS."),
+    "view": ("holdfast.cli.view", "Show a recording or the results of a replay in Rerun."),
     "info": ("holdfast.cli.info", "List what a recording holds and what is wrong with its clocks."),
     "config": ("holdfast.cli.config", "Start, check and describe configuration files."),
     "evaluate": ("holdfast.cli.evaluate", "Judge a trajectory against a reference."),
+    "report": ("holdfast.cli.report", "Write a page about a replay that can be opened offline."),
+    "batch": ("holdfast.cli.batch", "Replay many recordings or variations side by side."),
     "simulate": ("holdfast.cli.simulate", "Simulate a machine on a site; its truth is known."),
     "lidar-odometry": ("holdfast.cli.lidar_odometry", "Turn the point clouds of a recording into poses."),
     "demo": ("holdfast.cli.demo", "Estimate 3.7 km of real driving; needs no download."),
     "ablate": ("holdfast.cli.ablate", "Measure on a scenario what each part is worth."),
+    "paper": ("holdfast.cli.paper", "Rebuild the paper's evaluation: every system, every table."),
     "bench": ("holdfast.cli.bench", "Measure speed on this machine."),
 }
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
+from holdfast.cli.bench_realtime import realtime
 from holdfast.cli.progress import progress_bar
 from holdfast.cli.replay import check_window
 from holdfast.errors import ConfigError, HoldfastError
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 BASELINE = "benchmarks/baseline.json"
 
 
-@click.command()
+@click.group(invoke_without_command=True)
 @click.option("--recording", default="kitti", show_default=True, help="What to replay; `kitti` ships with gtsam.")
 @click.option("-c", "--config", "config_path", type=click.Path(), help="Configuration. [default: that of kitti]")
 @click.option("--nodes", type=click.Choice(["measurement", "imu", "both"]), help="[default: as configured]")
@@ -27,7 +28,9 @@ BASELINE = "benchmarks/baseline.json"
 @click.option("--json", "json_path", type=click.Path(), help="Write the result for machines.")
 @click.option("--gate", type=click.Path(), help=f"Exit 1 if slower than this baseline, such as {BASELINE}.")
 @click.option("--update-baseline", is_flag=True, help=f"Write the baseline: the file of --gate, or {BASELINE}.")
+@click.pass_context
 def bench(  # noqa: PLR0917 (click passes the options by name)
+    context: click.Context,
     recording: str,
     config_path: str | None,
     nodes: str | None,
@@ -41,7 +44,11 @@ def bench(  # noqa: PLR0917 (click passes the options by name)
     Replays a recording, without and with writing the results, each time in a process of its own. The floor is a bare
     loop in which GTSAM propagates the same IMU samples, measured in the same process: ratios to it do not depend on the
     machine, and --gate compares them with those of a baseline.
+
+    `holdfast bench realtime` measures the engine of two processes instead.
     """
+    if context.invoked_subcommand is not None:
+        return
     from holdfast.recording.source import open_recording
     from holdfast.replay.benchmark import compare, describe_machine, read_baseline
 
@@ -64,6 +71,9 @@ def bench(  # noqa: PLR0917 (click passes the options by name)
         if slower:
             raise HoldfastError("\n".join(slower))
         click.echo(f"not slower than {gate}")
+
+
+bench.add_command(realtime)
 
 
 def _configuration(recording: str, path: str | None) -> "Config":

@@ -12,6 +12,8 @@ from holdfast.cli.progress import progress_bar
 from holdfast.errors import ConfigError, EstimatorError, HoldfastError
 
 if TYPE_CHECKING:
+    from holdfast.config.model import Config
+    from holdfast.realtime.engine import RealtimeEstimator
     from holdfast.replay.runner import Replay
 
 
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 @click.option("--start", "start_s", type=float, default=0.0, metavar="SECONDS", help="Skip the beginning.")
 @click.option("--duration", "duration_s", type=float, metavar="SECONDS", help="Replay only this much.")
 @click.option("--rate", type=float, metavar="FACTOR", help="Pace: 1 is that of the recording. [default: all out]")
+@click.option("--realtime", is_flag=True, help="At the pace of the recording, through the engine of two processes.")
 @click.option("--hold-out", multiple=True, metavar="SENSOR=N", help="Hold back every N-th message, to judge by it.")
 @click.option("--outage", multiple=True, metavar="SENSOR=START:END", help="Hold back all messages of this time [s].")
 def replay(  # noqa: PLR0917 (click passes the options by name)
@@ -31,6 +34,7 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     start_s: float,
     duration_s: float | None,
     rate: float | None,
+    realtime: bool,
     hold_out: tuple[str, ...],
     outage: tuple[str, ...],
 ) -> None:
@@ -39,6 +43,9 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     Writes to the output folder: imu_in_world.tum and imu_in_odom.tum (what was published at each IMU sample; base_*.tum
     if the extrinsics reach the base), optimized_in_world.tum (newest node after each update), smoothed_in_world.tum
     (each node as it leaves the window), estimates.mcap, events.jsonl and summary.json.
+
+    With --realtime the recording plays as it would live: samples of the IMU are answered while another process
+    optimises. What comes out depends a little on how busy this machine is.
 
     With --hold-out gnss=2 every second fix is kept from the estimator and the estimate is judged by it.
     """
@@ -57,13 +64,13 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     check_sensors(rules, config)  # before the results of an earlier replay are overwritten
     with open_recording(recording) as opened:
         messages = opened.read(subscriptions(config), start_s, duration_s)
-        with _naming_the_output(output), Outputs(Path(output), config) as outputs:
-            run = Replay(config, outputs, rules)
+        with _naming_the_output(output), Outputs(Path(output), config) as outputs, _engine(config, realtime) as engine:
+            run = Replay(config, outputs, rules, realtime=engine)
             first, last = opened.start_ns, opened.end_ns
             failure: BaseException | None = None
             try:
                 with progress_bar("replaying", first, last) as progress:
-                    run.run(messages, rate, progress)
+                    run.run(messages, rate or (1.0 if realtime else None), progress)
             except (HoldfastError, KeyboardInterrupt) as error:
                 failure = error
             outputs.write_events(run.estimator.take_events())
@@ -75,6 +82,17 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     if not run.estimator.initialised:
         raise EstimatorError(f"{recording}: the estimator never started: {run.estimator.waiting_for}")
     print_summary(summary, output)
+
+
+@contextmanager
+def _engine(config: "Config", wanted: bool) -> "Iterator[RealtimeEstimator | None]":
+    if not wanted:
+        yield None
+        return
+    from holdfast.realtime.engine import RealtimeEstimator
+
+    with RealtimeEstimator(config) as engine:
+        yield engine
 
 
 def check_window(start_s: float, duration_s: float | None) -> None:

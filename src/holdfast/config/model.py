@@ -4,28 +4,16 @@ A field's name carries its unit; noise densities carry the Kalibr names, their u
 Unknown keys are refused. Defaults come from physics and datasheets and serve every machine.
 """
 
-from typing import Annotated, Any, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from holdfast.config.frame_tree import Link, poses_from
+from holdfast.config.live import LiveConfig
+from holdfast.config.realtime import RealtimeConfig
+from holdfast.config.section import Section, Topic, Vector3, quantity
 from holdfast.messages import Array
-
-
-def quantity(unit: str, default: Any = ..., *, doc: str, **bounds: float) -> Any:
-    """A field with a unit: `quantity("m/s^2", 3.0, gt=0, doc="...")`."""
-    return Field(default, description=doc, json_schema_extra={"unit": unit}, **bounds)  # type: ignore[call-overload]
-
-
-Vector3 = Annotated[tuple[float, float, float], Field(description="x, y, z")]
-Topic = Annotated[str, Field(min_length=1, description="topic in the recording, or the CSV file's stem")]
-
-
-class Section(BaseModel):
-    """Base of all sections: immutable, unknown keys and NaN refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class RobustLoss(Section):
@@ -325,6 +313,8 @@ class Config(Section):
     gate: GateConfig = GateConfig()
     standstill: StandstillConfig = StandstillConfig()
     motion_model: MotionModelConfig = MotionModelConfig()
+    realtime: RealtimeConfig = RealtimeConfig()
+    live: LiveConfig = LiveConfig()
 
     @model_validator(mode="after")
     def _check_extrinsics(self) -> Self:

@@ -36,7 +36,9 @@ class BaseGeometry:
             self._T_I_A = gtsam.Pose3(config.T_I(joint.child)) * unturned
             T_P_J = gtsam.Pose3(gtsam.Rot3(), T_P_C.translation())
             self._T_J_B = T_P_J.inverse() * gtsam.Pose3(config.T(joint.parent, base))
+        self._R_I_A, self._p_I_A = self._T_I_A.rotation(), self._T_I_A.translation()
         self._R_A_I: Array = self._T_I_A.rotation().matrix().T.copy()
+        self._rows: list[list[float]] = self._R_A_I.tolist()
         self._R_B_J: Array = self._T_J_B.rotation().matrix().T.copy()
         self._is_aligned = bool((np.eye(3) == self._R_B_J).all())  # as a rule
         self._arm_A: list[float] = (self._R_A_I @ self._T_I_A.translation()).tolist()
@@ -44,12 +46,16 @@ class BaseGeometry:
 
     def T_I_B(self, angle_rad: float) -> gtsam.Pose3:
         """Return the pose of the chassis in the IMU's frame at an angle of the joint: (36)."""
-        return self._T_I_A * gtsam.Pose3(gtsam.Pose2(0.0, 0.0, -angle_rad)) * self._T_J_B
+        return gtsam.Pose3(self._R_I_A.compose(gtsam.Rot3.Rz(-angle_rad)), self._p_I_A) * self._T_J_B
 
     def cabin_rates(self, estimate: Estimate) -> list[float]:
         """Return the angular velocity (3,) of the cabin in A [rad/s]; the last is that about the joint's axis."""
-        rates: list[float] = (self._R_A_I @ estimate.angular_velocity).tolist()
-        return rates
+        return self._in_A(estimate.angular_velocity)
+
+    def _in_A(self, vector_I: Array) -> list[float]:
+        """Turn a vector (3,) from I to A; floats, because it runs at every sample."""
+        x, y, z = vector_I.tolist()
+        return [a * x + b * y + c * z for a, b, c in self._rows]
 
     def twist(
         self, estimate: Estimate, rates_A: list[float], angle_rad: float, rate_rad_s: float
@@ -63,7 +69,7 @@ class BaseGeometry:
             rate_rad_s: of the chassis about the joint's axis.
         """
         wx, wy, wz = rates_A
-        vx, vy, vz = (self._R_A_I @ estimate.nav.bodyVelocity()).tolist()
+        vx, vy, vz = self._in_A(estimate.nav.bodyVelocity())
         sx, sy, sz = self._arm_A
         vx, vy, vz = vx + wy * sz - wz * sy, vy + wz * sx - wx * sz, vz + wx * sy - wy * sx
         c, s = cos(angle_rad), sin(angle_rad)

@@ -1,7 +1,8 @@
 """Fixes and headings on their way into the dual graph: tested, weighed, taken out again, and switched over."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import sqrt
 
@@ -71,7 +72,16 @@ class GnssFusion:
     @property
     def has_lost(self) -> bool:
         """Whether at least one antenna is not trusted."""
-        return any(gate.trust is Trust.LOST for gate in self.gates.values())
+        return bool(self.lost())
+
+    def lost(self) -> list[str]:
+        """Return the antennas that are not trusted."""
+        return [name for name, gate in self.gates.items() if gate.trust is Trust.LOST]
+
+    def distrust(self, names: Iterable[str]) -> None:
+        """Begin with antennas that are not trusted."""
+        for name in names:
+            self.gates[name].become(Trust.LOST, hold_s=self._gate.regain_s)
 
     def refuse(self, sensor: str, outcome: Outcome) -> None:
         """Note a fix that the receiver itself calls bad."""
@@ -243,7 +253,10 @@ class GnssFusion:
                 gate.become(Trust.LOST, hold_s=WALK_FACTOR * self._gate.regain_s)
                 self._tell(EventKind.ANTENNA_LOST, now_ns, name, reason)
         self._witness.forget_after(found.since_ns)
-        graph.move(found.correction, found.sigma_m)
+        with suppress(OptimiserError):
+            graph.main.optimise()  # for the velocity that the lidar and the IMU see, without that of the walk
+            pose = graph.main.nav(scan.stamp_ns).pose()
+        graph.move(found.T_W_I0 * scan.T_I0_I * pose.inverse(), found.sigma_m)
 
     # --- switching -----------------------------------------------------------------------------------------------
 

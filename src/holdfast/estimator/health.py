@@ -7,6 +7,7 @@ FUSED_NS = 1_000_000_000  # what entered so recently counts as being fused
 RESET_NS = 1_000_000_000  # a reset is told for so long
 RECOVERY_NS = 2_000_000_000  # after GNSS is regained the world may still move for so long
 FUSING = ("gnss", "gnss_right", "heading", "lidar")
+NEVER = -1
 
 
 class HealthMonitor:
@@ -40,6 +41,17 @@ class HealthMonitor:
     def recovered(self, stamp_ns: int) -> None:
         """GNSS was regained."""
         self._recovered_ns = stamp_ns
+
+    def snapshot(self) -> tuple[int, ...]:
+        """Return what there is to know, for the monitor of another process: see `restore`."""
+        started_ns = NEVER if self._started_ns is None else self._started_ns
+        return (started_ns, self._reset_ns, self._recovered_ns, *(self._entered.get(name, NEVER) for name in FUSING))
+
+    def restore(self, snapshot: tuple[int, ...]) -> None:
+        """Know what another monitor knew."""
+        started_ns, self._reset_ns, self._recovered_ns, *entered = snapshot
+        self._started_ns = None if started_ns == NEVER else started_ns
+        self._entered = {name: stamp for name, stamp in zip(FUSING, entered, strict=True) if stamp != NEVER}
 
     def assess(self, now_ns: int, *, hears_imu: bool, is_lost: bool, antenna_lost: bool) -> Health:
         """Return the health at a time.

@@ -28,6 +28,7 @@ STANDING_SPEED_M_S = 0.1
 STANDSTILL_VELOCITY_SIGMA = 0.05  # [m/s]
 GRAVITY_SIGMA = 1e-3  # [m/s^2] between WGS84's normal gravity and the real one
 SIMULTANEOUS_NS = 20_000_000
+ENGINE = 10.0  # it may shake the machine so much more than a zero-velocity update allows: GNSS is asked as well
 
 
 class Initializer:
@@ -95,7 +96,7 @@ class Initializer:
                 f"mean specific force is {force:.2f} m/s^2, on the ground it is near {self._gravity:.2f}{hint}"
             )
             return None
-        quiet = quiet_window(self._config.standstill, self._buffer, now, standstill_s)
+        quiet = quiet_window(self._config.standstill, self._buffer, now, standstill_s, ENGINE)
         if quiet is not None and self._is_standing(now):
             return self._at_standstill(now, *quiet)
         return self._in_motion(now)
@@ -207,8 +208,7 @@ class Initializer:
         if len(fixes) < 3:
             self.reason = f"{len(fixes)} usable GNSS fixes since the IMU is heard without a gap; 3 are needed"
             return None
-        track = np.array([p.p_W_G for p in fixes])
-        travel = float(np.linalg.norm(track - track[0], axis=1).max())
+        travel = max(_travel_m([fix for fix in fixes if fix.sensor == name]) for name in self._antennas)
         needed = max(MIN_TRAVEL_M, 20.0 * float(np.sqrt(fixes[-1].covariance[:2, :2].max())))
         if travel < needed:
             self.reason = f"moved {travel:.1f} m; a heading from motion needs {needed:.1f} m"
@@ -249,6 +249,11 @@ class Initializer:
             if t0 <= stamp_ns <= t1:
                 return T0.slerp((stamp_ns - t0) / (t1 - t0), T1)
         return None
+
+
+def _travel_m(fixes: list[AntennaPosition]) -> float:
+    """Return how far one antenna has been from its first fix [m]."""
+    return max((float(np.linalg.norm(fix.p_W_G - fixes[0].p_W_G)) for fix in fixes), default=0.0)
 
 
 def standstill_covariance(  # noqa: PLR0917 (one number per source of doubt)

@@ -5,6 +5,7 @@ What should not stay in T_W_O flows out of it slowly afterwards: with the policy
 up; with `at_recovery` (the paper) everything but the corrections at recoveries.
 """
 
+from math import radians, sqrt
 from typing import Literal
 
 import gtsam
@@ -13,7 +14,7 @@ import numpy as np
 from holdfast.messages import Array
 
 MAX_SPEED_M_S = 0.05  # at which T_O_I may flow beside the motion: 0.5 mm per sample at 100 Hz
-MAX_RATE_RAD_S = np.radians(0.5)
+MAX_RATE_RAD_S = radians(0.5)
 SETTLE_S = 0.5  # small remainders flow out with this time constant
 NEGLIGIBLE = 1e-9
 
@@ -48,14 +49,17 @@ class OdometryFrame:
 
     def _level(self, T_W_I: gtsam.Pose3, share: float, most_rad: float) -> None:
         """Turn O about the machine until its z axis is up."""
-        up = self.T_W_O.rotation().rotate(np.array([0.0, 0.0, 1.0]))
-        axis = np.cross(up, np.array([0.0, 0.0, 1.0]))
-        tilt = float(np.linalg.norm(axis))
+        (_, _, x, _), (_, _, y, _), _, _ = self.T_W_O.matrix().tolist()  # of O's z axis in W
+        tilt = sqrt(x * x + y * y)
         if tilt < NEGLIGIBLE:
             self._flows = False
             return
-        turn = gtsam.Rot3.Expmap(axis / tilt * min(share * tilt, most_rad))
-        self._turn_about(T_W_I.translation(), turn)
+        by = min(share * tilt, most_rad) / tilt
+        wx, wy = y * by, -x * by
+        px, py, pz = T_W_I.translation().tolist()
+        # the screw without pitch whose axis goes through the machine
+        screw = np.array((wx, wy, 0.0, -pz * wy, pz * wx, px * wy - py * wx))
+        self.T_W_O = gtsam.Pose3.Expmap(screw) * self.T_W_O
 
     def _approach(self, T_W_I: gtsam.Pose3, share: float, dt_s: float) -> None:
         """Move O towards its rest: first the turn about the machine, then what moves the machine in O."""

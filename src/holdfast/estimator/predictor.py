@@ -20,6 +20,37 @@ from holdfast.state import Estimate, OptimisedState
 FOLD_S = 1.0  # the walk of the biases enters the covariance this often
 
 
+class Spread:
+    """The covariance (9, 9) after preintegrated samples, computed when it is asked for: (8) in docs/math.md.
+
+    Args:
+        F: (9, 9) and (9, 6), how the state depends on the state at the base and on the bias.
+        covariance: (15, 15) of these two.
+        noise: (9, 9) of the samples.
+    """
+
+    __slots__ = ("_F_bias", "_F_nav", "_base", "_noise", "_value")
+
+    def __init__(self, F: tuple[Array, Array], covariance: Array, noise: Array) -> None:
+        self._F_nav, self._F_bias = F
+        self._base, self._noise = covariance, noise
+        self._value: Array | None = None
+
+    def __call__(self) -> Array:
+        """Return the covariance."""
+        if self._value is None:
+            F = self.transition()
+            self._value = F @ self._base @ F.T
+            self._value += self._noise
+        return self._value
+
+    def transition(self) -> Array:
+        """Return F (9, 15)."""
+        F = np.empty((9, 15))
+        F[:, :9], F[:, 9:] = self._F_nav, self._F_bias
+        return F
+
+
 class Propagation:
     """An optimised state, carried forward by the samples since; `nav` and `covariance` are those of `stamp_ns`."""
 
@@ -30,9 +61,6 @@ class Propagation:
         self._motion_model = MotionModel(config.motion_model, gravity)
         walk = np.repeat([imu.accelerometer_random_walk, imu.gyroscope_random_walk], 3) ** 2
         self._bias_walk = np.diag(np.concatenate([np.zeros(9), walk]))
-        self._H_nav = np.zeros((9, 9), order="F")
-        self._H_bias = np.zeros((9, 6), order="F")
-        self._transition = np.zeros((9, 15))
         self.state: OptimisedState
         self.stamp_ns: int
         self.rate: Array
@@ -69,42 +97,44 @@ class Propagation:
         if self._pim.deltaTij() > FOLD_S:
             self._fold(self._pim)
 
+    def settle(self) -> OptimisedState:
+        """Let the state now, with its covariance, take the place of the optimised one."""
+        self._fold(self._pim)
+        self.state = OptimisedState(self.stamp_ns, self._base, self.state.bias, self._base_covariance, self.rate)
+        return self.state
+
     def nav(self) -> gtsam.NavState:
         """Return the state now."""
-        return self._pim.predict(self._base, self.state.bias)
+        return self._pim.predict(self._base, self._bias)
 
-    def predict(self) -> tuple[gtsam.NavState, Array]:
-        """Return the state now and its covariance (9, 9): (8) in docs/math.md."""
+    def predict(self) -> tuple[gtsam.NavState, Spread]:
+        """Return the state now and its covariance."""
         return self._predict(self._pim)
 
     def _integrate(self, step: Step) -> None:
-        integrate(self._pim, step, self._bias_accel, self._bias_gyro)
-        self.rate = step.angular_velocity - self._bias_gyro
+        self.rate = integrate(self._pim, step, self._bias_accel, self._bias_gyro)
         self.from_imu = True
 
     def _begin(self, stamp_ns: int, nav: gtsam.NavState, covariance: Array) -> None:
         """Make a state the base of what follows; the noise is that of the motion at the newest sample."""
-        bias = self.state.bias
+        bias = self._bias = self.state.bias
         self.stamp_ns, self._base, self._base_covariance = stamp_ns, nav, covariance
         self._bias_accel, self._bias_gyro = bias.accelerometer(), bias.gyroscope()
         force = self._buffer.latest_force() - self._bias_accel
         self._pim = gtsam.PreintegratedImuMeasurements(self._noise.params(force, self.rate, nav.attitude()), bias)
 
-    def _predict(self, pim: gtsam.PreintegratedImuMeasurements) -> tuple[gtsam.NavState, Array]:
-        nav = pim.predict(self._base, self.state.bias, self._H_nav, self._H_bias)
-        F = self._transition
-        F[:, :9], F[:, 9:] = self._H_nav, self._H_bias
-        covariance: Array = F @ self._base_covariance @ F.T
-        covariance += pim.residualCovariance()
-        return nav, covariance
+    def _predict(self, pim: gtsam.PreintegratedImuMeasurements) -> tuple[gtsam.NavState, Spread]:
+        F = np.empty((9, 9), order="F"), np.empty((9, 6), order="F")
+        nav = pim.predict(self._base, self._bias, *F)
+        return nav, Spread(F, self._base_covariance, pim.residualCovariance())
 
     def _fold(self, pim: gtsam.PreintegratedImuMeasurements) -> None:
         """Make the state after `pim` the new base, so that other noise and the walk of the biases can be added."""
-        nav, nav_covariance = self._predict(pim)
+        nav, spread = self._predict(pim)
         covariance = self._base_covariance + self._bias_walk * pim.deltaTij()
-        covariance[:9, 9:] = self._transition @ self._base_covariance[:, 9:]
+        covariance[:9, 9:] = spread.transition() @ self._base_covariance[:, 9:]
         covariance[9:, :9] = covariance[:9, 9:].T
-        covariance[:9, :9] = nav_covariance
+        covariance[:9, :9] = spread()
         self._begin(self.stamp_ns, nav, covariance)
 
     def _coast(self, stamp_ns: int) -> None:
@@ -139,6 +169,10 @@ class Predictor:
             self._is_replaced = True
         self._is_recovery |= is_recovery
         self._newest.start(state)
+
+    def settle(self) -> OptimisedState:
+        """Let the propagated state take the place of the optimised one, and return it."""
+        return self._newest.settle()
 
     def add(self, stamp_ns: int, step: Step | None) -> Estimate:
         """Carry the state to the newest sample; `step` is None where the IMU was silent before it."""

@@ -21,7 +21,7 @@ SIGMA = 5.0  # twenty comparisons a second must not raise an alarm in hours
 ESTIMATE_SIGMA_M = 0.01  # of the estimate that the frame is seen through, per axis, whatever it claims
 SLIP_M_S = 0.3  # fixes hardly walk so fast: an odometry that is off by more has lost its hold
 LEARNT, MIN_LEARNT = 120, 30  # steps
-BEST = 0.3  # of the configured drift: no odometry is believed to be better
+BEST = 0.3  # of the configured noise: no odometry is believed to be better
 TYPICAL_MAX = 3.0  # of some dozen norms of three unit Gaussians; the tails are what false alarms are made of
 LEARNING_STEPS = 3
 
@@ -40,14 +40,14 @@ class Contradiction(NamedTuple):
     """What the lidar says against the estimate.
 
     Attributes:
-        correction: from the estimate to where the lidar sees the machine, in W.
-        distance_m: between the two.
+        T_W_I0: the odometry's frame in W as it was when they agreed.
+        distance_m: between where that puts the machine and the estimate.
         sigma_m: of that distance.
         since_ns: until when they agreed.
         is_slip: the lidar has lost its hold, rather than that GNSS lies.
     """
 
-    correction: gtsam.Pose3
+    T_W_I0: gtsam.Pose3
     distance_m: float
     sigma_m: float
     since_ns: int
@@ -61,6 +61,7 @@ class LidarWitness:
         self._lidar = lidar
         self._sights: deque[_Sight] = deque()
         self._ratios: deque[float] = deque(maxlen=LEARNT)
+        self._doubtful: deque[tuple[int, float]] = deque()  # not learnt yet: a walk may have begun
 
     def forget(self) -> None:
         """Forget where the frame was: the estimate has jumped, or the odometry has."""
@@ -93,27 +94,41 @@ class LidarWitness:
         return found
 
     def _compare(self, now: _Sight) -> Contradiction | None:
-        scale = max(BEST, max(self._ratios) / TYPICAL_MAX) if self._ratios else 1.0
+        scale = self._scale()
         worst, worst_ratio = None, SIGMA
         for then in self._sights:
             ratio = self._miss_m(then, now) / self._sigma_m(then, now, scale)
             if ratio > worst_ratio:
                 worst, worst_ratio = then, ratio
-        if worst is None or len(self._ratios) < MIN_LEARNT:
-            if len(self._sights) >= LEARNING_STEPS:
-                then = self._sights[-LEARNING_STEPS]
-                self._ratios.append(self._miss_m(then, now) / self._sigma_m(then, now, 1.0))
+        if worst is None or len(self._ratios) + len(self._doubtful) < MIN_LEARNT:
+            self._learn(now)
             return None
-        for _ in range(LEARNING_STEPS):  # what was learnt since the two parted was no drift
-            self._ratios.pop()
-        distance, since_ns = self._miss_m(worst, now), worst.scan.stamp_ns
+        since_ns = worst.scan.stamp_ns
+        while self._doubtful and self._doubtful[-1][0] > since_ns:
+            self._doubtful.pop()  # what was seen since the two parted was no drift
+        distance = self._miss_m(worst, now)
         return Contradiction(
-            worst.T_W_I0 * now.T_W_I0.inverse(),
+            worst.T_W_I0,
             distance,
             distance / worst_ratio,
             since_ns,
             distance > SLIP_M_S * (now.scan.stamp_ns - since_ns) * 1e-9,
         )
+
+    def _scale(self) -> float:
+        """Return how much worse than configured the odometry is, as learnt: at first from all that was seen."""
+        if len(self._ratios) >= MIN_LEARNT:
+            return max(BEST, max(self._ratios) / TYPICAL_MAX)
+        seen = [*self._ratios, *(ratio for _, ratio in self._doubtful)]
+        return max(BEST, max(seen) / TYPICAL_MAX) if seen else 1.0
+
+    def _learn(self, now: _Sight) -> None:
+        """Keep what is seen now, and learn from what was seen so long ago that a walk would have been found since."""
+        if len(self._sights) >= LEARNING_STEPS:
+            then = self._sights[-LEARNING_STEPS]
+            self._doubtful.append((now.scan.stamp_ns, self._miss_m(then, now) / self._sigma_m(then, now, 1.0)))
+        while self._doubtful and now.scan.stamp_ns - self._doubtful[0][0] > MEMORY_NS:
+            self._ratios.append(self._doubtful.popleft()[1])
 
     def _miss_m(self, then: _Sight, now: _Sight) -> float:
         """Return how far the machine of now lies from where the frame of then puts it [m]."""
@@ -121,8 +136,9 @@ class LidarWitness:
         return float(np.linalg.norm(now.T_W_I0.transformFrom(place) - then.T_W_I0.transformFrom(place)))
 
     def _sigma_m(self, then: _Sight, now: _Sight, scale: float) -> float:
-        """Return the standard deviation of the miss per axis, the drift of the odometry scaled."""
+        """Return the standard deviation of the miss per axis, what the odometry adds to it scaled."""
         moved = float(np.linalg.norm(now.scan.T_I0_I.translation() - then.scan.T_I0_I.translation()))
-        drift = now.translation_variance - then.translation_variance
-        drift += (now.rotation_variance - then.rotation_variance) * moved**2
-        return float(np.sqrt(scale**2 * drift + now.estimate_variance + then.estimate_variance))
+        turned, shifted = self._lidar.pose_variances()
+        of_lidar = now.translation_variance - then.translation_variance + 2.0 * shifted
+        of_lidar += (now.rotation_variance - then.rotation_variance + turned) * moved**2
+        return float(np.sqrt(scale**2 * of_lidar + now.estimate_variance + then.estimate_variance))

@@ -29,7 +29,7 @@ class Outage:
     Attributes:
         lied: there were fixes that lied.
         alone_horizontal_rms_m: of the lidar odometry alone, anchored at the true pose at the loss; NaN without one.
-        settled_s: from the first good fix until the error of position stays below 2 cm for a second.
+        settled_s: from when GNSS is used again until the error of position stays below 2 cm for a second.
         regained_s: from the first good fix until GNSS is used.
     """
 
@@ -116,13 +116,13 @@ def _recovery(after: Span, times_s: Array, errors: StateErrors, trusted: NDArray
         return nan, nan
     away = np.linalg.norm(errors.position[rows], axis=1)
     used = times_s[rows][trusted[rows]]
-    found = (
-        settling_s(times_s[rows], away, SETTLED_M, SETTLED_FOR_S),
-        float(used[0]) - after.start_s if len(used) else inf,
-    )
+    regained_s = float(used[0]) - after.start_s if len(used) else inf
+    settled_s = settling_s(times_s[rows], away, SETTLED_M, SETTLED_FOR_S)
+    if regained_s < inf:
+        settled_s = max(0.0, settled_s - regained_s)
     if after.end_s - after.start_s < RECOVERY_S:
-        return nan if found[0] == inf else found[0], nan if found[1] == inf else found[1]
-    return found
+        return nan if settled_s == inf else settled_s, nan if regained_s == inf else regained_s
+    return settled_s, regained_s
 
 
 def _alone(span: Span, truth: Truth) -> tuple[float, float]:

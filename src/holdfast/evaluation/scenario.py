@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from holdfast.errors import EstimatorError
 from holdfast.evaluation import quaternions
-from holdfast.evaluation.association import Association, associate
+from holdfast.evaluation.at_fixes import at_fixes
 from holdfast.evaluation.consistency import nees
-from holdfast.evaluation.evidence import Chassis, Fixes, Published, Truth
+from holdfast.evaluation.evidence import Chassis, Published, Truth
 from holdfast.evaluation.outages import Outage, judge_outages, nominal, norm_rms, outage_spans, sum_up, within
 from holdfast.evaluation.smoothness import drift_m, steps
 from holdfast.evaluation.spans import Span, longest_s
@@ -76,29 +76,14 @@ def _against_fixes(poses: Trajectory, truth: Truth, good: NDArray[np.bool_]) -> 
     the mean vector, and the deviation that of all three axes together: the position of the antenna, as published for
     the time of the fix, minus the fix.
     """
-    errors, misses = [np.zeros((0, 3))], [np.zeros((0, 3))]
-    for fixes in truth.antennas:
-        after = np.searchsorted(poses.stamps_ns, fixes.stamps_ns).clip(1, len(good) - 1)
-        chosen = fixes.good & good[after] & good[after - 1]
-        if chosen.sum() > 1:
-            errors.append(fixes.errors[chosen])
-            misses.append(_misses(poses, fixes, chosen))
-    error, miss = np.concatenate(errors), np.concatenate(misses)
+    found = at_fixes(poses, truth, good)
+    error, miss = found.fix_errors, found.misses
     return {
         "fix_horizontal_rms_m": norm_rms(error[:, :2]),
         "fix_vertical_rms_m": norm_rms(error[:, 2:]),
         "rtk_mean_m": float(np.linalg.norm(miss.mean(axis=0))) if len(miss) else nan,
         "rtk_std_m": float(np.sqrt(miss.var(axis=0).mean())) if len(miss) else nan,
     }
-
-
-def _misses(poses: Trajectory, fixes: Fixes, chosen: NDArray[np.bool_]) -> Array:
-    identity = np.tile([0.0, 0.0, 0.0, 1.0], (int(chosen.sum()), 1))
-    reference = Trajectory(fixes.stamps_ns[chosen], fixes.positions[chosen], identity)
-    x, y, z = fixes.lever_arm.tolist()
-    pairs = associate(poses, reference, Association(reference_lever_arm=(x, y, z)))
-    misses: Array = pairs.estimate.positions - pairs.reference.positions
-    return misses
 
 
 def _smoothness(published: Published, truth: Truth) -> Scores:

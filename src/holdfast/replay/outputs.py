@@ -9,19 +9,21 @@ from typing import Self
 
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
-from holdfast.estimator.base import BaseGeometry
-from holdfast.estimator.estimator import Estimator, Output
-from holdfast.recording.cdr import OdometryEncoder
+from holdfast.estimator.estimator import Output
 from holdfast.recording.mcap_writer import McapWriter
 from holdfast.recording.tum import TumWriter
-from holdfast.replay.frame_transforms import FrameTransforms, translation_and_quaternion
-from holdfast.replay.ros import base_odometry, odometry, quaternion_xyzw
-from holdfast.state import BaseState, Estimate, Event, Health
-
-ODOMETRY = "nav_msgs/msg/Odometry"
-TRANSFORMS = "tf2_msgs/msg/TFMessage"
-DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
-DIAGNOSTICS_PERIOD_NS = 1_000_000_000
+from holdfast.replay.frame_transforms import translation_and_quaternion
+from holdfast.replay.ros import quaternion_xyzw
+from holdfast.replay.ros_messages import (
+    DIAGNOSTICS,
+    DIAGNOSTICS_PERIOD_NS,
+    EstimateMessages,
+    Observed,
+    RosMessage,
+    diagnostic_array,
+    estimator_status,
+)
+from holdfast.state import BaseState, Estimate, Event
 
 
 class Outputs:
@@ -33,10 +35,8 @@ class Outputs:
         except OSError as error:
             raise ConfigError(f"{folder}: cannot be made a folder for the output ({error.strerror})") from None
         self.folder = folder
-        imu = config.sensors.imu
-        self._geometry = BaseGeometry(config) if config.has_base() else None
         names = ["imu_in_world", "imu_in_odom", "optimized_in_world", "smoothed_in_world"]
-        names += ["base_in_world", "base_in_odom"] if self._geometry is not None else []
+        names += ["base_in_world", "base_in_odom"] if config.has_base() else []
         with ExitStack() as stack:
             try:
                 self._tracks = {name: stack.enter_context(TumWriter(folder / f"{name}.tum")) for name in names}
@@ -45,16 +45,10 @@ class Outputs:
             except OSError as error:
                 raise ConfigError(f"{error.filename or folder}: cannot be written ({error.strerror})") from None
             self._stack = stack.pop_all()
-        frames = config.frames
-        self._in_world = OdometryEncoder(frames.world, imu.frame)
-        self._in_odometry = OdometryEncoder(frames.odometry, imu.frame)
-        self._of_base = OdometryEncoder(frames.odometry, frames.base)
-        self._transforms = FrameTransforms(config)
-        self._rate_density = imu.gyroscope_noise_density**2
-        self._last_stamp_ns = 0
+        self._messages = EstimateMessages(config)
         self._last_node_ns = -1
         self._diagnosed_ns = 0
-        self._mounted = not config.extrinsics
+        self._mounted = not self._messages.has_mounts
 
     def __enter__(self) -> Self:
         return self
@@ -84,45 +78,27 @@ class Outputs:
         if events:
             self._events.flush()
 
-    def diagnose(self, estimator: Estimator, now_ns: int) -> None:
+    def diagnose(self, estimator: Observed, now_ns: int) -> None:
         """Write a DiagnosticArray once a second."""
         if now_ns - self._diagnosed_ns < DIAGNOSTICS_PERIOD_NS:
             return
         self._diagnosed_ns = now_ns
-        types = self._mcap.types
-        report = estimator.health_report()
-        values = [("fused", " ".join(report.fused))]
-        values += [(f"{sensor} age_s", f"{age_s:.3f}") for sensor, age_s in report.ages_s.items()]
-        values += [(f"{sensor} {outcome}", str(count)) for (sensor, outcome), count in sorted(estimator.counts.items())]
-        status = types["diagnostic_msgs/msg/DiagnosticStatus"](
-            level=0 if report.health is Health.NOMINAL else 1,
-            name="holdfast",
-            message=report.health if estimator.initialised else f"{report.health}: {estimator.waiting_for}",
-            hardware_id="",
-            values=[types["diagnostic_msgs/msg/KeyValue"](key=key, value=value) for key, value in values],
-        )
-        stamp = types["builtin_interfaces/msg/Time"](sec=now_ns // 10**9, nanosec=now_ns % 10**9)
-        header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
-        self._mcap.write("/diagnostics", types[DIAGNOSTICS](header=header, status=[status]), DIAGNOSTICS, now_ns)
+        message = diagnostic_array(self._mcap.types, now_ns, [estimator_status(estimator)])
+        self._mcap.write("/diagnostics", message, DIAGNOSTICS, now_ns)
 
     def _write_estimate(self, estimate: Estimate, base: BaseState | None) -> None:
         stamp = estimate.stamp_ns
         T_W_I = estimate.nav.pose()
-        T_O_I = estimate.T_W_O.inverse() * T_W_I
-        period_s = min(max((stamp - self._last_stamp_ns) * 1e-9, 1e-4), 0.1)
-        self._last_stamp_ns = stamp
-        rate_variance = self._rate_density / period_s
-        world, odom = (odometry(estimate, pose, rate_variance) for pose in (T_W_I, T_O_I))
-        self._tracks["imu_in_world"].append(stamp, world.position, world.quaternion_xyzw)
-        self._tracks["imu_in_odom"].append(stamp, odom.position, odom.quaternion_xyzw)
-        self._mcap.write("/holdfast/odometry/world", self._in_world.encode(stamp, *world), ODOMETRY, stamp)
-        self._mcap.write("/holdfast/odometry/odom", self._in_odometry.encode(stamp, *odom), ODOMETRY, stamp)
-        if base is not None and self._geometry is not None:
-            chassis = base_odometry(estimate, base, self._geometry, rate_variance)
-            self._tracks["base_in_odom"].append(stamp, chassis.position, chassis.quaternion_xyzw)
+        self._tracks["imu_in_world"].append(stamp, *translation_and_quaternion(T_W_I))
+        self._tracks["imu_in_odom"].append(stamp, *translation_and_quaternion(estimate.T_W_O.inverse() * T_W_I))
+        if base is not None and "base_in_odom" in self._tracks:
+            self._tracks["base_in_odom"].append(stamp, *translation_and_quaternion(base.T_O_B))
             self._tracks["base_in_world"].append(stamp, *translation_and_quaternion(base.T_W_B))
-            self._mcap.write("/holdfast/odometry/base", self._of_base.encode(stamp, *chassis), ODOMETRY, stamp)
         if not self._mounted:
             self._mounted = True
-            self._mcap.write("/tf_static", self._transforms.mounts(stamp), TRANSFORMS, stamp)
-        self._mcap.write("/tf", self._transforms.at(estimate, base), TRANSFORMS, stamp)
+            self._write_message(self._messages.mounts(stamp), stamp)
+        for message in self._messages.of(estimate, base):
+            self._write_message(message, stamp)
+
+    def _write_message(self, message: RosMessage, stamp_ns: int) -> None:
+        self._mcap.write(message.topic, message.data, message.type_name, stamp_ns)

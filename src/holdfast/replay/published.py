@@ -1,22 +1,24 @@
-"""Runs the estimator over messages and keeps everything that it publishes, for the judge of a simulated run."""
+"""Runs an estimator over messages and keeps everything that it publishes, for the judge of a simulated run."""
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from itertools import accumulate, pairwise
 from time import perf_counter, perf_counter_ns
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from holdfast.config.model import Config
-from holdfast.estimator.estimator import Estimator, Output
+from holdfast.estimator.estimator import Estimator
 from holdfast.evaluation.evidence import Chassis, Published
 from holdfast.evaluation.smoothness import Inertial
 from holdfast.evaluation.states import States
-from holdfast.geometry.earth import gravity
+from holdfast.geometry.earth import Geodetic, gravity
 from holdfast.messages import Array, ImuSample, Message
 from holdfast.replay.ros import quaternion_xyzw
 from holdfast.replay.runner import Timing
-from holdfast.state import BaseState, Estimate, Event, EventKind, Trajectory
+from holdfast.state import BaseState, Estimate, Event, EventKind, OptimisedState, Outcome, Trajectory
 
 STANDARD_GRAVITY = 9.80665
 PROGRESS_EVERY = 1000  # messages
@@ -29,18 +31,81 @@ TRUST = {
 }
 
 
-class PublishedRecorder:
-    """Feeds an estimator and keeps what comes out; `run` once, then ask for `published`."""
+class Said(Protocol):
+    """What one message led to."""
 
-    def __init__(self, config: Config) -> None:
-        self.estimator = Estimator(config)
+    @property
+    def estimate(self) -> Estimate | None:
+        """What is published."""
+        ...
+
+    @property
+    def optimised(self) -> OptimisedState | None:
+        """The newest state after measurements were taken in."""
+        ...
+
+    @property
+    def base(self) -> BaseState | None:
+        """The chassis at the estimate."""
+        ...
+
+
+class Localiser(Protocol):
+    """What can be replayed and judged: the estimator, or a baseline."""
+
+    @property
+    def config(self) -> Config:
+        """Of the machine."""
+        ...
+
+    @property
+    def counts(self) -> Counter[tuple[str, Outcome]]:
+        """What became of the measurements, by sensor and outcome."""
+        ...
+
+    @property
+    def events(self) -> list[Event]:
+        """What happened since `take_events`."""
+        ...
+
+    @property
+    def datum(self) -> Geodetic | None:
+        """Origin of W."""
+        ...
+
+    @property
+    def waiting_for(self) -> str:
+        """What keeps it from starting."""
+        ...
+
+    def take_events(self) -> list[Event]:
+        """Return the events since the last call."""
+        ...
+
+    def process(self, message: Message) -> Said:
+        """Take in one message, in the order of arrival."""
+        ...
+
+
+class PublishedRecorder:
+    """Feeds an estimator and keeps what comes out; `run` once, then ask for `published`.
+
+    Args:
+        config: of the machine.
+        estimator: to be fed; by default the estimator under this configuration.
+    """
+
+    def __init__(self, config: Config, estimator: Localiser | None = None) -> None:
+        self.estimator: Localiser = estimator or Estimator(config)
         self.timing = Timing()
+        self.optimised: list[OptimisedState] = []
         self.events: list[Event] = []
         self._max_gap_ns = round(config.sensors.imu.max_gap_s * 1e9)
         self._is_trusted = False
         self._trusted: list[bool] = []
         self._begun: list[int] = []  # rows at which the estimator started, or started over
         self._estimates: list[Estimate] = []
+        self._force: Array = np.zeros(3)
         self._forces: list[Array] = []
         self._bases: list[BaseState | None] = []
 
@@ -59,14 +124,17 @@ class PublishedRecorder:
         self.timing.wall_s = perf_counter() - began
         self.timing.recorded_s = (last_ns - first_ns) * 1e-9
 
-    def _keep(self, message: Message, output: Output, took_ns: int) -> None:
+    def _keep(self, message: Message, output: Said, took_ns: int) -> None:
+        if isinstance(message, ImuSample) and message.sensor == "imu":
+            self._force = message.specific_force
         if output.optimised is not None:
             self.timing.update_ns.append(took_ns)
-        elif isinstance(message, ImuSample):
+            self.optimised.append(output.optimised)
+        elif isinstance(message, ImuSample) and message.sensor == "imu":
             self.timing.imu_ns.append(took_ns)
-        if output.estimate is not None and isinstance(message, ImuSample):
+        if output.estimate is not None:
             self._estimates.append(output.estimate)
-            self._forces.append(message.specific_force)
+            self._forces.append(self._force)
             self._bases.append(output.base)
             self._trusted.append(self._is_trusted)
         if self.estimator.events:

@@ -13,6 +13,7 @@ from holdfast.errors import EstimatorError
 from holdfast.estimator.estimator import Estimator, Output
 from holdfast.geometry.earth import LocalFrame
 from holdfast.messages import GnssFix, ImuSample, Message
+from holdfast.realtime.engine import RealtimeEstimator
 from holdfast.replay.held_out import HeldOutJudge, HoldOut, HoldOutFilter
 from holdfast.replay.outputs import Outputs
 from holdfast.report.track import JudgedTrack
@@ -37,6 +38,7 @@ class Replay:
         outputs: where to write; without it nothing is written.
         hold_out: what to keep from the estimator, to judge it.
         keep_track: keep the causal track in memory for a figure.
+        realtime: the engine to be used instead of the estimator in one process; whoever made it closes it.
     """
 
     def __init__(
@@ -45,8 +47,10 @@ class Replay:
         outputs: Outputs | None = None,
         hold_out: Iterable[HoldOut] = (),
         keep_track: bool = False,
+        realtime: RealtimeEstimator | None = None,
     ) -> None:
-        self.estimator = Estimator(config)
+        self.estimator: Estimator | RealtimeEstimator = realtime or Estimator(config)
+        self._realtime = realtime
         self.timing = Timing()
         self.health: Counter[Health] = Counter()  # estimates by health
         self.causal = HeldOutJudge(config)
@@ -66,6 +70,8 @@ class Replay:
             rate: 1.0 is the pace of the recording.
             progress: called with the arrival [ns] every now and then.
         """
+        if self._realtime is not None:
+            self._realtime.wait_until_ready()
         began, first_ns, last_ns = perf_counter(), 0, 0
         try:
             for count, message in enumerate(self._filter.split(messages)):
@@ -74,26 +80,40 @@ class Replay:
                 if rate is not None:
                     ahead_s = (last_ns - first_ns) * 1e-9 / rate - (perf_counter() - began)
                     if ahead_s > 0.0:
-                        sleep(ahead_s)
+                        self._wait(ahead_s, last_ns)
                 self._process(message)
                 if progress is not None and count % 500 == 0:
                     progress(last_ns)
         finally:
             self.timing.wall_s = perf_counter() - began
             self.timing.recorded_s = (last_ns - first_ns) * 1e-9
-            self._judge(Output())
+            if self._realtime is None:
+                self._judge(Output())
+            else:
+                self._take(self._realtime.flush(), last_ns)
+                self.timing.update_ns.extend(self._realtime.take_update_times())
+
+    def _wait(self, duration_s: float, now_ns: int) -> None:
+        if self._realtime is not None:  # as a live program does while it waits
+            sleep(0.5 * duration_s)
+            self._take(self._realtime.refresh(), now_ns)
+            duration_s *= 0.5
+        sleep(duration_s)
 
     def _process(self, message: Message) -> None:
         began_ns = perf_counter_ns()
         output = self.estimator.process(message)
         took_ns = perf_counter_ns() - began_ns
-        if output.optimised is not None:
+        if output.optimised is not None and self._realtime is None:
             self.timing.update_ns.append(took_ns)
         elif isinstance(message, ImuSample) and message.sensor == "imu":
             self.timing.imu_ns.append(took_ns)
+        self._take(output, message.arrival_ns)
+
+    def _take(self, output: Output, now_ns: int) -> None:
         if self._outputs is not None:
             self._outputs.write(output)
-            self._outputs.diagnose(self.estimator, message.arrival_ns)
+            self._outputs.diagnose(self.estimator, now_ns)
             if self.estimator.events:
                 self._outputs.write_events(self.estimator.take_events())
         if output.estimate is not None:

@@ -6,7 +6,7 @@ Between two samples the readings are taken as linear in time, so that an interva
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
-from math import isfinite
+from math import hypot, isfinite, sin, sqrt
 from statistics import median
 from typing import NamedTuple
 
@@ -25,6 +25,7 @@ PERIOD_WINDOW = 64
 LINE_TOLERANCE = 1e-3  # of the change per sample; six channels of a living sensor never agree that well
 CLOCK_JUMP_NS = 1_000_000_000  # a stamp may run ahead of the arrival by this much at once
 SUSPECTS_BELIEVED = 5
+EYE = np.eye(3)
 
 
 def preintegration_params(
@@ -35,9 +36,9 @@ def preintegration_params(
     The small integration covariance gives a one-sample factor full rank: (9) in docs/math.md.
     """
     params = gtsam.PreintegrationParams.MakeSharedU(gravity)
-    params.setAccelerometerCovariance(np.eye(3) * accelerometer_density**2)
-    params.setGyroscopeCovariance(np.eye(3) * gyroscope_density**2)
-    params.setIntegrationCovariance(np.eye(3) * integration_sigma**2)
+    params.setAccelerometerCovariance(EYE * accelerometer_density**2)
+    params.setGyroscopeCovariance(EYE * gyroscope_density**2)
+    params.setIntegrationCovariance(EYE * integration_sigma**2)
     return params
 
 
@@ -52,17 +53,21 @@ class ImuNoise:
         self._config = config
         self._integration_sigma = integration_sigma
         self._up = np.array([0.0, 0.0, gravity])
+        self._gravity = gravity
+        self._error = config.motion_error_ratio * sqrt(MOTION_CORRELATION_S)
 
     def params(self, specific_force: Array, rate: Array, attitude: gtsam.Rot3) -> gtsam.PreintegrationParams:
         """Return the parameters while the machine, at attitude R_W_I, senses (3,) [m/s^2] and (3,) [rad/s]."""
-        config = self._config
-        error = config.motion_error_ratio * np.sqrt(MOTION_CORRELATION_S)
-        acceleration = float(np.linalg.norm(specific_force - attitude.unrotate(self._up)))
+        config, error = self._config, self._error
+        fx, fy, fz = specific_force.tolist()
+        ux, uy, uz = attitude.unrotate(self._up).tolist()
+        ax, ay, az = fx - ux, fy - uy, fz - uz
+        wx, wy, wz = rate.tolist()
         return preintegration_params(
-            float(np.hypot(config.accelerometer_noise_density, error * acceleration)),
-            float(np.hypot(config.gyroscope_noise_density, error * np.linalg.norm(rate))),
+            hypot(config.accelerometer_noise_density, error * sqrt(ax * ax + ay * ay + az * az)),
+            hypot(config.gyroscope_noise_density, error * sqrt(wx * wx + wy * wy + wz * wz)),
             self._integration_sigma,
-            self._up[2],
+            self._gravity,
         )
 
 
@@ -82,6 +87,9 @@ class Piece(NamedTuple):
     is_gap: bool
 
 
+_Reading = tuple[float, float, float, float, float, float]  # specific force, angular velocity
+
+
 class ImuBuffer:
     """The believable samples of the last seconds, cut at will and aware of drop-outs."""
 
@@ -91,10 +99,13 @@ class ImuBuffer:
         self._stamps: list[int] = []
         self._forces: list[Array] = []
         self._rates: list[Array] = []
+        self._mean_steps: list[Step | None] = []  # to each sample from the one before, None over a silence
+        self._readings: list[_Reading] = []  # the same as floats, ten times faster to compare
         self._is_gap: list[bool] = []  # of the interval that ends at the sample of the same index
         self._gaps = 0  # intervals with is_gap set: lets `pieces` skip the search in the usual case
         self._periods_ns: list[int] = []
         self._max_gap_ns = round(config.max_gap_s * 1e9)
+        self._ranges = config.accelerometer_range, config.gyroscope_range
         self._line_start = 0
         self._arrival_ns = 0
         self._suspect_ns = 0
@@ -130,10 +141,9 @@ class ImuBuffer:
 
     def check(self, sample: ImuSample) -> Outcome:
         """Say whether a sample can be used; physics and order only, no statistics."""
-        config = self._config
         fx, fy, fz = sample.specific_force.tolist()  # floats compare ten times faster than arrays reduce
         wx, wy, wz = sample.angular_velocity.tolist()
-        force, rate = config.accelerometer_range, config.gyroscope_range
+        force, rate = self._ranges
         # NaN and infinity fail every comparison
         in_range = -force <= fx <= force and -force <= fy <= force and -force <= fz <= force
         if not (in_range and -rate <= wx <= rate and -rate <= wy <= rate and -rate <= wz <= rate):
@@ -162,7 +172,7 @@ class ImuBuffer:
 
     def clear(self) -> None:
         """Forget every sample: the clock has gone back."""
-        for series in (self._stamps, self._forces, self._rates, self._is_gap):
+        for series in (self._stamps, self._forces, self._rates, self._mean_steps, self._readings, self._is_gap):
             series.clear()
         self._gaps = self._line_start = self._suspects = 0
 
@@ -172,17 +182,20 @@ class ImuBuffer:
         Sets `gap_found_ns` to the start of a straight line when the sample makes one certain.
         """
         stamp, force, rate = sample.stamp_ns + self.offset_ns, sample.specific_force, sample.angular_velocity
+        reading: _Reading = (*force.tolist(), *rate.tolist())
         self.gap_found_ns, self._arrival_ns = None, sample.arrival_ns
         step, is_gap = None, False
         if self._stamps:
             dt_ns = stamp - self._stamps[-1]
             is_gap = dt_ns > self._max_gap_ns
             if not is_gap:
-                step = Step(dt_ns * 1e-9, 0.5 * (force + self._forces[-1]), 0.5 * (rate + self._rates[-1]))
+                step = _mean_step(dt_ns * 1e-9, reading, self._readings[-1])
                 self._learn_period(dt_ns)
         self._stamps.append(stamp)
         self._forces.append(force)
         self._rates.append(rate)
+        self._mean_steps.append(step)
+        self._readings.append(reading)
         self._is_gap.append(is_gap)
         self._gaps += is_gap
         if self._on_straight_line(is_gap):
@@ -202,7 +215,10 @@ class ImuBuffer:
             self._line_start = last
             return False
         t0, t1, t2 = self._stamps[-3:]
-        if not (self._is_collinear(1.0) or self._is_collinear((t2 - t1) / (t1 - t0))):
+        before, middle, newest = self._readings[-3:]
+        ratio = (t2 - t1) / (t1 - t0)
+        # by index or by time, whichever a logger goes by
+        if _bends(before, middle, newest, 1.0) and (ratio == 1.0 or _bends(before, middle, newest, ratio)):
             self._line_start = last - 1
             return False
         start = self._line_start
@@ -220,23 +236,14 @@ class ImuBuffer:
             self._gaps += 1
         return True
 
-    def _is_collinear(self, ratio: float) -> bool:
-        """Whether the last three samples lie on a line; `ratio` is the second interval over the first (1: by index)."""
-        for series in (self._forces, self._rates):
-            before, middle, last = series[-3].tolist(), series[-2].tolist(), series[-1].tolist()
-            second = [c - b for b, c in zip(middle, last, strict=True)]
-            bend = [s - ratio * (b - a) for a, b, s in zip(before, middle, second, strict=True)]
-            if max(map(abs, bend)) > LINE_TOLERANCE * max(map(abs, second)) + 1e-12:
-                return False
-        return True
-
     def forget_before(self, stamp_ns: int) -> None:
         """Drop samples that no interval after `stamp_ns` needs; cheap, because it drops many at a time."""
         k = bisect_right(self._stamps, stamp_ns) - 1
         if k > 1000 or (k > 0 and self._stamps[k] - self._stamps[0] > 10_000_000_000):
             self._gaps -= sum(self._is_gap[:k])
             self._line_start = max(0, self._line_start - k)
-            del self._stamps[:k], self._forces[:k], self._rates[:k], self._is_gap[:k]
+            del self._stamps[:k], self._forces[:k], self._rates[:k]
+            del self._mean_steps[:k], self._readings[:k], self._is_gap[:k]
 
     def stamps_between(self, start_ns: int, end_ns: int) -> list[int]:
         """Return the stamps in (start, end)."""
@@ -273,6 +280,11 @@ class ImuBuffer:
                 return
             until = min(self._stamps[k], end_ns)
             before, after = self._stamps[k - 1], self._stamps[k]
+            whole = self._mean_steps[k]
+            if whole is not None and at == before and until == after:
+                yield whole
+                at = until
+                continue
             middle = 0.5 * ((at - before) + (until - before)) / (after - before)
             force = (1.0 - middle) * self._forces[k - 1] + middle * self._forces[k]
             rate = (1.0 - middle) * self._rates[k - 1] + middle * self._rates[k]
@@ -303,15 +315,59 @@ class ImuBuffer:
         return np.array(self._forces[i:j]), np.array(self._rates[i:j])
 
 
-def integrate(pim: gtsam.PreintegratedImuMeasurements, step: Step, bias_accel: Array, bias_gyro: Array) -> None:
+def _mean_step(dt_s: float, one: _Reading, other: _Reading) -> Step:
+    ax, ay, az, ux, uy, uz = one
+    bx, by, bz, vx, vy, vz = other
+    force = np.array((0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)))
+    return Step(dt_s, force, np.array((0.5 * (ux + vx), 0.5 * (uy + vy), 0.5 * (uz + vz))))
+
+
+def _bends(before: _Reading, middle: _Reading, last: _Reading, ratio: float) -> bool:
+    """Whether three readings do not lie on a line; `ratio` is the second interval over the first (1: by index)."""
+    for k in (0, 3):
+        ax, ay, az = middle[k] - before[k], middle[k + 1] - before[k + 1], middle[k + 2] - before[k + 2]
+        bx, by, bz = last[k] - middle[k], last[k + 1] - middle[k + 1], last[k + 2] - middle[k + 2]
+        allowed = LINE_TOLERANCE * max(abs(bx), abs(by), abs(bz)) + 1e-12
+        if abs(bx - ratio * ax) > allowed or abs(by - ratio * ay) > allowed or abs(bz - ratio * az) > allowed:
+            return True
+    return False
+
+
+def integrate(pim: gtsam.PreintegratedImuMeasurements, step: Step, bias_accel: Array, bias_gyro: Array) -> Array:
     """Add a step to a preintegrated measurement, the specific force turned to the middle of the step.
 
     GTSAM rotates a reading by the attitude at the start of its step, which is wrong by half a step of turning (1.7 m
     after 10 s at 1 rad/s, tilted, and 100 Hz): (4) in docs/math.md. The biases are (3,) [m/s^2] and [rad/s].
+
+    Returns:
+        The angular velocity (3,) without its bias [rad/s].
     """
-    half_turn = gtsam.Rot3.Expmap(0.5 * step.dt_s * (step.angular_velocity - bias_gyro))
-    force = half_turn.rotate(step.specific_force - bias_accel) + bias_accel
-    pim.integrateMeasurement(force, step.angular_velocity, step.dt_s)
+    # floats: after a pause in which all caches went cold, each other function of numpy or GTSAM costs microseconds
+    dt_s, force, sensed = step
+    (bx, by, bz), (ux, uy, uz) = bias_accel.tolist(), bias_gyro.tolist()
+    fx, fy, fz = force.tolist()
+    wx, wy, wz = sensed.tolist()
+    fx, fy, fz, wx, wy, wz = fx - bx, fy - by, fz - bz, wx - ux, wy - uy, wz - uz
+    half_s = 0.5 * dt_s
+    first, second = _rodrigues(half_s * sqrt(wx * wx + wy * wy + wz * wz))
+    first, second = first * half_s, second * half_s * half_s
+    cx, cy, cz = wy * fz - wz * fy, wz * fx - wx * fz, wx * fy - wy * fx
+    turned = (
+        fx + first * cx + second * (wy * cz - wz * cy) + bx,
+        fy + first * cy + second * (wz * cx - wx * cz) + by,
+        fz + first * cz + second * (wx * cy - wy * cx) + bz,
+    )
+    pim.integrateMeasurement(np.array(turned), sensed, dt_s)
+    return np.array((wx, wy, wz))
+
+
+def _rodrigues(angle_rad: float) -> tuple[float, float]:
+    """Return sin(a) / a and (1 - cos(a)) / a^2."""
+    if angle_rad < 1e-4:  # the next terms are below the last bit
+        square = angle_rad * angle_rad
+        return 1.0 - square / 6.0, 0.5 - square / 24.0
+    half = sin(0.5 * angle_rad)
+    return sin(angle_rad) / angle_rad, 2.0 * half * half / (angle_rad * angle_rad)
 
 
 def preintegrate(

@@ -11,7 +11,8 @@ from holdfast.state import Outcome
 MAX_DISTANCE_M = 1e6
 MAX_SPEED_M_S = 100.0
 FREE_VELOCITY = 1e6  # [m/s]: a pose says nothing about the velocity part of a NavState
-DISTRUST, MAX_DRIFT_SCALE = 3.0, 30.0
+DISTRUST, MAX_SCALE = 3.0, 30.0
+JUMPS, JUMPS_NS = 4, 20_000_000_000  # so many jumps in this time are no jumps but noise
 FREE_TILT = 0.2  # [rad]
 STILL = 1e-3  # [m/s] of a frame, which has a velocity only because it shares the type of the nodes
 STANDING_DRIFT = 1e-4  # [m/sqrt(s)], and a tenth of it in rad: what even a standing odometry is allowed
@@ -24,7 +25,8 @@ class LidarModel:
         self.offset_ns = round(config.time_offset_s * 1e9)
         self.max_interval_ns = round(config.max_interval_s * 1e9)
         self._config = config
-        self._drift_scale = 1.0
+        self._scale = 1.0  # of all noise
+        self._jumps_ns: list[int] = []
         self._adjoint: Array = T_I_L.AdjointMap()
         self._T_I_L = T_I_L
         self._T_L_I = T_I_L.inverse()
@@ -42,8 +44,17 @@ class LidarModel:
         return Outcome.USED if possible else Outcome.OUT_OF_RANGE
 
     def trust_less(self) -> None:
-        """The odometry has held an estimate against fixes that were right: it drifts more than is configured."""
-        self._drift_scale = min(DISTRUST * self._drift_scale, MAX_DRIFT_SCALE)
+        """The odometry has held an estimate against fixes that were right: it is worse than is configured."""
+        self._scale = min(DISTRUST * self._scale, MAX_SCALE)
+
+    def note_jump(self, stamp_ns: int) -> bool:
+        """Note that the odometry has jumped; say whether it does so too often to be as good as is configured."""
+        self._jumps_ns = [jump for jump in self._jumps_ns if stamp_ns - jump < JUMPS_NS] + [stamp_ns]
+        if len(self._jumps_ns) < JUMPS:
+            return False
+        self._jumps_ns.clear()
+        self.trust_less()
+        return True
 
     def jumped(self, motion: gtsam.Pose3, predicted: gtsam.Pose3) -> bool:
         """Whether the motion between two scans is beyond `jump_sigma` from the one that the IMU predicts."""
@@ -94,6 +105,11 @@ class LidarModel:
         model = gtsam.noiseModel.Gaussian.Covariance(covariance)
         return gtsam.BetweenFactorNavState(before_key, key, gtsam.NavState(motion, np.zeros(3)), model)
 
+    def pose_variances(self) -> tuple[float, float]:
+        """Return the variances of one pose per axis, half of that of a motion: rotation [rad^2], translation [m^2]."""
+        sigmas = self._sigmas()
+        return 0.5 * float(sigmas[0]) ** 2, 0.5 * float(sigmas[3]) ** 2
+
     def drift(self, motion: gtsam.Pose3, duration_s: float) -> Array:
         """Return the sigmas (6,) of the drift of the odometry over a motion, rotation [rad] then translation [m].
 
@@ -115,11 +131,12 @@ class LidarModel:
         rotation = np.hypot(
             config.drift_rad_per_sqrt_m * np.sqrt(way_m), config.drift_rad_per_sqrt_rad * np.sqrt(turn_rad)
         )
-        sigmas: Array = self._drift_scale * np.repeat([rotation, config.drift_m_per_sqrt_m * np.sqrt(way_m)], 3)
+        sigmas: Array = self._scale * np.repeat([rotation, config.drift_m_per_sqrt_m * np.sqrt(way_m)], 3)
         return sigmas
 
     def _sigmas(self) -> Array:
-        return np.repeat([self._config.rotation_sigma_rad, self._config.translation_sigma_m], 3)
+        sigmas: Array = self._scale * np.repeat([self._config.rotation_sigma_rad, self._config.translation_sigma_m], 3)
+        return sigmas
 
     def _at_imu(self, variances: Array) -> Array:
         covariance: Array = self._adjoint @ np.diag(variances) @ self._adjoint.T

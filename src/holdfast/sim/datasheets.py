@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from holdfast.config.model import Section, Topic, quantity
+from holdfast.config.section import Section, Topic, quantity
 
 
 class Transport(Section):

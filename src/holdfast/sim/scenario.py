@@ -12,7 +12,8 @@ from pydantic import Field, model_validator
 
 from holdfast.config.document import Document, read_document
 from holdfast.config.load import read_yaml, validate
-from holdfast.config.model import Datum, Extrinsic, Section, Vector3, quantity
+from holdfast.config.model import Datum, Extrinsic
+from holdfast.config.section import Section, Vector3, quantity
 from holdfast.errors import ConfigError
 from holdfast.geometry.earth import Geodetic
 from holdfast.sim.datasheets import SensorName, SimulatedSensors

@@ -1,0 +1,173 @@
+"""A filter behind the estimator's interface: a message in, an estimate at every IMU sample out."""
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Generic
+
+import gtsam
+import numpy as np
+
+from holdfast.baselines.intake import AntennaFix, Intake, Measurement, Output
+from holdfast.baselines.propagation import Propagation, Tuning
+from holdfast.baselines.rewind import B, Filter, Rewinder
+from holdfast.baselines.start import StandstillStart, Start
+from holdfast.config.model import Config
+from holdfast.geometry.earth import Geodetic
+from holdfast.messages import GnssFix, Heading, ImuSample, LidarPose, Message
+from holdfast.sensors.imu import ImuBuffer
+from holdfast.state import Estimate, Event, EventKind, OptimisedState, Outcome
+
+NO_OFFSET = gtsam.Pose3()
+
+
+class FilterEstimator(Generic[B]):
+    """Runs a filter on the messages of one machine; deterministic, as the estimator is.
+
+    The odometry frame O of a filter is W: whatever its updates correct is seen by who follows it.
+
+    Args:
+        config: of the machine; the same file as the estimator's.
+        make: makes the filter and its first belief.
+        hears_lidar: lidar poses are taken in.
+        tuning: what was chosen for this filter.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        make: Callable[[Tuning, Intake, Start], tuple[Filter[B], B]],
+        hears_lidar: bool,
+        tuning: Tuning,
+    ) -> None:
+        self.config = config
+        self._make = make
+        self._tuning = tuning
+        self._intake = Intake(config)
+        self._hears_lidar = hears_lidar and self._intake.lidar is not None
+        self._buffer = ImuBuffer(config.sensors.imu)
+        self._starter = StandstillStart(config, self._intake, self._buffer)
+        self._rewinder: Rewinder[B] | None = None
+        self._belief: B
+        self._waiting: list[Measurement] = []
+
+    @property
+    def counts(self) -> Counter[tuple[str, Outcome]]:
+        """What became of the measurements, by sensor and outcome."""
+        return self._intake.counts
+
+    @property
+    def events(self) -> list[Event]:
+        """What happened since `take_events`."""
+        return self._intake.events
+
+    @property
+    def datum(self) -> Geodetic | None:
+        """Origin of W on the ellipsoid, or None until the first accepted fix."""
+        return None if self._intake.world is None else self._intake.world.datum
+
+    @property
+    def initialised(self) -> bool:
+        """Whether estimates are being given."""
+        return self._rewinder is not None
+
+    @property
+    def waiting_for(self) -> str:
+        """What keeps the filter from starting."""
+        return self._starter.reason
+
+    def take_events(self) -> list[Event]:
+        """Return the events since the last call."""
+        events, self._intake.events = self._intake.events, []
+        return events
+
+    def process(self, message: Message) -> Output:
+        """Take in one message, in the order of arrival."""
+        if isinstance(message, ImuSample):
+            return self._process_imu(message) if message.sensor == "imu" else self._ignore(message)
+        if isinstance(message, GnssFix):
+            return self._enqueue(self._intake.fix(message))
+        if isinstance(message, LidarPose) and self._hears_lidar:
+            return self._enqueue(self._intake.track_pose(message))
+        if isinstance(message, Heading) and not self.initialised:
+            heading = self._intake.axis_yaw(message)
+            if heading is not None:
+                self.counts[message.sensor, Outcome.BEFORE_START] += 1
+                self._starter.add_heading(heading)
+            return Output()
+        return self._ignore(message)
+
+    def _ignore(self, message: Message) -> Output:
+        self.counts[message.sensor, Outcome.IGNORED] += 1
+        return Output()
+
+    def _process_imu(self, sample: ImuSample) -> Output:
+        buffer = self._buffer
+        outcome = buffer.check(sample)
+        self.counts[sample.sensor, outcome] += 1
+        if outcome is not Outcome.USED:
+            return Output()
+        if sample.stamp_ns + buffer.offset_ns < buffer.latest_ns:
+            self._start_over(sample)
+        step = buffer.add(sample)
+        rewinder = self._rewinder
+        if rewinder is None:
+            return Output()
+        stamp, belief = buffer.latest_ns, self._belief
+        if buffer.gap_found_ns is not None:
+            belief = self._belief = rewinder.newest.copy()  # samples that looked good were a straight line
+            rewinder.carry(belief, stamp)
+        elif step is None:
+            rewinder.coast(belief, stamp)
+        else:
+            rewinder.step(belief, step)
+            belief.stamp_ns = stamp
+        rate = sample.angular_velocity - belief.bias_gyro
+        covariance = belief.nav_covariance()
+        estimate = Estimate(stamp, belief.nav, NO_OFFSET, belief.bias, covariance, rate, step is not None)
+        ready = [one for one in self._waiting if one.stamp_ns <= stamp]
+        return self._update(rewinder, ready, estimate) if ready else Output(estimate)
+
+    def _update(self, rewinder: Rewinder[B], ready: list[Measurement], estimate: Estimate) -> Output:
+        self._waiting = [one for one in self._waiting if one.stamp_ns > estimate.stamp_ns]
+        for measurement, outcome in zip(ready, rewinder.take(ready), strict=True):
+            self.counts[measurement.sensor, outcome] += 1
+            if outcome is not Outcome.USED:
+                self._intake.tell(EventKind.REJECTED, measurement.stamp_ns, measurement.sensor, outcome)
+        newest = rewinder.newest
+        self._belief = newest.copy()
+        rewinder.carry(self._belief, estimate.stamp_ns)
+        self._buffer.forget_before(rewinder.oldest_ns)
+        rate = self._buffer.angular_velocity(newest.stamp_ns) - newest.bias_gyro
+        return Output(estimate, OptimisedState(newest.stamp_ns, newest.nav, newest.bias, newest.covariance(), rate))
+
+    def _enqueue(self, measurement: Measurement | None) -> Output:
+        if measurement is None:
+            return Output()
+        if self._rewinder is None:
+            self.counts[measurement.sensor, Outcome.BEFORE_START] += 1
+            start = self._starter.add_fix(measurement.content) if isinstance(measurement.content, AntennaFix) else None
+            return Output() if start is None else self._begin(start)
+        if measurement.stamp_ns < self._rewinder.oldest_ns:
+            self.counts[measurement.sensor, Outcome.LATE] += 1
+            self._intake.tell(EventKind.LATE, measurement.stamp_ns, measurement.sensor, "left the buffer of states")
+        else:
+            self._waiting.append(measurement)
+        return Output()
+
+    def _begin(self, start: Start) -> Output:
+        model = Propagation(self.config, self._intake.gravity, self._tuning)
+        filter_, belief = self._make(self._tuning, self._intake, start)
+        lag_ns = round(self.config.graph.lag_s * 1e9)
+        self._rewinder = Rewinder(filter_, self._buffer, model, belief, lag_ns)
+        self._belief = belief.copy()
+        self._intake.tell(EventKind.INITIALISED, start.stamp_ns, "", self._starter.reason)
+        return Output(None, OptimisedState(start.stamp_ns, start.nav, start.bias, start.covariance, np.zeros(3)))
+
+    def _start_over(self, sample: ImuSample) -> None:
+        """Begin anew after the IMU's clock has gone back for good."""
+        self._intake.tell(EventKind.CLOCK_STEP, sample.stamp_ns, sample.sensor, "the clock has gone back")
+        self._buffer.clear()
+        self._intake.forget()
+        self._waiting.clear()
+        self._rewinder = None
+        self._starter = StandstillStart(self.config, self._intake, self._buffer)

@@ -1,0 +1,173 @@
+"""MSF: a loosely coupled error-state extended Kalman filter.
+
+Lynen, Achtelik, Weiss, Chli, Siegwart, "A robust and modular multi-sensor fusion approach applied to MAV navigation",
+IROS 2013. The IMU predicts; positions of both antennas and poses of the lidar odometry correct. The lidar's frame V
+drifts against W, so its pose T_W_V is part of the state, as the paper's drift states are.
+
+The error state (21,) is that of `holdfast.state` (attitude, position, velocity, biases of accelerometer and gyroscope)
+followed by the tangent of T_W_V; every part in the body frame of what it belongs to.
+"""
+
+from math import inf
+
+import gtsam
+import numpy as np
+
+from holdfast.baselines.filtering import FilterEstimator
+from holdfast.baselines.intake import AntennaFix, Intake, Measurement, TrackPose
+from holdfast.baselines.propagation import Propagation, Tuning
+from holdfast.baselines.start import Start, cross_matrix
+from holdfast.config.model import Config
+from holdfast.messages import Array
+from holdfast.sensors.lidar import LidarModel
+from holdfast.state import Outcome
+
+POSE, BIAS, TRACK = slice(0, 6), slice(9, 15), slice(15, 21)
+CHI_SQUARE_3, CHI_SQUARE_6 = 16.27, 22.46  # exceeded by one good measurement in a thousand
+
+
+class MsfBelief:
+    """State and covariance `P` (21, 21); `T_W_V` is None, and its part of `P` zero, until the lidar has spoken."""
+
+    __slots__ = ("P", "T_W_V", "bias", "bias_accel", "bias_gyro", "nav", "stamp_ns", "track")
+
+    def __init__(self, stamp_ns: int, nav: gtsam.NavState, bias: gtsam.imuBias.ConstantBias, P: Array) -> None:
+        self.stamp_ns, self.nav, self.P = stamp_ns, nav, P
+        self.T_W_V: gtsam.Pose3 | None = None
+        self.track: TrackPose | None = None  # the last one, from which the drift counts
+        self.set_bias(bias)
+
+    def set_bias(self, bias: gtsam.imuBias.ConstantBias) -> None:
+        """Set the bias and its two halves."""
+        self.bias, self.bias_accel, self.bias_gyro = bias, bias.accelerometer(), bias.gyroscope()
+
+    def copy(self) -> "MsfBelief":
+        """Return a copy that goes on by itself."""
+        twin = MsfBelief.__new__(MsfBelief)
+        twin.stamp_ns, twin.nav, twin.P = self.stamp_ns, self.nav, self.P.copy()
+        twin.T_W_V, twin.track = self.T_W_V, self.track
+        twin.bias, twin.bias_accel, twin.bias_gyro = self.bias, self.bias_accel, self.bias_gyro
+        return twin
+
+    def nav_covariance(self) -> Array:
+        """Return the covariance (9, 9) of `nav`."""
+        return self.P[:9, :9].copy()
+
+    def covariance(self) -> Array:
+        """Return the covariance (15, 15) of `nav` and `bias`."""
+        return self.P[:15, :15].copy()
+
+
+class MsfFilter:
+    """Prediction and update; `lidar` weighs the poses, and may be None."""
+
+    def __init__(self, lidar: LidarModel | None, tuning: Tuning) -> None:
+        self._lidar = lidar
+        self._inflation = tuning.fix_inflation
+        self._limits = (CHI_SQUARE_3, CHI_SQUARE_6) if tuning.rejects_outliers else (inf, inf)
+        walk = [tuning.track_walk_rad_per_sqrt_s, tuning.track_walk_m_per_sqrt_s]
+        self._track_walk = np.repeat(walk, 3) ** 2
+        self._F = np.eye(21)
+        self._product = np.zeros((21, 21))
+
+    def predict(self, belief: MsfBelief, model: Propagation) -> None:
+        """P <- F P F^T + Q."""
+        F, P = self._F, belief.P
+        F[:9, :15] = model.F[:9]
+        np.matmul(F, P, out=self._product)
+        np.matmul(self._product, F.T, out=P)
+        P[:9, :9] += model.Q
+        P.ravel()[9 * 22 : 15 * 22 : 22] += model.walk  # the diagonal of the biases
+
+    def update(self, belief: MsfBelief, measurement: Measurement) -> Outcome:
+        """Take in a fix or a pose of the lidar, unless the chi-square test refuses it."""
+        if isinstance(measurement.content, AntennaFix):
+            return self._update_position(belief, measurement.content)
+        return self._update_pose(belief, measurement.content)
+
+    def _update_position(self, belief: MsfBelief, fix: AntennaFix) -> Outcome:
+        """Update with z = p_W_I + R_W_I p_I_G, whose derivative by the error state is [-R (p_I_G)x, R, 0]."""
+        R = belief.nav.attitude().matrix()
+        innovation = fix.position.p_W_G - belief.nav.position() - R @ fix.p_I_G
+        H = np.zeros((3, 21))
+        H[:, :3], H[:, 3:6] = -R @ cross_matrix(fix.p_I_G), R
+        noise = fix.position.covariance
+        return correct(belief, innovation, H, noise, self._inflation, self._limits[0])
+
+    def _update_pose(self, belief: MsfBelief, pose: TrackPose) -> Outcome:
+        """Update with z = T_W_V^-1 T_W_I, whose derivatives are the identity and minus the adjoint of z^-1."""
+        assert self._lidar is not None
+        noise = 0.5 * self._lidar.covariance(NO_MOTION)  # of one scan: half of that between two
+        T_W_I = belief.nav.pose()
+        last, belief.track = belief.track, pose
+        if last is None or belief.T_W_V is None or pose.stamp_ns - last.stamp_ns > self._lidar.max_interval_ns:
+            self._begin_track(belief, T_W_I, pose.T_V_I, noise)
+            return Outcome.USED
+        walk = self._track_walk * (pose.stamp_ns - last.stamp_ns) * 1e-9
+        belief.P.ravel()[15 * 22 :: 22] += walk  # the diagonal of T_W_V
+        predicted = belief.T_W_V.between(T_W_I)
+        innovation: Array = gtsam.Pose3.Logmap(predicted.between(pose.T_V_I))
+        H = np.zeros((6, 21))
+        H[:, POSE], H[:, TRACK] = np.eye(6), -predicted.inverse().AdjointMap()
+        return correct(belief, innovation, H, noise, 1.0, self._limits[1])
+
+    def _begin_track(self, belief: MsfBelief, T_W_I: gtsam.Pose3, T_V_I: gtsam.Pose3, noise: Array) -> None:
+        """V is where the present pose says; it is wrong together with the pose."""
+        belief.T_W_V = T_W_I * T_V_I.inverse()
+        adjoint = T_V_I.AdjointMap()
+        P = belief.P
+        P[TRACK, :15] = adjoint @ P[POSE, :15]
+        P[:15, TRACK] = P[TRACK, :15].T
+        P[TRACK, TRACK] = adjoint @ (P[POSE, POSE] + noise) @ adjoint.T
+
+
+NO_MOTION = gtsam.Pose3()
+
+
+def correct(  # noqa: PLR0917 (the symbols of the update)
+    belief: MsfBelief, innovation: Array, H: Array, noise: Array, inflation: float, limit: float
+) -> Outcome:
+    """Do the Kalman update in Joseph's form, if the innovation passes the chi-square test.
+
+    Args:
+        belief: is changed.
+        innovation: (d,) measured minus predicted.
+        H: (d, 21) derivative of the measurement by the error state.
+        noise: (d, d) of a single measurement, by which it is tested.
+        inflation: by which it weighs less, because its neighbours are wrong alike.
+        limit: of the normalised innovation squared.
+    """
+    P = belief.P
+    PHt = P @ H.T
+    predicted = H @ PHt
+    if innovation @ np.linalg.solve(predicted + noise, innovation) > limit:
+        return Outcome.INNOVATION
+    R = inflation * noise
+    K = np.linalg.solve(predicted + R, PHt.T).T
+    A = -K @ H
+    A.ravel()[::22] += 1.0
+    belief.P = A @ P @ A.T + K @ R @ K.T
+    dx = K @ innovation
+    belief.nav = belief.nav.retract(dx[:9])
+    belief.set_bias(gtsam.imuBias.ConstantBias(belief.bias_accel + dx[9:12], belief.bias_gyro + dx[12:15]))
+    if belief.T_W_V is not None:
+        belief.T_W_V = belief.T_W_V.retract(dx[TRACK])
+    return Outcome.USED
+
+
+MSF_TUNING = Tuning(fix_inflation=30.0, track_walk_m_per_sqrt_s=0.015, track_walk_rad_per_sqrt_s=1e-3)
+
+
+def make_msf(config: Config, tuning: Tuning = MSF_TUNING) -> FilterEstimator[MsfBelief]:
+    """Return MSF for a machine.
+
+    Raises:
+        ConfigError: the machine has no GNSS.
+    """
+    return FilterEstimator(config, _start, hears_lidar=True, tuning=tuning)
+
+
+def _start(tuning: Tuning, intake: Intake, start: Start) -> tuple[MsfFilter, MsfBelief]:
+    P = np.zeros((21, 21))
+    P[:15, :15] = start.covariance
+    return MsfFilter(intake.lidar, tuning), MsfBelief(start.stamp_ns, start.nav, start.bias, P)

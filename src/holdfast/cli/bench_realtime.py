@@ -1,0 +1,147 @@
+"""`holdfast bench realtime`: how fast the IMU path answers while another process optimises."""
+
+import json
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from holdfast.cli.progress import progress_bar
+from holdfast.cli.replay import check_window
+from holdfast.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from holdfast.config.model import Config
+    from holdfast.messages import Message
+    from holdfast.replay.realtime_benchmark import Pace
+
+COLUMNS = ("mean", "std", "median", "p99", "p99.9", "max")
+TITLES = {
+    "busy": "optimiser busy",
+    "idle": "optimiser idle",
+    "back_to_back": "back to back",
+}
+
+
+@click.command()
+@click.option("--recording", type=click.Path(), help="What to play. [default: construction, simulated]")
+@click.option("-c", "--config", "config_path", type=click.Path(), help="Configuration, with --recording.")
+@click.option("--duration", "duration_s", type=float, default=60.0, show_default=True, metavar="SECONDS")
+@click.option("--nodes", type=click.Choice(["measurement", "imu"]), help="[default: as configured]")
+@click.option("--spin", is_flag=True, help="Spin for the last 2 ms before a sample instead of sleeping.")
+@click.option("--json", "json_path", type=click.Path(), help="Write the result for machines.")
+def realtime(  # noqa: PLR0917 (click passes the options by name)
+    recording: str | None,
+    config_path: str | None,
+    duration_s: float,
+    nodes: str | None,
+    spin: bool,
+    json_path: str | None,
+) -> None:
+    """Measure the realtime engine.
+
+    Plays a recording at its own pace: the time from the arrival of an IMU sample until the propagated state is there,
+    with the optimiser busy and, for half as long, idle; and once back to back, as fast as it goes. The floor is GTSAM
+    alone taking in one sample, half way between two others in the same loop, so that its caches are as cold.
+    """
+    from holdfast.replay.benchmark import describe_machine
+    from holdfast.replay.realtime_benchmark import measure_realtime, summarise_measured
+
+    check_window(0.0, duration_s)
+    if (recording is None) != (config_path is None):
+        raise ConfigError("--recording and -c belong together")
+    if json_path is not None and not Path(json_path).absolute().parent.is_dir():
+        raise ConfigError(f"{json_path}: cannot be written (its folder does not exist)")
+    with _material(recording, config_path, duration_s, nodes) as (config, messages):
+        pace: Pace = "spin" if spin else "sleep"
+        half = messages[: len(messages) // 2]
+        wanted: dict[str, tuple[Sequence[Message], Pace, bool]] = {
+            "busy": (messages, pace, False),
+            "idle": (half, pace, True),
+            "back_to_back": (messages, "none", False),
+        }
+        runs = {}
+        for name, (played, how, is_idle) in wanted.items():
+            with progress_bar(TITLES[name], played[0].arrival_ns, played[-1].arrival_ns) as progress:
+                measured = measure_realtime(config, played, how, is_idle=is_idle, progress=progress)
+            runs[name] = summarise_measured(measured)
+    result = {
+        "recording": recording or "construction",
+        "duration_s": duration_s,
+        "nodes": config.graph.nodes,
+        "waiting": pace,
+        "machine": describe_machine(),
+        "runs": runs,
+    }
+    _print(result)
+    if json_path is not None:
+        try:
+            Path(json_path).write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise ConfigError(f"{json_path}: cannot be written ({error.strerror})") from None
+
+
+@contextmanager
+def _material(
+    recording: str | None, config_path: str | None, duration_s: float, nodes: str | None
+) -> "Iterator[tuple[Config, Sequence[Message]]]":
+    """Yield the configuration and the messages, simulated where no recording is given."""
+    from tempfile import TemporaryDirectory
+
+    from holdfast.cli.subscriptions import subscriptions
+    from holdfast.config.load import load_config
+    from holdfast.recording.source import open_recording
+
+    with TemporaryDirectory(prefix="holdfast-bench-") as folder:
+        if recording is None:
+            _simulate(Path(folder), duration_s)
+        config = load_config(config_path or f"{folder}/config.yaml")
+        if nodes is not None:
+            config = config.model_copy(update={"graph": config.graph.model_copy(update={"nodes": nodes})})
+        with open_recording(recording or folder) as opened:
+            messages = list(opened.read(subscriptions(config), 0.0, duration_s))
+    if not messages:
+        raise ConfigError(f"{recording}: there is no message to play")
+    yield config, messages
+
+
+def _simulate(folder: Path, duration_s: float) -> None:
+    try:
+        from holdfast.cli.trial import write_simulation
+        from holdfast.sim.scenario import load_scenario
+    except ModuleNotFoundError as error:
+        raise ConfigError(f"simulating needs {error.name}: pip install 'holdfast[sim]', or give --recording") from None
+    write_simulation(load_scenario("construction", {"duration_s": duration_s}), 0, folder)
+
+
+def _print(result: dict[str, Any]) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    machine, runs = result["machine"], result["runs"]
+    plain = not sys.stdout.isatty()
+    console = Console(highlight=False, markup=False, width=120 if plain else None)
+    console.print(f"{machine['cpu']}, {machine['cores']} cores, Python {machine['python']}, gtsam {machine['gtsam']}")
+    console.print(f"{result['recording']}: {result['duration_s']:g} s, nodes: {result['nodes']}")
+    table = Table(box=None if plain else box.SIMPLE_HEAD, pad_edge=not plain)
+    table.add_column("")
+    for column in COLUMNS:
+        table.add_column(column, justify="right")
+    quantities = [("imu_us", "IMU sample to estimate [us]", 1), ("fresh_us", "  with a new optimised state", 1)]
+    quantities += [("floor_us", "  floor: GTSAM alone", 1)]
+    ages = [("age_ms", "age of the optimised state [ms]", 1), ("update_ms", "update [ms]", 2)]
+    for name, run in runs.items():
+        table.add_row(TITLES[name], *[""] * len(COLUMNS))
+        for key, title, digits in quantities + (ages if name != "back_to_back" else []):
+            if run[key] is not None:
+                table.add_row(title, *(f"{run[key][column]:.{digits}f}" for column in COLUMNS))
+    console.print(table)
+    for name, run in runs.items():
+        ratios, cpu = run["ratio_to_floor"], run["cpu"]
+        said = f"{ratios['median']:.1f} x the floor at the median, {ratios['p99']:.1f} x at p99; " if ratios else ""
+        console.print(f"{TITLES[name]}: {said}CPU {cpu['imu_path']:.0%} + {cpu['optimiser']:.0%} of a core")

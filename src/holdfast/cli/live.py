@@ -1,0 +1,124 @@
+"""`holdfast live`: the estimator as a node of a running ROS 2 machine, without a ROS installation."""
+
+import gc
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from time import monotonic
+from types import FrameType
+from typing import TYPE_CHECKING
+
+import click
+
+from holdfast.errors import ConfigError, EstimatorError
+
+if TYPE_CHECKING:
+    from holdfast.config.live import LiveConfig
+    from holdfast.live.dds import Network
+    from holdfast.live.feed import Feed
+
+
+@click.command()
+@click.option("-c", "--config", "config_path", required=True, type=click.Path(), help="Configuration (YAML).")
+@click.option("--record", "record_path", type=click.Path(), metavar="FILE.mcap", help="Record all that comes and goes.")
+@click.option(
+    "--view",
+    "view_target",
+    is_flag=False,
+    flag_value="window",
+    metavar="[FILE.rrd|URL]",
+    help="Show it in Rerun (extra viz): in a window, in a file, or in a viewer at rerun+http://HOST:9876/proxy.",
+)
+@click.option("--duration", "duration_s", type=float, metavar="SECONDS", help="End after so long. [default: Ctrl-C]")
+def live(config_path: str, record_path: str | None, view_target: str | None, duration_s: float | None) -> None:
+    """Estimate on a running ROS 2 machine.
+
+    Listens to the topics that the configuration names (section `live`: domain, network card, peers) and publishes
+    ~/odometry/world, ~/odometry/odom, ~/odometry/base, ~/path, ~/datum, /tf, /tf_static, /diagnostics and /rosout,
+    where ~ is /holdfast. A message on ~/reset (std_msgs/Empty) makes it begin anew, one on ~/set_datum
+    (sensor_msgs/NavSatFix) moves the origin of the world. Ends with Ctrl-C, its files complete.
+    """
+    if duration_s is not None and not duration_s > 0:
+        raise ConfigError(f"--duration {duration_s:g}: must be > 0")
+    from holdfast.cli.subscriptions import subscriptions
+    from holdfast.config.load import load_config
+
+    config = load_config(config_path)
+    with ExitStack() as stack:
+        stopped = stack.enter_context(_signals())
+        network = stack.enter_context(_network(config.live))
+        feeds = _feeds(stack, record_path, view_target)
+        from holdfast.live.node import LiveNode
+        from holdfast.realtime.engine import RealtimeEstimator
+
+        engine = stack.enter_context(RealtimeEstimator(config))
+        engine.wait_until_ready()
+        node = LiveNode(config, subscriptions(config), engine, network, feeds=feeds, say=_say)
+        _say(f"listening on domain {network.domain_id}: {', '.join(node.inputs.topics)}")
+        _say(f"publishing {', '.join(node.outputs.topics)}")
+        gc.collect()
+        gc.freeze()  # looking through all that the imports have left would hold up the IMU path for tens of ms
+        end = None if duration_s is None else monotonic() + duration_s
+        node.run(lambda: stopped() is None and (end is None or monotonic() < end))
+        waiting_for = None if node.has_started else engine.waiting_for
+    _end(stopped(), waiting_for)
+
+
+def _end(caught: int | None, waiting_for: str | None) -> None:
+    if caught == signal.SIGINT:
+        raise KeyboardInterrupt
+    if caught is not None:
+        raise SystemExit(128 + caught)
+    if waiting_for is not None:
+        raise EstimatorError(f"the estimator never started: {waiting_for}")
+
+
+def _say(line: str) -> None:
+    click.echo(line, err=True)
+
+
+def _network(live_config: "LiveConfig") -> "Network":
+    try:
+        from holdfast.live.dds import Network
+    except ModuleNotFoundError as error:
+        if not (error.name or "").startswith("cyclonedds"):
+            raise
+        raise ConfigError('holdfast live needs the extra dds: pip install "holdfast[dds]"') from None
+    return Network(live_config)
+
+
+def _feeds(stack: ExitStack, record_path: str | None, view_target: str | None) -> list["Feed"]:
+    from holdfast.live.feed import Feed
+    from holdfast.live.recorder import check_destination, record
+
+    wanted: list[tuple[str, Callable[..., None], tuple[object, ...]]] = []
+    if record_path is not None:
+        check_destination(record_path)
+        wanted.append(("recording", record, (record_path,)))
+    if view_target is not None:
+        from holdfast.cli.view import check_target, drawing
+
+        check_target("--view", view_target)
+        wanted.append(("view", drawing("holdfast live --view").draw_live, (view_target,)))
+    feeds = []
+    for name, consume, arguments in wanted:
+        feed = Feed(name, consume, *arguments)
+        stack.callback(feed.close)
+        feeds.append(feed)
+    return feeds
+
+
+@contextmanager
+def _signals() -> Iterator[Callable[[], int | None]]:
+    """Catch Ctrl-C and the end that a service manager asks for; yield what tells which one came."""
+    caught: list[int] = []
+
+    def note(number: int, _: FrameType | None) -> None:
+        caught.append(number)
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: caught[0] if caught else None
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

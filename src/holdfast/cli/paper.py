@@ -1,0 +1,129 @@
+"""`holdfast paper`: the evaluation of the paper, rebuilt on simulated recordings whose truth is known."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from holdfast.cli.progress import progress_bar
+from holdfast.errors import ConfigError
+
+if TYPE_CHECKING:
+    from holdfast.paper.job import Lent
+    from holdfast.paper.results import Results
+
+SEEDS = 10
+
+
+@click.command()
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder for the results.")
+@click.option("--quick", is_flag=True, help="Short recordings and few variations: minutes, for a first look.")
+@click.option(
+    "--seeds", type=click.IntRange(min=1), help=f"Simulate each task so many times. [default: {SEEDS}; quick: 1]"
+)
+@click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True, help="Processes at a time.")
+def paper(output: Path, quick: bool, seeds: int | None, jobs: int) -> None:
+    """Run every system on the paper's two tasks and print its tables.
+
+    Systems: ours, ours by the rules of the paper, MSF, TSIF, and the lidar odometry alone. Besides Tables I and II come
+    the data of Figs. 3, 4 and 6, ablations, the sensitivity to delays and clock offsets, and the growth of errors in
+    outages.
+
+    Writes results.json, curves.npz, the maps of the sites, and report.html, which needs no network. What has been run
+    is kept in the folder: the same command goes on where it was interrupted, and more --seeds add to those that there
+    are.
+    """
+    try:
+        from holdfast.paper.evaluation import evaluate
+    except ModuleNotFoundError as error:
+        raise ConfigError(f"the paper's evaluation needs {error.name}: pip install 'holdfast[sim]'") from None
+    count = seeds or (1 if quick else SEEDS)
+    command = f"holdfast paper -o {output.name}" + " --quick" * quick + f" --seeds {count}"
+    with _naming_the_output(output), _bar() as progress:
+        results = evaluate(output, count, quick, jobs, lent(), command, progress)
+    print_tables(results)
+    report = _report(results, output, quick, jobs)
+    click.echo(f"written to {output}: results.json, curves.npz{report}")
+
+
+def _report(results: "Results", output: Path, quick: bool, jobs: int) -> str:
+    """Make the maps and the page, and return their names; what stands against it is said, the numbers are there."""
+    try:
+        from holdfast.paper.maps import make_maps
+        from holdfast.paper.page import write_report
+
+        with _naming_the_output(output), _bar() as progress:
+            try:
+                make_maps(output, quick, jobs, lent(), progress)
+            except ConfigError as error:
+                click.echo(f"no maps: {error}", err=True)
+            return f", {write_report(results, output).name}, report.json, maps"
+    except (ConfigError, ModuleNotFoundError) as error:
+        click.echo(f"no report: {error}", err=True)
+        return ""
+
+
+def lent() -> "Lent":
+    """Return what the evaluation borrows from the command line."""
+    from holdfast.cli.ablate import VARIATIONS, changed
+    from holdfast.cli.subscriptions import subscriptions
+    from holdfast.cli.trial import truth
+    from holdfast.paper.job import Lent
+
+    return Lent(subscriptions, truth, changed, VARIATIONS)
+
+
+@contextmanager
+def _bar() -> Iterator[Callable[[int, int], None] | None]:
+    """Show how many runs are done."""
+    with progress_bar("evaluating", 0, 1000) as show:
+        yield None if show is None else lambda done, total: show(round(1000 * done / total))
+
+
+@contextmanager
+def _naming_the_output(output: Path) -> Iterator[None]:
+    """Turn a full disk and its like into one line."""
+    try:
+        yield
+    except OSError as error:
+        raise ConfigError(f"{error.filename or output}: cannot be written ({error.strerror or error})") from None
+
+
+def print_tables(results: "Results") -> None:
+    """Print Tables I and II, the consistency, and where ours loses."""
+    from holdfast.paper.study import TASKS
+    from holdfast.paper.tables import (
+        consistency_table,
+        failures,
+        faster_baselines,
+        lost_cells,
+        table_one,
+        table_two,
+    )
+
+    seeds = f"{results.seeds} seed{'s' * (results.seeds > 1)}" + ", short recordings" * results.quick
+    for task in TASKS:
+        _print(f"Table I, {task}: RMS, mean over {seeds}; against RTK as in the paper", table_one(results, task))
+    _print(f"Table II, IMU sample to state: {results.latency_scenario}", table_two(results))
+    _print("Fig. 6, |propagated - optimised|, navigation", consistency_table(results))
+    for lost in lost_cells(results):
+        q = lost.quantity
+        click.echo(
+            f"loses: {lost.scenario}, {q.label}, {lost.statistic}: {lost.ours.mean:.{q.digits}f} {q.unit}, "
+            f"{lost.system} {lost.theirs.mean:.{q.digits}f}"
+        )
+    for name, ours, theirs in faster_baselines(results):
+        click.echo(f"loses: latency, mean time of the processor: {ours:.1f} us, {name} {theirs:.1f}")
+    for line in failures(results):
+        click.echo(f"failed: {line}")
+
+
+def _print(title: str, rows: Sequence[Sequence[str]]) -> None:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    click.echo(title)
+    for row in rows:
+        cells = [cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)]
+        click.echo("  ".join(["  " + row[0].ljust(widths[0]), *cells]))
+    click.echo("")

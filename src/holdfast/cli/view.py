@@ -1,0 +1,65 @@
+"""`holdfast view`: a recording or the results of a replay in Rerun."""
+
+from pathlib import Path
+from types import ModuleType
+
+import click
+
+from holdfast.cli.progress import progress_bar
+from holdfast.errors import ConfigError
+
+
+@click.command()
+@click.argument("recording", type=click.Path())
+@click.option("-o", "--output", metavar="FILE.rrd", help="Write a file for the viewer instead of opening it.")
+@click.option("--connect", metavar="URL", help="Send it to a viewer that runs: rerun+http://HOST:9876/proxy.")
+def view(recording: str, output: str | None, connect: str | None) -> None:
+    """Show RECORDING in Rerun: a bag, a log of `holdfast live`, or the output folder of a replay.
+
+    Draws tracks and fixes in space, the tree of frames, the covariance of the position (3 sigma), time series and
+    events. Needs the extra viz.
+    """
+    if output is not None and connect is not None:
+        raise ConfigError("--output and --connect: give only one of them")
+    if output is not None and not output.endswith(".rrd"):
+        raise ConfigError(f"--output {output}: must be a file *.rrd")
+    if connect is not None:
+        check_target("--connect", connect)
+    show = drawing("holdfast view")
+    from holdfast.recording.source import open_recording
+
+    path = Path(recording)
+    source = path / "estimates.mcap" if (path / "estimates.mcap").is_file() else path
+    with open_recording(source) as opened:  # says in one line if there is nothing to see
+        begin_ns, end_ns = opened.start_ns, opened.end_ns
+    sink = show.open_sink(output or connect or "window", path.name)
+    with progress_bar("drawing", begin_ns, end_ns) as progress:
+        show.draw_recording(path, sink, progress)
+    sink.disconnect()
+    if output is not None:
+        click.echo(f"written to {output}")
+
+
+def check_target(option: str, target: str) -> None:
+    """Refuse what no scene can be drawn to.
+
+    Raises:
+        ConfigError: names the option.
+    """
+    if target != "window" and not target.endswith(".rrd") and not target.startswith("rerun+http"):
+        raise ConfigError(f"{option} {target}: must be `window`, a file *.rrd or rerun+http://HOST:PORT/proxy")
+
+
+def drawing(command: str) -> ModuleType:
+    """Return the module that draws.
+
+    Raises:
+        ConfigError: the extra is not installed.
+    """
+    try:
+        from holdfast.viz import show
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] not in ("rerun", "rerun_bindings"):
+            raise
+        raise ConfigError(f'{command} needs the extra viz: pip install "holdfast[viz]"') from None
+    return show

@@ -1,0 +1,169 @@
+"""A surface of triangles with regions, and the exact distance of many points to it.
+
+The nearest triangle is looked for among those whose samples are nearest (`SurfaceIndex`): the surface is covered by
+samples, each of which stands for a piece of a triangle within a radius r about it. Let d be the distance found among
+the triangles of the k nearest samples, and d_k the distance of the k-th. No other triangle can be nearer than d_k - r,
+so d <= d_k - r proves d; where it does not, k grows. Distances of points to triangles: Ericson, "Real-Time Collision
+Detection", 2005, section 5.1.5. This needs scipy's KD-tree: the extra `sim`.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from holdfast.errors import ConfigError, RecordingError
+from holdfast.messages import Array
+
+SPACING_M = 0.3  # longest edge of the piece of a triangle that a sample stands for
+NEIGHBOURS = (4, 16, 64)
+CHUNK = 50_000  # points at a time: bounds the memory
+PLY_HEADER_BYTES = 10_000
+VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
+FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3), ("region", "u1")])
+LAYOUT = (
+    *("property float x", "property float y", "property float z"),
+    *("property list uchar int vertex_indices", "property uchar region"),
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """Triangles in W.
+
+    Attributes:
+        vertices: (V, 3) [m].
+        faces: (F, 3) indices of vertices.
+        regions: (F,) index into `names` of each triangle.
+        names: of the regions.
+    """
+
+    vertices: Array
+    faces: NDArray[np.int64]
+    regions: NDArray[np.int64]
+    names: tuple[str, ...]
+
+
+def read_mesh(path: Path) -> Mesh:
+    """Read the `site.ply` of a simulation: binary, triangles with regions whose names stand in a comment.
+
+    Raises:
+        RecordingError: the file cannot be read, or is laid out in another way.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise RecordingError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    header, found, _ = data[:PLY_HEADER_BYTES].partition(b"end_header\n")
+    lines = header.decode("ascii", errors="replace").splitlines()
+    layout = tuple(line for line in lines if line.startswith("property"))
+    if not found or lines[:2] != ["ply", "format binary_little_endian 1.0"] or layout != LAYOUT:
+        raise RecordingError(f"{path}: is no mesh with regions (allowed: the site.ply of `holdfast simulate`)")
+    body = data[len(header) + len(found) :]
+    counts = {line.split()[1]: int(line.split()[2]) for line in lines if line.startswith("element")}
+    vertices, faces = counts["vertex"], counts["face"]
+    if len(body) != vertices * VERTEX.itemsize + faces * FACE.itemsize:
+        raise RecordingError(f"{path}: is cut off, or holds more than {vertices} vertices and {faces} triangles")
+    points = np.frombuffer(body, dtype="<f4", count=3 * vertices).reshape(-1, 3).astype(np.float64)
+    records = np.frombuffer(body, dtype=FACE, offset=vertices * VERTEX.itemsize)
+    comment = next((line for line in lines if "regions:" in line), "")
+    names = tuple(part.split()[1] for part in comment.partition("regions:")[2].split(","))
+    return Mesh(points, records["corners"].astype(np.int64), records["region"].astype(np.int64), names)
+
+
+class SurfaceIndex:
+    """Finds distances to a mesh.
+
+    Attributes:
+        radius_m: that covers the piece of a triangle which a sample stands for.
+
+    Raises:
+        ConfigError: scipy is not installed.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.mesh = mesh
+        try:
+            from scipy.spatial import cKDTree
+        except ImportError:
+            raise ConfigError("distances to a mesh need scipy: pip install 'holdfast[sim]'") from None
+        self._corners = mesh.vertices[mesh.faces]
+        samples, self._face_of, self.radius_m = _samples(self._corners)
+        self._tree = cKDTree(samples, balanced_tree=False, compact_nodes=False)
+
+    def nearest(self, points: Array) -> tuple[Array, NDArray[np.int64]]:
+        """Return the distances (N,) [m] of points (N, 3), and the nearest triangle of each.
+
+        Exact below about 2 m; beyond, where the search ends, at most `radius_m` too large.
+        """
+        distances, faces = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
+        for start in range(0, len(points), CHUNK):
+            piece = slice(start, start + CHUNK)
+            distances[piece], faces[piece] = self._nearest(points[piece])
+        return distances, faces
+
+    def _nearest(self, points: Array) -> tuple[Array, NDArray[np.int64]]:
+        distances, faces = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
+        open_rows = np.arange(len(points))
+        for count in NEIGHBOURS:
+            count = min(count, len(self._face_of))  # noqa: PLW2901
+            reach, near = self._tree.query(points[open_rows], k=count)
+            near = near.reshape(len(open_rows), count)
+            candidates = self._face_of[near]
+            found = np.sqrt(_squared_distances(points[open_rows][:, None], self._corners[candidates]))
+            best = found.argmin(axis=1)
+            rows = np.arange(len(open_rows))
+            distances[open_rows], faces[open_rows] = found[rows, best], candidates[rows, best]
+            proven = distances[open_rows] <= reach.reshape(len(open_rows), count)[:, -1] - self.radius_m
+            open_rows = open_rows[~proven]
+            if not len(open_rows):
+                break
+        return distances, faces
+
+
+def _samples(corners: Array) -> tuple[Array, NDArray[np.int64], float]:
+    """Return samples (S, 3) of triangles (F, 3, 3), the triangle of each, and the radius that covers every piece.
+
+    A triangle whose longest edge has n times the spacing is divided into n^2 alike; their middles are the samples.
+    """
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    parts = np.maximum(np.ceil(edges / SPACING_M).astype(np.int64), 1)
+    samples, face_of = [], []
+    for count in np.unique(parts).tolist():
+        chosen = np.flatnonzero(parts == count)
+        weights = np.array(list(_middles(count)))
+        samples.append(np.einsum("wc,fcd->fwd", weights, corners[chosen]).reshape(-1, 3))
+        face_of.append(np.repeat(chosen, len(weights)))
+    radii = np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max(axis=1) / parts
+    return np.concatenate(samples), np.concatenate(face_of), float(radii.max())
+
+
+def _middles(count: int) -> Iterator[tuple[float, float, float]]:
+    """Yield the barycentric coordinates of the middles of count^2 equal parts of a triangle."""
+    third = 1.0 / 3.0
+    for i in range(count):
+        for j in range(count - i):
+            yield (i + third) / count, (j + third) / count, (count - i - j - 2 * third) / count
+            if i + j < count - 1:
+                yield (i + 2 * third) / count, (j + 2 * third) / count, (count - i - j - 4 * third) / count
+
+
+def _squared_distances(p: Array, corners: Array) -> Array:
+    """Return the squared distances (N, K) of points (N, 1, 3) to triangles (N, K, 3, 3)."""
+    a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
+    normal = np.cross(b - a, c - a)
+    area = np.einsum("nkd,nkd->nk", normal, normal)
+    inside = np.ones(area.shape, dtype=np.bool_)
+    nearest = np.full(area.shape, np.inf)
+    for start, end in ((a, b), (b, c), (c, a)):
+        edge, to_point = end - start, p - start
+        inside &= np.einsum("nkd,nkd->nk", np.cross(edge, to_point), normal) >= 0.0
+        length = np.maximum(np.einsum("nkd,nkd->nk", edge, edge), 1e-30)
+        along = np.clip(np.einsum("nkd,nkd->nk", to_point, edge) / length, 0.0, 1.0)
+        miss = to_point - along[..., None] * edge
+        nearest = np.minimum(nearest, np.einsum("nkd,nkd->nk", miss, miss))
+    height = np.einsum("nkd,nkd->nk", p - a, normal)
+    over = inside & (area > 0.0)
+    return np.where(over, height**2 / np.where(area > 0.0, area, 1.0), nearest)

@@ -1,0 +1,1 @@
+"""Many recordings side by side, in processes or on a cluster."""

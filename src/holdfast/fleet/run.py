@@ -1,0 +1,135 @@
+"""One job of a batch: a `holdfast replay` in a process of its own, so that nothing it does can harm the others."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from holdfast.errors import RecordingError
+from holdfast.fleet.plan import Job
+
+STATE, LOG, CONFIG, ESTIMATE = "run.json", "run.log", "config.yaml", "imu_in_world.tum"
+TRUTH = Path("truth") / ESTIMATE
+POLL_S = 0.1
+PATIENCE_S = 10.0  # for a replay to write what it has after it was told to stop
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+MAIN = "from holdfast.cli import main; main()"
+
+State = Literal["waiting", "running", "done", "failed", "stopped"]
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of a job.
+
+    Attributes:
+        reason: why it failed, in one line.
+        errors: RMS against the truth of a simulated recording, by name with its unit.
+    """
+
+    name: str
+    state: State
+    fingerprint: str
+    reason: str = ""
+    wall_s: float = 0.0
+    errors: dict[str, float] = field(default_factory=dict)
+
+
+def run_job(job: Job, stop_file: Path) -> Outcome:
+    """Replay, and keep the outcome beside the results; whatever goes wrong is an outcome too.
+
+    The replay is told to stop when `stop_file` appears.
+    """
+    began = time.monotonic()
+    try:
+        job.folder.mkdir(parents=True, exist_ok=True)
+        _keep(job, Outcome(job.name, "running", job.fingerprint))
+        (job.folder / CONFIG).write_text(job.config_yaml, encoding="utf-8")
+        state, reason = _replay(job, stop_file)
+        errors = _errors(job) if state == "done" else {}
+        outcome = Outcome(job.name, state, job.fingerprint, reason, time.monotonic() - began, errors)
+        _keep(job, outcome)
+    except OSError as error:
+        reason = f"{error.filename or job.folder}: {error.strerror or error}"
+        return Outcome(job.name, "failed", job.fingerprint, reason, time.monotonic() - began)
+    return outcome
+
+
+def kept_outcome(job: Job) -> Outcome:
+    """Return what is known of a job from an earlier batch, or a running one; `waiting` where nothing is."""
+    waiting = Outcome(job.name, "waiting", job.fingerprint)
+    try:
+        kept = Outcome(**json.loads((job.folder / STATE).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return waiting
+    return kept if kept.fingerprint == job.fingerprint else waiting
+
+
+def _keep(job: Job, outcome: Outcome) -> None:
+    """Write the outcome in one step: whoever reads it meanwhile finds the old one or the new one."""
+    part = job.folder / f"{STATE}.part"
+    part.write_text(json.dumps(asdict(outcome), indent=1) + "\n", encoding="utf-8")
+    part.replace(job.folder / STATE)
+
+
+def _replay(job: Job, stop_file: Path) -> tuple[State, str]:
+    command = [sys.executable, "-c", MAIN, "replay", str(job.recording)]
+    command += ["-c", str(job.folder / CONFIG), "-o", str(job.folder), *job.arguments]
+    with (job.folder / LOG).open("wb") as log:
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=os.environ | ONE_THREAD
+        )
+        try:
+            while process.poll() is None:
+                if stop_file.exists():
+                    return "stopped", "the batch was interrupted"
+                time.sleep(POLL_S)
+        finally:
+            _end(process)
+    if process.returncode == 0:
+        return "done", ""
+    return "failed", _reason(job.folder / LOG, process.returncode)
+
+
+def _end(process: "subprocess.Popen[bytes]") -> None:
+    if process.poll() is not None:
+        return
+    process.send_signal(signal.SIGINT)
+    try:
+        process.wait(PATIENCE_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def _reason(log: Path, code: int) -> str:
+    """Return why a replay failed: its own last words, or the signal that ended it."""
+    if code < 0:
+        return f"killed by {signal.Signals(-code).name}"
+    lines = [line for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
+    said = [line.removeprefix("error: ") for line in lines if line.startswith("error: ")]
+    return (said or lines or [f"exit code {code}"])[-1]
+
+
+def _errors(job: Job) -> dict[str, float]:
+    """Judge the estimate by the truth that lies in the folder of a simulated recording, if there is one."""
+    folder = job.recording if job.recording.is_dir() else job.recording.parent
+    if not (folder / TRUTH).exists():
+        return {}
+    import numpy as np
+
+    from holdfast.evaluation.absolute import ape
+    from holdfast.evaluation.association import associate
+    from holdfast.recording.tum import read_tum
+
+    try:
+        errors = ape(associate(read_tum(job.folder / ESTIMATE), read_tum(folder / TRUTH)))
+    except RecordingError:
+        return {}
+    names = ("horizontal_m", "vertical_m", "yaw_deg")
+    return {name: float(np.sqrt(np.mean(errors[name] ** 2))) for name in names if name in errors}

@@ -1,0 +1,1 @@
+"""The estimator on a running ROS 2 machine, over DDS."""

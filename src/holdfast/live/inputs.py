@@ -1,0 +1,66 @@
+"""From samples on the network to measurements, by the decoders of recordings; nothing that comes is fatal."""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+from holdfast.live.dds import Network, Publication, Sample
+from holdfast.live.idl import STORE
+from holdfast.messages import Message
+from holdfast.recording.decode import DECODERS, Decoder
+from holdfast.recording.source import Subscription
+
+
+class Inputs:
+    """Subscribes to the topics of the sensors and decodes what comes.
+
+    A kind of measurement that several message types can carry is subscribed to once somebody publishes one of them.
+
+    Args:
+        network: where to subscribe.
+        subscriptions: of the sensors; topics in full.
+        reliable: ask for lost samples again.
+    """
+
+    def __init__(self, network: Network, subscriptions: Sequence[Subscription], *, reliable: bool = False) -> None:
+        self._network = network
+        self._reliable = reliable
+        self._decoders: dict[tuple[str, str], list[Decoder]] = {}
+        self.malformed: Counter[str] = Counter()
+        self.received: Counter[str] = Counter()
+        self.reasons: dict[str, str] = {}
+        self.topics: dict[str, tuple[str, ...]] = {}
+        for subscription in subscriptions:
+            allowed = DECODERS[subscription.kind]
+            known = self.topics.get(subscription.topic)
+            types = tuple(allowed) if known is None else tuple(name for name in known if name in allowed)
+            self.topics[subscription.topic] = types
+            for type_name in types:
+                self._decoders.setdefault((subscription.topic, type_name), []).append(allowed[type_name](subscription))
+        for topic, types in self.topics.items():
+            if len(types) == 1:
+                network.subscribe(topic, types[0], reliable=reliable)
+
+    def join(self, publications: Iterable[Publication]) -> None:
+        """Subscribe to the types that are published, where a topic may have several."""
+        for publication in publications:
+            if publication.type_name in self.topics.get(publication.topic, ()):
+                self._network.subscribe(publication.topic, publication.type_name, reliable=self._reliable)
+
+    def decode(self, sample: Sample, arrival_ns: int) -> list[Message]:
+        """Return the measurements in a sample; one that cannot be read is counted, with the reason of the last one.
+
+        Args:
+            sample: of any topic; of one that is no sensor's, nothing is returned.
+            arrival_ns: when it came.
+        """
+        decoders = self._decoders.get((sample.topic, sample.type_name))
+        if decoders is None:
+            return []
+        self.received[sample.topic] += 1
+        try:
+            message = STORE.deserialize_cdr(sample.data, sample.type_name)
+            return [decode(message, arrival_ns) for decode in decoders]
+        except Exception as error:  # damaged bytes raise anything; one sample must not end the node
+            self.malformed[sample.topic] += 1
+            self.reasons[sample.topic] = f"{type(error).__name__}: {error}" if not str(error) else str(error)
+            return []

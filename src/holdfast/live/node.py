@@ -1,0 +1,239 @@
+"""The live node: what comes over the network goes into the estimator, what it says goes out and into the feeds."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from math import isfinite
+from time import monotonic_ns, time_ns
+from typing import Any, Protocol
+
+from holdfast.config.model import Config
+from holdfast.estimator.estimator import Output
+from holdfast.geometry.earth import Geodetic
+from holdfast.live.dds import Network, Sample
+from holdfast.live.feed import Feed, Record
+from holdfast.live.idl import STORE
+from holdfast.live.inputs import Inputs
+from holdfast.live.outputs import Level, Outputs
+from holdfast.live.watch import MALFORMED, Finding, Watch
+from holdfast.messages import Message
+from holdfast.recording.source import Subscription
+from holdfast.replay.ros_messages import OK, WARN, Observed, Status, estimator_status
+from holdfast.state import Event, EventKind
+
+REVIEW_NS = 1_000_000_000
+WAIT_S = 0.1  # the longest that a wish to stop goes unheard
+REPEAT_NS = 10_000_000_000  # an event of the same kind is said again only after so long
+GRAVE = {EventKind.OPTIMISER_FAULT, EventKind.CLOCK_STEP, EventKind.GNSS_LOST, EventKind.IMU_GAP}
+EMPTY, FIX = "std_msgs/msg/Empty", "sensor_msgs/msg/NavSatFix"
+
+
+class Engine(Observed, Protocol):
+    """What the node asks of an estimator: that of `holdfast.realtime`, or the synchronous one."""
+
+    @property
+    def datum(self) -> Geodetic | None:
+        """Return the origin of the world, or None until it is known."""
+
+    def process(self, message: Message) -> Output:
+        """Take in one message."""
+
+    def take_events(self) -> list[Event]:
+        """Return the events since the last call."""
+
+    def reset(self) -> None:
+        """Begin anew."""
+
+    def set_datum(self, datum: Geodetic) -> None:
+        """Put the origin of the world somewhere else."""
+
+
+class LiveNode:
+    """Joins network, estimator and feeds.
+
+    Args:
+        config: of the estimator and of the node.
+        subscriptions: which topic feeds which sensor.
+        engine: the estimator.
+        network: where to listen and to publish.
+        feeds: processes that get a copy of everything that comes and goes.
+        say: prints one line for the user.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        subscriptions: Sequence[Subscription],
+        engine: Engine,
+        network: Network,
+        *,
+        feeds: Sequence[Feed],
+        say: Callable[[str], None],
+    ) -> None:
+        live = config.live
+        self.name = f"{live.namespace}/{live.node_name}"
+        self._engine = engine
+        self._network = network
+        self._feeds = feeds
+        self._say = say
+        self._clock = ArrivalClock()
+        full = [
+            replace(subscription, topic=full_name(subscription.topic, live.namespace)) for subscription in subscriptions
+        ]
+        self.inputs = Inputs(network, full, reliable=live.reliable_inputs)
+        self.outputs = Outputs(network, config, self.name)
+        self._watch = Watch(
+            self.inputs.topics,
+            live.silent_after_s,
+            live.max_clock_offset_s,
+            reliable=live.reliable_inputs,
+            began_ns=self._clock.now_ns(),
+        )
+        self._controls = {f"{self.name}/reset": self._reset, f"{self.name}/set_datum": self._set_datum}
+        for topic, type_name in zip(self._controls, (EMPTY, FIX), strict=True):
+            network.subscribe(topic, type_name, reliable=True)
+        self._findings: dict[str, Finding] = {}
+        self._complaints: dict[str, str] = {}
+        self._said_ns: dict[tuple[str, str], int] = {}
+        self._datum: Geodetic | None = None
+        self.has_started = False
+
+    def run(self, keep_on: Callable[[], bool]) -> None:
+        """Work until `keep_on` says no; it is asked ten times a second at least."""
+        next_review_ns = self._clock.now_ns() + REVIEW_NS
+        while keep_on():
+            samples = self._network.wait(WAIT_S)
+            now_ns = self._clock.now_ns()
+            incoming = [Record(*sample, now_ns) for sample in samples] if self._feeds else []
+            for sample in samples:
+                self._take(sample, now_ns)
+            if self._engine.datum != self._datum:
+                self._tell_datum(now_ns)
+            for event in self._engine.take_events():
+                self._tell_event(event, now_ns)
+            if now_ns >= next_review_ns:
+                next_review_ns = now_ns + REVIEW_NS
+                self._review(now_ns)
+            self._pass_on(incoming)
+
+    def _take(self, sample: Sample, now_ns: int) -> None:
+        control = self._controls.get(sample.topic)
+        if control is not None:
+            control(sample, now_ns)
+            return
+        for message in self.inputs.decode(sample, now_ns):
+            self._watch.note(sample.topic, message.stamp_ns, now_ns, time_ns())
+            output = self._engine.process(message)
+            if output.estimate is not None:
+                self.has_started = True
+                self.outputs.estimate(output.estimate, output.base, now_ns)
+
+    def _pass_on(self, incoming: list[Record]) -> None:
+        batch = incoming + self.outputs.take_records()
+        if batch:
+            for feed in self._feeds:
+                feed.offer(batch)
+
+    # --- controls ------------------------------------------------------------------------------------------------
+
+    def _reset(self, sample: Sample, now_ns: int) -> None:
+        self.outputs.forget_path()
+        self._engine.reset()
+        self._log(Level.WARN, f"{sample.topic}: the estimator begins anew", now_ns)
+
+    def _set_datum(self, sample: Sample, now_ns: int) -> None:
+        try:
+            fix: Any = STORE.deserialize_cdr(sample.data, sample.type_name)
+        except Exception as error:  # damaged bytes raise anything
+            self._log(Level.ERROR, f"{sample.topic}: cannot be read ({error})", now_ns)
+            return
+        datum = Geodetic(fix.latitude, fix.longitude, fix.altitude)
+        if not all(map(isfinite, datum)) or abs(datum.latitude_deg) > 90.0 or abs(datum.longitude_deg) > 360.0:
+            self._log(
+                Level.ERROR, f"{sample.topic}: {tuple(datum)} is no place on the Earth; nothing is changed", now_ns
+            )
+            return
+        self.outputs.forget_path()
+        self._engine.set_datum(datum)
+
+    def _tell_datum(self, now_ns: int) -> None:
+        self._datum = self._engine.datum
+        if self._datum is not None:
+            self.outputs.datum(self._datum, now_ns)
+            place = f"{self._datum.latitude_deg:.8f}, {self._datum.longitude_deg:.8f}, {self._datum.altitude_m:.3f} m"
+            self._log(Level.INFO, f"the world's origin is {place}", now_ns)
+
+    # --- what is wrong -------------------------------------------------------------------------------------------
+
+    def _review(self, now_ns: int) -> None:
+        publications = self._network.publications()
+        self.inputs.join(publications)
+        findings = self._watch.review(now_ns, publications, self.inputs.malformed, self.inputs.reasons)
+        for topic, finding in findings.items():
+            before = self._findings.get(topic)
+            if before is None or before.kind != finding.kind:
+                self._tell(topic, finding.kind, Level.WARN, f"{topic}: {finding.text}", now_ns)
+        for topic in self._findings.keys() - findings.keys():
+            if self._findings[topic].kind != MALFORMED:
+                self._log(Level.INFO, f"{topic}: is well again", now_ns)
+        self._findings = findings
+        for feed in self._feeds:
+            if complaint := feed.complaint():
+                self._complaints[feed.name] = complaint
+                self._log(Level.ERROR, complaint, now_ns)
+        self.outputs.diagnostics(self._statuses(now_ns), now_ns)
+        self.outputs.path(now_ns)
+
+    def _statuses(self, now_ns: int) -> list[Status]:
+        statuses = [estimator_status(self._engine)]
+        for topic, types in self.inputs.topics.items():
+            finding, heard = self._findings.get(topic), self._watch.heard[topic]
+            values = [
+                ("type", " | ".join(types)),
+                ("received", str(self.inputs.received[topic])),
+                ("malformed", str(self.inputs.malformed[topic])),
+                ("rate_hz", f"{heard.rate_hz(now_ns):.2f}"),
+                ("stamp_minus_clock_s", f"{heard.offset_ns * 1e-9:.6f}"),
+            ]
+            text = "ok" if finding is None else finding.text
+            statuses.append(Status(OK if finding is None else WARN, f"holdfast: {topic}", text, values))
+        if self._network.unsent:
+            unsent = [(topic, str(count)) for topic, count in sorted(self._network.unsent.items())]
+            statuses.append(Status(WARN, "holdfast: publishing", "some messages could not be sent", unsent))
+        for feed in self._feeds:
+            text = self._complaints.get(feed.name, "ok" if feed.alive else "has ended")
+            is_well = text == "ok" and not feed.dropped
+            statuses.append(
+                Status(OK if is_well else WARN, f"holdfast: {feed.name}", text, [("dropped", str(feed.dropped))])
+            )
+        return statuses
+
+    def _tell_event(self, event: Event, now_ns: int) -> None:
+        level = Level.WARN if event.kind in GRAVE else Level.INFO
+        source = f"{event.sensor}: " if event.sensor else ""
+        self._tell(event.kind, f"{event.sensor} {event.reason}", level, f"{source}{event.kind}: {event.reason}", now_ns)
+
+    def _tell(self, subject: str, kind: str, level: Level, text: str, now_ns: int) -> None:
+        """Say something, unless the same was said a short while ago."""
+        if now_ns - self._said_ns.get((subject, kind), -REPEAT_NS) >= REPEAT_NS:
+            self._said_ns[subject, kind] = now_ns
+            self._log(level, text, now_ns)
+
+    def _log(self, level: Level, text: str, now_ns: int) -> None:
+        self._say(text if level is Level.INFO else f"{'warning' if level is Level.WARN else 'error'}: {text}")
+        self.outputs.log(level, text, now_ns)
+
+
+class ArrivalClock:
+    """Time of arrival [ns since the epoch]: this machine's clock at the start, never set after it."""
+
+    def __init__(self) -> None:
+        self._offset_ns = time_ns() - monotonic_ns()
+
+    def now_ns(self) -> int:
+        """Return the time now."""
+        return self._offset_ns + monotonic_ns()
+
+
+def full_name(topic: str, namespace: str) -> str:
+    """Return a topic in full: a name without a leading slash belongs to the namespace."""
+    return topic if topic.startswith("/") else f"{namespace}/{topic}"

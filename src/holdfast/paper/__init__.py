@@ -1,0 +1,1 @@
+"""The paper's evaluation, rebuilt: every system on every recording, tables and figures as data."""

@@ -1,0 +1,99 @@
+"""Table II: how long each system takes from an IMU sample to its state, all in one process, in turn.
+
+The paper's latency is the time from the arrival of an IMU sample until the propagated state is available (V-B.2). All
+systems get the same message one after the other, in an order that moves on with every message, so that caches, clocks
+and other programs treat them alike. Samples on which a system also takes in measurements are counted as updates. Beside
+the time that passes stands that of the processor, which other programs on the machine do not lengthen. The chassis,
+which no baseline knows, is left out.
+"""
+
+from array import array
+from collections.abc import Mapping
+from itertools import islice
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter_ns, thread_time_ns
+from typing import Any
+
+import numpy as np
+
+from holdfast.messages import ImuSample, Message
+from holdfast.paper.job import Lent
+from holdfast.paper.results import Latency
+from holdfast.paper.systems import SYSTEMS, configured
+from holdfast.paper.verdict import times
+from holdfast.recording.source import open_recording
+from holdfast.replay.published import Localiser
+from holdfast.sim.configuration import configuration
+from holdfast.sim.recorder import write_recording
+from holdfast.sim.scenario import load_scenario
+from holdfast.sim.simulation import simulate
+
+QUANTILES = (0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99, 0.995, 0.999, 1.0)
+# only ours says where the chassis is; that would be compared with nothing
+WITHOUT_CHASSIS: dict[str, Any] = {"turn_joint": None, "sensors": {"joint": None, "base_imu": None}}
+WARM_UP = 200  # samples after the start that are not counted
+
+
+class Stopwatch:
+    """Feeds one system and keeps how long it took."""
+
+    def __init__(self, localiser: Localiser) -> None:
+        self._localiser = localiser
+        self._seen = 0
+        self.imu_ns = array("q")
+        self.imu_cpu_ns = array("q")
+        self.update_ns = array("q")
+
+    def feed(self, message: Message) -> None:
+        """Let the system process a message."""
+        began_ns, began_cpu_ns = perf_counter_ns(), thread_time_ns()
+        output = self._localiser.process(message)
+        took_cpu_ns, took_ns = thread_time_ns() - began_cpu_ns, perf_counter_ns() - began_ns
+        if self._localiser.events:
+            self._localiser.take_events()
+        if output.optimised is not None:
+            self.update_ns.append(took_ns)
+        elif output.estimate is not None and isinstance(message, ImuSample):
+            self._seen += 1
+            if self._seen > WARM_UP:
+                self.imu_ns.append(took_ns)
+                self.imu_cpu_ns.append(took_cpu_ns)
+
+
+def measure(scenario: str, overrides: Mapping[str, Any], lent: Lent) -> tuple[Latency, ...]:
+    """Return the latencies of all systems on a scenario, seed 0.
+
+    Raises:
+        OSError: the recording cannot be written.
+    """
+    loaded = load_scenario(scenario, dict(overrides))
+    given = lent.changed(configuration(loaded).model_dump(mode="json", exclude_unset=True), WITHOUT_CHASSIS)
+    configs = {name: configured(name, given) for name in SYSTEMS}
+    watches = {name: Stopwatch(SYSTEMS[name].make(config)) for name, config in configs.items()}
+    with TemporaryDirectory(prefix="holdfast-paper-") as folder:
+        recording = Path(folder) / "recording.mcap"
+        write_recording(simulate(loaded, 0), recording, False, None)
+        with open_recording(recording) as opened:
+            _interleave(list(watches.values()), list(opened.read(lent.subscriptions(configs["holdfast"]))))
+    return tuple(_latency(name, watch) for name, watch in watches.items())
+
+
+def _interleave(watches: list[Stopwatch], messages: list[Message]) -> None:
+    turns = watches + watches
+    for count, message in enumerate(messages):
+        first = count % len(watches)
+        for watch in islice(turns, first, first + len(watches)):
+            watch.feed(message)
+
+
+def _latency(name: str, watch: Stopwatch) -> Latency:
+    imu_us = np.frombuffer(watch.imu_ns, dtype=np.int64) * 1e-3
+    quantiles = np.quantile(imu_us, QUANTILES).tolist() if len(imu_us) else []
+    return Latency(
+        system=name,
+        imu_us=times(imu_us),
+        imu_cpu_us=times(np.frombuffer(watch.imu_cpu_ns, dtype=np.int64) * 1e-3),
+        update_ms=times(np.frombuffer(watch.update_ns, dtype=np.int64) * 1e-6),
+        quantiles_us=tuple(zip(QUANTILES, quantiles, strict=False)),
+    )

@@ -1,0 +1,221 @@
+"""Maps of the paper's two tasks (Figs. 1 and 5): scans gathered with the poses of every system, judged by the site.
+
+The scans of seed 0 are ray-cast in memory; every system runs on the same recording, and so do the true poses. What is
+done is kept: a map is a PLY file and a row of maps.json.
+"""
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from holdfast.config.model import Config
+from holdfast.errors import ConfigError, RecordingError
+from holdfast.evaluation.mapping import WHOLE, Closeness, MapOptions, MapScan, View, map_quality, write_map
+from holdfast.evaluation.mesh import SurfaceIndex, read_mesh
+from holdfast.paper.job import Lent
+from holdfast.paper.results import write_whole
+from holdfast.paper.study import QUICK, TASKS
+from holdfast.paper.systems import SYSTEMS, configured
+from holdfast.recording.source import open_recording
+from holdfast.replay.published import PublishedRecorder
+from holdfast.report.page import Figure
+from holdfast.sim.configuration import configuration
+from holdfast.sim.readings import generator
+from holdfast.sim.recorder import write_recording
+from holdfast.sim.scenario import load_scenario
+from holdfast.sim.simulation import START_NS, Simulation, simulate
+from holdfast.state import Trajectory
+
+FOLDER, SCORES, TRUE_POSES = "maps", "maps.json", "truth"
+QUICK_EVERY = 3  # of the scans of a quick look one in so many is used
+COLOUR_LIMIT_M = 0.2
+SCALE = ((0.0, (24, 90, 70)), (0.25, (60, 160, 110)), (0.5, (240, 220, 110)), (1.0, (200, 60, 40)))
+"""From the surface to `COLOUR_LIMIT_M` beside it: share of the limit -> red, green, blue."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapScore:
+    """The verdict on the map of one system.
+
+    Attributes:
+        scenario: task of the paper, seed 0.
+        system: whose poses; `truth` for the true ones.
+        failure: why there is no map; empty if there is one.
+        closeness: by region.
+    """
+
+    scenario: str
+    system: str
+    failure: str
+    scans: int
+    left_out: int
+    closeness: Mapping[str, Closeness]
+    view: View | None
+
+
+Maps = tuple[MapScore, ...]
+
+
+def make_maps(
+    output: Path, quick: bool, jobs: int, lent: Lent, progress: Callable[[int, int], None] | None = None
+) -> None:
+    """Make the maps that are not there yet, each task in a process of its own.
+
+    Raises:
+        ConfigError: embreex, trimesh or scipy are not installed.
+        OSError: a file cannot be written.
+    """
+    tasks = [scenario for scenario in TASKS[: 1 if quick else 2] if not _folder(output, scenario, SCORES).exists()]
+    if not tasks:
+        return
+    with ProcessPoolExecutor(min(jobs, len(tasks)), get_context("spawn")) as pool:
+        futures = [pool.submit(map_task, scenario, output, quick, lent) for scenario in tasks]
+        for done, future in enumerate(as_completed(futures), start=1):
+            future.result()
+            if progress is not None:
+                progress(done, len(tasks))
+
+
+def load_maps(output: Path) -> Maps | None:
+    """Read what `make_maps` has made; None if there is nothing."""
+    return tuple(score for scenario in TASKS for score in _load(_folder(output, scenario))) or None
+
+
+def map_figures(maps: Maps) -> Iterator[Figure]:
+    """Yield each map from above, coloured by its distance to the surface."""
+    from holdfast.report.figures import picture_map
+
+    colours = [[share, f"rgb{colour}"] for share, colour in SCALE]
+    bar = {"title": {"text": "error [m]", "side": "right"}, "thickness": 12}
+    marker = {"cmin": 0.0, "cmax": COLOUR_LIMIT_M, "colorscale": colours, "colorbar": bar}
+    for score in maps:
+        if score.view is not None:
+            near = score.closeness[WHOLE]
+            caption = f"{100.0 * near.share_within:.2f} % within 5 cm, median {1e3 * near.median_m:.1f} mm, from "
+            caption += f"{score.scans} scans; {score.left_out} left out, for which there was no pose."
+            plot = picture_map(coloured(score.view.errors), score.view.corner, score.view.pixel_m, marker, 400)
+            key = f"map-{score.scenario}-{score.system}"
+            yield Figure(key, f"Map, {score.scenario}, poses of {title(score)}", plot, caption)
+
+
+def title(score: MapScore) -> str:
+    """Return what the report calls the system."""
+    return "the truth" if score.system == TRUE_POSES else SYSTEMS[score.system].title
+
+
+def coloured(errors: "np.ndarray[Any, np.dtype[np.float64]]") -> "np.ndarray[Any, np.dtype[np.uint8]]":
+    """Return pixels (H, W, 4) of errors (H, W) [m]; what is NaN stays transparent."""
+    known = np.isfinite(errors)
+    share = np.clip(np.where(known, errors, 0.0) / COLOUR_LIMIT_M, 0.0, 1.0)
+    at = [share for share, _ in SCALE]
+    pixels = np.zeros((*errors.shape, 4), dtype=np.uint8)
+    for channel in range(3):
+        values = np.interp(share, at, [colour[channel] for _, colour in SCALE])
+        pixels[..., channel] = np.where(known, np.rint(values), 0.0)
+    pixels[..., 3] = np.where(known, 255, 0)
+    return pixels
+
+
+def cast_scans(simulation: Simulation, every: int, options: MapOptions) -> list[MapScan]:
+    """Return every n-th scan of the scanner as it would be recorded, thinned.
+
+    Raises:
+        ConfigError: the machine has no scanner, or embreex is not installed.
+    """
+    from holdfast.sim.scans import Scanner
+
+    sheet = simulation.scenario.sensors.scanner
+    if sheet is None:
+        raise ConfigError("sensors.scanner: there is none, so there is nothing to make a map of")
+    scanner = Scanner(sheet, simulation.site.mesh())
+    times_s = simulation.delivered["scanner"].readings.times_s
+    scans = []
+    for row in range(0, len(times_s), every):
+        moving = simulation.motion.frame(sheet.frame, scanner.column_times_s(times_s[row]))
+        scan = scanner.scan(row, moving.R_W_F, moving.p_W, generator(simulation.seed, "scan", str(row)))
+        near = np.flatnonzero(np.einsum("nd,nd->n", scan.points, scan.points) <= options.max_range_m**2)
+        near = near[:: max(1, -(-len(near) // options.max_points_per_scan))]
+        stamp_ns = START_NS + round(float(times_s[row]) * 1e9)
+        scans.append(MapScan(stamp_ns, scan.points[near], scan.offset_ns[near].astype(np.int64)))
+    return scans
+
+
+def map_task(scenario_name: str, output: Path, quick: bool, lent: Lent) -> None:
+    """Make all maps of one task."""
+    scenario = load_scenario(scenario_name, dict(QUICK[scenario_name]) if quick else {})
+    simulation, options = simulate(scenario, 0), MapOptions()
+    scans = cast_scans(simulation, QUICK_EVERY if quick else 1, options)
+    given = configuration(scenario).model_dump(mode="json", exclude_unset=True)
+    scanner = scenario.sensors.scanner
+    assert scanner is not None
+    folder = _folder(output, scenario_name)
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = []
+    with TemporaryDirectory(prefix="holdfast-maps-") as scratch:
+        recording, site = Path(scratch) / "recording.mcap", Path(scratch) / "site.ply"
+        write_recording(simulation, recording, False, None)
+        simulation.site.write_ply(site)
+        surface = SurfaceIndex(read_mesh(site))
+        for system in (TRUE_POSES, *SYSTEMS):
+            config = configured("holdfast" if system == TRUE_POSES else system, given)
+            T_I_L = config.T_I(scanner.frame)
+            about: dict[str, Any] = {"scenario": scenario_name, "system": system, "failure": ""}
+            try:
+                poses = _true_poses(simulation) if system == TRUE_POSES else _poses(system, config, recording, lent)
+                quality = map_quality(scans, poses, surface, T_I_L, options)
+            except RecordingError as error:
+                rows.append(about | {"failure": str(error), "scans": 0, "left_out": len(scans), "closeness": {}})
+                continue
+            write_map(quality, folder / f"{system}.ply")
+            view = quality.view
+            np.savez_compressed(
+                folder / f"{system}.npz",
+                errors=view.errors.astype(np.float32),
+                corner=np.array(view.corner),
+                pixel_m=np.array(view.pixel_m),
+            )
+            closeness = {region: asdict(near) for region, near in quality.closeness.items()}
+            rows.append(about | {"scans": quality.map.scans, "left_out": quality.map.left_out, "closeness": closeness})
+    write_whole(folder / SCORES, json.dumps(rows, indent=1).encode())
+
+
+def _poses(system: str, config: Config, recording: Path, lent: Lent) -> Trajectory:
+    recorder = PublishedRecorder(config, SYSTEMS[system].make(config))
+    with open_recording(recording) as opened:
+        recorder.run(opened.read(lent.subscriptions(config)))
+    return recorder.published().world.poses
+
+
+def _true_poses(simulation: Simulation) -> Trajectory:
+    from scipy.spatial.transform import Rotation
+
+    times_s = simulation.imu_times_s()
+    moving = simulation.motion.frame(simulation.scenario.sensors.imu.frame, times_s)
+    stamps_ns = START_NS + np.rint(times_s * 1e9).astype(np.int64)
+    return Trajectory(stamps_ns, moving.p_W, np.asarray(Rotation.from_matrix(moving.R_W_F).as_quat()))
+
+
+def _load(folder: Path) -> Iterator[MapScore]:
+    try:
+        rows: Sequence[dict[str, Any]] = json.loads((folder / SCORES).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return
+    for row in rows:
+        view = None
+        if not row["failure"]:
+            with np.load(folder / f"{row['system']}.npz") as archive:
+                east, north = archive["corner"].tolist()
+                view = View(archive["errors"].astype(np.float64), (east, north), float(archive["pixel_m"]))
+        closeness = {region: Closeness(**near) for region, near in row.pop("closeness").items()}
+        yield MapScore(**row, closeness=closeness, view=view)
+
+
+def _folder(output: Path, *parts: str) -> Path:
+    return output.joinpath(FOLDER, *parts)

@@ -1,0 +1,107 @@
+"""The report of the paper's evaluation: one page that a reviewer can open offline."""
+
+from collections.abc import Iterator
+from hashlib import sha256
+from pathlib import Path
+
+from holdfast.paper import page_figures, page_tables
+from holdfast.paper.maps import Maps, load_maps, map_figures
+from holdfast.paper.results import Results
+from holdfast.paper.study import TASKS
+from holdfast.paper.tables import QUANTITIES, failures, lost_cells
+from holdfast.report.page import Block, Figure, Page, Provenance, Row, Section, Table, Text, write_page
+
+REPORT = "report.html"
+
+
+def write_report(results: Results, folder: Path) -> Path:
+    """Write OUT/report.html and report.json, and return the path of the page; maps are in it if they were made.
+
+    Raises:
+        ConfigError: plotly is not installed, or a file cannot be written.
+    """
+    file = folder / REPORT
+    write_page(paper_page(results, load_maps(folder)), file)
+    return file
+
+
+def paper_page(results: Results, maps: Maps | None = None) -> Page:
+    """Return the report."""
+    digest = sha256("\n".join(results.scenarios.values()).encode()).hexdigest()[:12]
+    seeds = "0" if results.seeds == 1 else f"0 to {results.seeds - 1}"
+    provenance = Provenance(results.command, results.versions, digest, seeds)
+    sections = [
+        Section("Table I: accuracy", list(_accuracy(results))),
+        Section("Table II: latency", [page_tables.table_two(results), page_figures.latency(results)]),
+        Section("Figs. 3 and 4: through the outages", list(_outages(results))),
+        Section("Fig. 6: consistency", [page_figures.figure_six(results), page_tables.consistency(results)]),
+        Section("Figs. 1 and 5: maps", list(_maps(maps))),
+        Section("What the paper lacks", list(_beyond(results))),
+        Section("What each part is worth", list(_ablations(results))),
+        Section("Delays, clocks and long outages", list(_robustness(results))),
+        Section("Switches and their reasons", [page_tables.switches(results, scenario) for scenario in TASKS]),
+        Section("What this depends on", list(page_tables.about(results))),
+    ]
+    title = "Holdfast: the paper's evaluation, rebuilt"
+    return Page(title, _lead(results), provenance, [section for section in sections if section.blocks])
+
+
+def _lead(results: Results) -> str:
+    """Say in three sentences what came out."""
+    cells = len(QUANTITIES) * len(TASKS)
+    lost = {(one.scenario, one.quantity.key) for one in lost_cells(results)}
+    lead = f"Both tasks of the paper on simulated recordings whose truth is known, {results.seeds} "
+    lead += f"seed{'s' * (results.seeds > 1)} each" + (", shortened to be quick. " if results.quick else ". ")
+    lead += f"Ours is better than every baseline in {cells - len(lost)} of {cells} rows of Table I (RMS)"
+    lead += "; the others are listed below it. " if lost else ". "
+    return lead + "The real recordings are in docs/results.md."
+
+
+def _accuracy(results: Results) -> Iterator[Block]:
+    for line in failures(results):
+        yield Text(f"Without a verdict: {line}", note=True)
+    for scenario in TASKS:
+        yield page_tables.table_one(results, scenario)
+    lost = page_tables.losses(results)
+    if lost is not None:
+        yield lost
+    for scenario in TASKS:
+        yield page_tables.table_one_whole(results, scenario)
+    yield page_tables.targets(results)
+
+
+def _outages(results: Results) -> Iterator[Block]:
+    yield from (page_figures.tracks(results, scenario) for scenario in TASKS)
+    yield from page_figures.figure_three(results)
+    yield page_figures.figure_four(results)
+    yield page_tables.outages(results)
+
+
+def _maps(maps: Maps | None) -> Iterator[Block]:
+    if maps is None:
+        return
+    yield page_tables.maps_table(maps)
+    for scenario in TASKS:
+        drawn = list(map_figures(tuple(score for score in maps if score.scenario == scenario)))
+        if drawn:
+            yield Row(drawn)
+
+
+def _beyond(results: Results) -> Iterator[Block]:
+    for scenario in TASKS:
+        yield page_figures.sureness(results, scenario)
+        yield page_figures.steps(results, scenario)
+        found: list[Figure | None] = [page_figures.chassis(results, scenario), page_figures.gate(results, scenario)]
+        yield from (figure for figure in found if figure is not None)
+
+
+def _ablations(results: Results) -> Iterator[Block]:
+    found: list[Table | None] = [page_tables.ablation(results, scenario) for scenario in TASKS]
+    yield from (table for table in found if table is not None)
+
+
+def _robustness(results: Results) -> Iterator[Block]:
+    figure = page_figures.growth(results)
+    if figure is not None:
+        yield figure
+    yield from page_figures.sensitivity(results)

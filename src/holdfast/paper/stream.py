@@ -1,0 +1,59 @@
+"""Streams of messages between a recording and a system: delayed, with a wrong clock, or watched."""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from heapq import heappop, heappush
+
+from holdfast.messages import Message
+from holdfast.paper.study import Disturbance
+from holdfast.replay.published import Localiser
+from holdfast.state import Outcome
+
+RECEIVER = ("gnss", "gnss_right", "heading")
+SECOND_NS = 1_000_000_000
+
+
+def disturbed(messages: Iterable[Message], disturbance: Disturbance | None) -> Iterator[Message]:
+    """Yield messages in the order of their new arrivals."""
+    if disturbance is None:
+        yield from messages
+        return
+    sensors = RECEIVER if disturbance.sensor == "gnss" else (disturbance.sensor,)
+    delay_ns, clock_ns = round(disturbance.delay_s * 1e9), round(disturbance.clock_s * 1e9)
+    late: list[tuple[int, int, Message]] = []
+    for count, message in enumerate(messages):
+        while late and late[0][0] <= message.arrival_ns:
+            yield heappop(late)[2]
+        if message.sensor in sensors:
+            arrival_ns = message.arrival_ns + delay_ns
+            moved = replace(message, stamp_ns=message.stamp_ns + clock_ns, arrival_ns=arrival_ns)
+            heappush(late, (arrival_ns, count, moved))
+        else:
+            yield message
+    while late:
+        yield heappop(late)[2]
+
+
+class OutcomeLog:
+    """What became of the measurements of each sensor, second by second."""
+
+    def __init__(self, localiser: Localiser) -> None:
+        self._localiser = localiser
+        self._next_ns = 0
+        self._before: Counter[tuple[str, Outcome]] = Counter()
+        self.rows: list[tuple[int, dict[tuple[str, Outcome], int]]] = []
+
+    def watch(self, messages: Iterable[Message]) -> Iterator[Message]:
+        """Yield the messages; after each second note what has been counted in it."""
+        for message in messages:
+            yield message
+            if message.arrival_ns >= self._next_ns:
+                self._note(message.arrival_ns)
+
+    def _note(self, now_ns: int) -> None:
+        counts = self._localiser.counts
+        changed = {key: count - self._before[key] for key, count in counts.items() if count != self._before[key]}
+        self.rows.append((now_ns, changed))
+        self._before = Counter(counts)
+        self._next_ns = now_ns + SECOND_NS

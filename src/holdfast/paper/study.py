@@ -1,0 +1,157 @@
+"""What is run: jobs of one simulation each, on which tasks are run one after the other; quick and full."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from holdfast.paper.systems import SYSTEMS
+
+Study = Literal["accuracy", "ablation", "sensitivity", "growth"]
+Variations = Mapping[str, Mapping[str, Any]]
+TASKS = ("construction", "navigation")  # of the paper
+
+
+@dataclass(frozen=True, slots=True)
+class Disturbance:
+    """What happens to the messages of one sensor on their way; `gnss` stands for both antennas and their heading.
+
+    Attributes:
+        delay_s: they arrive so much later.
+        clock_s: their stamps are so much late, which no configuration knows.
+    """
+
+    sensor: str
+    delay_s: float = 0.0
+    clock_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One system on one recording.
+
+    Attributes:
+        system: its name in `SYSTEMS`.
+        variation: name of the change of the configuration, in an ablation.
+    """
+
+    study: Study
+    system: str
+    variation: str = ""
+    disturbance: Disturbance | None = None
+
+    @property
+    def name(self) -> str:
+        """What its file is called, within the job's folder."""
+        parts = [self.study, self.system, self.variation]
+        if self.disturbance is not None:
+            d = self.disturbance
+            parts += [d.sensor, f"delay{d.delay_s * 1e3:g}ms" if d.delay_s else f"clock{d.clock_s * 1e3:g}ms"]
+        return "-".join(part for part in parts if part)
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One simulation and what is run on it.
+
+    Attributes:
+        overrides: what differs from the shipped scenario.
+        keep_curves: errors over time are kept, not only their statistics.
+    """
+
+    scenario: str
+    seed: int
+    tasks: tuple[Task, ...]
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    keep_curves: bool = False
+    label: str = ""
+
+    @property
+    def name(self) -> str:
+        """What its folder is called."""
+        return f"{self.label or self.scenario}-{self.seed}"
+
+
+# shorter and with earlier outages, so that a look takes minutes
+QUICK: dict[str, dict[str, Any]] = {
+    "construction": {
+        "duration_s": 110.0,
+        "faults": [
+            {
+                "kind": "outage",
+                "sensors": ["gnss", "gnss_right"],
+                "start_s": 55.0,
+                "end_s": 85.0,
+                "claim_growth_m_s": 0.5,
+            },
+            {"kind": "outage", "sensors": ["heading"], "start_s": 55.0, "end_s": 85.0},
+        ],
+    },
+    "navigation": {
+        "duration_s": 110.0,
+        "faults": [
+            {
+                "kind": "degraded",
+                "sensors": ["gnss", "gnss_right"],
+                "start_s": 50.0,
+                "end_s": 85.0,
+                "quality": "rtk_float",
+            },
+            {"kind": "outage", "sensors": ["heading"], "start_s": 50.0, "end_s": 85.0},
+        ],
+    },
+    "tunnel": {
+        "duration_s": 105.0,
+        "faults": [{"kind": "outage", "sensors": ["gnss", "gnss_right", "heading"], "start_s": 40.0, "end_s": 100.0}],
+    },
+}
+QUICK_ABLATIONS = ("single-graph", "relative-scans", "no-innovation", "one-antenna", "no-lidar")
+SENSITIVE = ("holdfast", "msf", "tsif")
+GNSS_DELAYS_S = (0.1, 0.3, 1.0, 2.0)
+LIDAR_DELAYS_S = (0.2, 0.5, 1.0, 2.0)
+GNSS_CLOCKS_S = (0.002, 0.005, 0.01, 0.02, 0.05)
+LIDAR_CLOCKS_S = (0.005, 0.01, 0.02, 0.05, 0.1)
+SENSITIVITY_S = 180.0
+GROWTH_SEEDS = 5
+
+
+def plan(seeds: int, quick: bool, variations: Variations) -> list[Job]:
+    """Return the jobs, those first whose results matter most.
+
+    Args:
+        seeds: simulations of each of the paper's two tasks.
+        quick: short recordings, few variations.
+        variations: changes of the configuration by name, for the ablation.
+    """
+    jobs = [
+        Job(scenario, seed, _accuracy(), QUICK[scenario] if quick else {}, keep_curves=seed == 0)
+        for seed in range(seeds)
+        for scenario in TASKS
+    ]
+    # the preset is among the systems, and the default is what they all are compared with
+    names = QUICK_ABLATIONS if quick else [name for name in variations if name not in ("default", "paper")]
+    ablation = tuple(Task("ablation", "holdfast", name) for name in names)
+    jobs += [
+        Job(scenario, 0, ablation, QUICK[scenario] if quick else {}, label=f"{scenario}-ablation")
+        for scenario in TASKS[: 1 if quick else 2]
+    ]
+    growth = tuple(Task("growth", system) for system in SYSTEMS)
+    jobs += [Job("tunnel", seed, growth, QUICK["tunnel"] if quick else {}) for seed in range(min(seeds, GROWTH_SEEDS))]
+    disturbed = QUICK["construction"] if quick else {"duration_s": SENSITIVITY_S}
+    jobs += [Job("construction", 0, _sensitivity(quick), disturbed, label="sensitivity")]
+    return jobs
+
+
+def _accuracy() -> tuple[Task, ...]:
+    return tuple(Task("accuracy", system) for system in SYSTEMS)
+
+
+def _sensitivity(quick: bool) -> tuple[Task, ...]:
+    if quick:
+        disturbances = [Disturbance("gnss", delay_s=0.3), Disturbance("lidar", clock_s=0.05)]
+    else:
+        disturbances = [Disturbance("gnss", delay_s=value) for value in GNSS_DELAYS_S]
+        disturbances += [Disturbance("lidar", delay_s=value) for value in LIDAR_DELAYS_S]
+        disturbances += [Disturbance("gnss", clock_s=value) for value in GNSS_CLOCKS_S]
+        disturbances += [Disturbance("lidar", clock_s=value) for value in LIDAR_CLOCKS_S]
+    undisturbed = tuple(Task("sensitivity", system) for system in SENSITIVE)
+    return undisturbed + tuple(Task("sensitivity", system, "", d) for d in disturbances for system in SENSITIVE)

@@ -1,0 +1,51 @@
+"""The systems that are compared: ours, ours by the rules of the paper, and the baselines, by name."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from holdfast.baselines.lidar_alone import LidarAlone
+from holdfast.baselines.msf import make_msf
+from holdfast.baselines.tsif import make_tsif
+from holdfast.config.document import Document
+from holdfast.config.load import validate
+from holdfast.config.model import Config
+from holdfast.config.presets import with_preset
+from holdfast.estimator.estimator import Estimator
+from holdfast.replay.published import Localiser
+
+
+@dataclass(frozen=True, slots=True)
+class System:
+    """One system under comparison.
+
+    Attributes:
+        title: as tables call it.
+        fuses: the sensors that it uses.
+        make: makes it for a configuration.
+        preset: whose defaults its configuration has.
+    """
+
+    title: str
+    fuses: str
+    make: Callable[[Config], Localiser]
+    preset: str = "holdfast"
+
+
+SYSTEMS = {
+    "holdfast": System("Holdfast", "IMU, GNSS, heading, lidar", Estimator),
+    "paper": System("Holdfast, paper's rules", "IMU, GNSS, heading, lidar", Estimator, preset="paper"),
+    "msf": System("MSF", "IMU, GNSS, lidar", make_msf),
+    "tsif": System("TSIF", "IMU, GNSS", make_tsif),
+    "lidar": System("Lidar odometry alone", "lidar", LidarAlone),
+}
+
+
+def configured(name: str, given: dict[str, Any]) -> Config:
+    """Return the configuration of a system from what the machine's file says, as plain data.
+
+    Raises:
+        ConfigError: the data is not a configuration.
+    """
+    data = {"preset": SYSTEMS[name].preset} | given
+    return validate(Document(f"configuration of {name}", with_preset(data)), Config)

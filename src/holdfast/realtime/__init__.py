@@ -1,0 +1,1 @@
+"""The estimator in two processes: the IMU path here, the graphs in the other."""

@@ -1,0 +1,33 @@
+"""Where everything lies in the shared memory, equal in both processes."""
+
+from holdfast.realtime import records
+from holdfast.realtime.memory import WORDS, Memory, Ring, Slot
+
+SAMPLES = 1 << 14  # 41 s at 400 Hz
+REQUESTS = 1 << 13  # 8 s of a flood of 1 kHz
+
+
+class Board:
+    """The shared memory of one engine.
+
+    Args:
+        descriptor: of the file in which it lies; a new one is made without it.
+    """
+
+    def __init__(self, descriptor: int | None = None) -> None:
+        row = records.SAMPLE.size + 12
+        size = 8 * WORDS + SAMPLES * row + REQUESTS * (records.REQUEST.size + 12)
+        size += 2 * (8 + 2 * (records.SIZE + 12))
+        self.memory = Memory(size, descriptor)
+        self.words = self.memory.words
+        self.samples = Ring(self.memory, 8 * WORDS, SAMPLES, records.SAMPLE.size)
+        self.requests = Ring(self.memory, self.samples.end, REQUESTS, records.REQUEST.size)
+        self.published = Slot(self.memory, self.requests.end, records.SIZE)
+        self.rescue = Slot(self.memory, self.published.end, records.SIZE)  # written by the IMU path
+        assert self.rescue.end == size
+
+    def close(self) -> None:
+        """Give the memory back."""
+        for slot in (self.published, self.rescue):
+            slot.release()
+        self.memory.close()

@@ -1,0 +1,250 @@
+"""The optimiser process: takes in samples and measurements in the order of their arrival, optimises, publishes.
+
+Started as `python -m holdfast.realtime.worker MEMORY REPORTS SETTINGS`: two inherited descriptors, and the length of
+the pickled settings on its standard input. A byte on the standard input wakes it; the end of it says that the IMU path
+is gone, and the process takes in what is left and ends.
+"""
+
+import os
+import pickle
+import select
+import signal
+import sys
+import traceback
+from pathlib import Path
+from time import perf_counter_ns, process_time
+from typing import NamedTuple
+
+from holdfast.config.model import Config
+from holdfast.estimator.imu_path import take_in
+from holdfast.estimator.journal import Journal
+from holdfast.estimator.optimiser import Optimiser, Update
+from holdfast.geometry.earth import Geodetic
+from holdfast.messages import ImuSample
+from holdfast.realtime.layout import Board
+from holdfast.realtime.memory import Word
+from holdfast.realtime.placement import place_optimiser
+from holdfast.realtime.records import SENSORS, Published, Request, pack_nav, unpack_request, unpack_sample
+from holdfast.realtime.reports import Outbox, Report
+from holdfast.sensors.imu import ImuBuffer
+from holdfast.state import OptimisedState, Outcome
+
+POLL_S = 0.001  # while a measurement waits for the IMU, whose samples wake nobody
+IDLE_S = 0.05
+HISTORY_NS = 4_000_000_000  # of samples before the state at which a successor begins
+
+
+class Settings(NamedTuple):
+    """What the optimiser process must know; `in_step`: an update at every trigger, as in one process."""
+
+    config: Config
+    in_step: bool
+
+
+class Worker:
+    """The optimiser and its end of the shared memory."""
+
+    def __init__(self, settings: Settings, board: Board, reports: Outbox) -> None:
+        self._config = settings.config
+        self._in_step = settings.in_step
+        self._board, self._words, self._reports = board, board.words, reports
+        self._epoch = self._life = self._updates = self._recoveries = 0
+        self._sample, self._request = self._words[Word.SAMPLES], self._words[Word.BEGUN]
+        self._buffer = ImuBuffer(self._config.sensors.imu)
+        self._journal = Journal()
+        self._optimiser = Optimiser(self._config, self._buffer, self._journal)
+        self._datum: Geodetic | None = None
+        self._waiting_for = ""
+        self._smoothed: list[tuple[int, bytes]] = []
+        self._took_ns: list[int] = []
+        self._resume()
+
+    def run(self) -> None:
+        """Work until the IMU path is gone."""
+        is_wanted = True
+        while is_wanted:
+            self._words[Word.HEARTBEAT] += 1
+            if not self.take_in():
+                self._report()
+                is_wanted = self._sleep()
+        while self.take_in():
+            pass
+        self._report()
+
+    @property
+    def counts(self) -> dict[tuple[str, Outcome], int]:
+        """What became of the measurements."""
+        return dict(self._journal.counts)
+
+    def take_in(self) -> bool:
+        """Take in what has come, in the order of arrival, and optimise at the end of it; whether there was anything."""
+        before = self._sample, self._request
+        while (row := self._board.requests.read(self._request)) is not None:
+            self._words[Word.BEGUN] = self._request + 1
+            epoch, samples, request = unpack_request(row)
+            if not self._hear_until(samples):
+                break  # in step: an update first
+            self._request += 1
+            self._add(epoch, request)
+            if self._in_step and self._optimiser.is_due:
+                break
+        else:
+            self._hear_until(None)
+        if self._optimiser.is_due:
+            self._update()
+        self._words[Word.WAITING] = len(self._optimiser.pending)
+        self._words[Word.REQUESTS], self._words[Word.SAMPLES] = self._request, self._sample
+        return (self._sample, self._request) != before
+
+    def _hear_until(self, number: int | None) -> bool:
+        """Take in the samples before a number, or all that there are; False if an update should come first."""
+        ring = self._board.samples
+        while number is None or self._sample < number:
+            row = ring.read(self._sample)
+            if row is None:
+                oldest = ring.oldest_after(self._sample)
+                if oldest is None:
+                    return True
+                self._sample = oldest  # too slow by the length of the ring: a gap that the graph bridges
+                continue
+            self._sample += 1
+            self._hear(*unpack_sample(row))
+            if self._in_step and self._optimiser.is_due:
+                return False
+        return True
+
+    def _hear(self, epoch: int, sample: ImuSample) -> None:
+        heard = take_in(self._buffer, sample)
+        if epoch != self._epoch and not heard.has_stepped_back:
+            self._optimiser.restart()  # a request that a predecessor has read but not answered
+        self._epoch = epoch
+        self._optimiser.hear(heard)
+
+    def _add(self, epoch: int, request: Request) -> None:
+        if request is None or isinstance(request, Geodetic):
+            self._epoch = epoch
+            self._optimiser.restart(request)
+            self._publish(None)
+            return
+        first = self._optimiser.add(request)
+        if first is not None:
+            self._life += 1
+        world = self._optimiser.world
+        if first is not None or (world is not None and world.datum != self._datum):
+            self._publish(first)
+
+    def _update(self) -> None:
+        began_ns = perf_counter_ns()
+        update: Update = self._optimiser.update()
+        self._took_ns.append(perf_counter_ns() - began_ns)
+        self._optimiser.forget()
+        self._updates += 1
+        self._recoveries += update.is_recovery
+        self._smoothed += [(stamp_ns, pack_nav(nav)) for stamp_ns, nav in update.smoothed]
+        self._report()  # before the state, so that who sees this finds what led to it
+        self._publish(update.state)
+
+    def _publish(self, state: OptimisedState | None) -> None:
+        optimiser = self._optimiser
+        self._datum = None if optimiser.world is None else optimiser.world.datum
+        lost = sum(1 << SENSORS.index(name) for name in optimiser.lost_antennas()) + 4 * optimiser.is_lost
+        counters = self._epoch, self._life, self._updates, self._recoveries, lost
+        health = optimiser.monitor.snapshot()
+        record = Published(*counters, health, optimiser.gravity, self._datum, state)
+        self._board.published.write(record.pack())
+
+    def _report(self) -> None:
+        journal, waiting_for = self._journal, self._optimiser.waiting_for
+        if journal.events or self._took_ns or waiting_for != self._waiting_for:
+            self._waiting_for = waiting_for
+            taken = journal.take_events(), self.counts, self._smoothed, self._took_ns
+            self._smoothed, self._took_ns = [], []
+            self._reports.send(Report(*taken, waiting_for, process_time()))
+        else:
+            self._reports.flush()
+
+    def _sleep(self) -> bool:
+        """Wait until something may have come; False if nothing ever will."""
+        patience_s = POLL_S if self._optimiser.pending else IDLE_S
+        readable, _, _ = select.select([0], [], [], patience_s)
+        return not readable or bool(os.read(0, 4096))
+
+    def _resume(self) -> None:
+        """Go on where a predecessor has ended: at the newest state that was published."""
+        records = [slot.read() for slot in (self._board.published, self._board.rescue)]
+        found = [Published.unpack(record[1]) for record in records if record is not None]
+        if not found:
+            return
+        newest = max(found, key=lambda one: (one.epoch, -1 if one.state is None else one.state.stamp_ns))
+        self._epoch, self._life = newest.epoch, max(one.life for one in found)
+        self._updates = max(one.updates for one in found)
+        self._recoveries = max(one.recoveries for one in found)
+        if newest.datum is not None:
+            self._optimiser.place(newest.datum)
+        if newest.state is not None:
+            self._fill(newest.state.stamp_ns - HISTORY_NS)
+            lost = [name for bit, name in enumerate(SENSORS[:2]) if newest.lost >> bit & 1]
+            self._optimiser.resume(newest.state, lost)
+
+    def _fill(self, since_ns: int) -> None:
+        """Read again the samples that a predecessor had."""
+        first, rows = self._sample, self._board.samples
+        kept: list[ImuSample] = []
+        while first > 0 and (row := rows.read(first - 1)) is not None:
+            epoch, sample = unpack_sample(row)
+            if epoch != self._epoch or sample.stamp_ns < since_ns:
+                break
+            kept.append(sample)
+            first -= 1
+        for sample in reversed(kept):
+            take_in(self._buffer, sample)
+
+
+def main() -> None:
+    """Run the optimiser of the engine that started this process."""
+    memory, reports, length = (int(text) for text in sys.argv[1:])
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started this process decides when it ends
+    _die_with_parent()
+    outbox = Outbox(reports)
+    settings: Settings = pickle.loads(_read_exactly(length))
+    place_optimiser(settings.config.realtime)
+    worker = None
+    try:
+        worker = Worker(settings, Board(memory), outbox)
+        worker.run()
+    except BrokenPipeError:
+        sys.exit(0)  # nobody is left
+    except Exception as error:  # the IMU path goes on, and starts a successor
+        trace = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{Path(trace.filename).name}:{trace.lineno}"
+        outbox.send(
+            Report((), {} if worker is None else worker.counts, (), (), "", 0.0, f"raised {error!r} in {where}")
+        )
+        outbox.finish()
+        sys.exit(1)
+    outbox.finish()
+
+
+def _read_exactly(length: int) -> bytes:
+    body = b""
+    while len(body) < length:
+        part = os.read(0, length - len(body))
+        if not part:
+            sys.exit(0)
+        body += part
+    return body
+
+
+def _die_with_parent() -> None:
+    """Let the kernel end this process with the one that started it, even while it is stopped (Linux)."""
+    if sys.platform == "linux":
+        import ctypes
+
+        parent = os.getppid()
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+        if os.getppid() != parent:
+            sys.exit(0)
+
+
+if __name__ == "__main__":
+    main()

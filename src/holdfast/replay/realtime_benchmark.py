@@ -1,0 +1,171 @@
+"""Measures the realtime engine as it would run on a machine: samples come at their own pace, another process optimises.
+
+Times depend on the machine and on what else it does, and after a pause every cache is cold. So the floor, GTSAM alone
+taking in and propagating one sample, is measured in the same loop, half way between two samples: compare ratios.
+"""
+
+import gc
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from time import perf_counter, perf_counter_ns, process_time, sleep
+from typing import Any, Literal
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from holdfast.config.model import Config
+from holdfast.errors import EstimatorError
+from holdfast.messages import ImuSample, Message
+from holdfast.realtime.engine import RealtimeEstimator
+
+WARM_UP = 200  # estimates that are not counted
+SPIN_S = 0.002  # before an arrival, in which a spinning caller does not sleep
+
+Result = dict[str, Any]
+Pace = Literal["sleep", "spin", "none"]
+
+
+@dataclass(slots=True)
+class Measured:
+    """Times of one run, in ns: `imu` until an estimate was there, `fresh` of these that took in a new state."""
+
+    imu_ns: list[int] = field(default_factory=list)
+    fresh_ns: list[int] = field(default_factory=list)
+    floor_ns: list[int] = field(default_factory=list)
+    update_ns: list[int] = field(default_factory=list)
+    age_ns: list[int] = field(default_factory=list)
+    wall_s: float = 0.0
+    cpu_s: float = 0.0
+    optimiser_cpu_s: float = 0.0
+
+
+class Floor:
+    """GTSAM alone: one sample in, one state out, no covariance, nothing checked."""
+
+    def __init__(self) -> None:
+        params = gtsam.PreintegrationParams.MakeSharedU(9.81)
+        self._bias, self._start = gtsam.imuBias.ConstantBias(), gtsam.NavState()
+        self._pim = gtsam.PreintegratedImuMeasurements(params, self._bias)
+
+    def measure(self, sample: ImuSample) -> int:
+        """Return how long a sample took [ns]."""
+        if self._pim.deltaTij() > 1.0:
+            self._pim.resetIntegration()
+        began_ns = perf_counter_ns()
+        self._pim.integrateMeasurement(sample.specific_force, sample.angular_velocity, 0.01)
+        self._pim.predict(self._start, self._bias)
+        return perf_counter_ns() - began_ns
+
+
+def measure_realtime(
+    config: Config,
+    messages: Sequence[Message],
+    pace: Pace,
+    *,
+    is_idle: bool = False,
+    progress: Callable[[int], None] | None = None,
+) -> Measured:
+    """Play messages through the engine.
+
+    Args:
+        config: of the estimator.
+        messages: in the order of arrival.
+        pace: how to wait for the next arrival; `none` gives the samples back to back.
+        is_idle: after the start, keep measurements from the optimiser.
+        progress: called with the arrival [ns] every now and then.
+
+    Raises:
+        EstimatorError: it never started, or too little came to measure.
+    """
+    measured, floor = Measured(), Floor()
+    with RealtimeEstimator(config) as engine:
+        engine.wait_until_ready()
+        gc.collect()
+        gc.freeze()  # what is there now is not looked through again
+        try:
+            began_s, cpu_s = perf_counter(), process_time()
+            for count, (message, is_floor) in enumerate(_paced(messages, pace)):
+                if is_floor and isinstance(message, ImuSample):
+                    measured.floor_ns.append(floor.measure(message))
+                    engine.refresh()  # as a live program does between two samples
+                elif isinstance(message, ImuSample) or not (is_idle and engine.initialised):
+                    _step(engine, message, measured)
+                if progress is not None and count % 500 == 0:
+                    progress(message.arrival_ns)
+            measured.wall_s, measured.cpu_s = perf_counter() - began_s, process_time() - cpu_s
+        finally:
+            gc.unfreeze()
+        engine.flush()
+        measured.update_ns, measured.optimiser_cpu_s = engine.take_update_times(), engine.optimiser_cpu_s
+        if len(measured.imu_ns) <= 2 * WARM_UP:
+            raise EstimatorError(f"too short to measure: {len(measured.imu_ns)} estimates ({engine.waiting_for})")
+    return measured
+
+
+def _step(engine: RealtimeEstimator, message: Message, measured: Measured) -> None:
+    began_ns = perf_counter_ns()
+    output = engine.process(message)
+    took_ns = perf_counter_ns() - began_ns
+    if output.estimate is not None and engine.newest_state is not None:
+        measured.imu_ns.append(took_ns)
+        measured.age_ns.append(output.estimate.stamp_ns - engine.newest_state.stamp_ns)
+        if output.optimised is not None:
+            measured.fresh_ns.append(took_ns)
+
+
+def _paced(messages: Sequence[Message], pace: Pace) -> Iterator[tuple[Message, bool]]:
+    """Yield each message when it arrives, and half way to the next sample once more for the floor."""
+    schedule: list[tuple[int, int, Message, bool]] = []
+    last_ns: int | None = None
+    for order, message in enumerate(messages):
+        schedule.append((message.arrival_ns, order, message, False))
+        if isinstance(message, ImuSample) and message.sensor == "imu":
+            if last_ns is not None:
+                schedule.append(((last_ns + message.arrival_ns) // 2, order, message, True))
+            last_ns = message.arrival_ns
+    schedule.sort(key=lambda row: row[:2])
+    began, first_ns = perf_counter(), schedule[0][0]
+    for arrival_ns, _, message, is_floor in schedule:
+        due = began + (arrival_ns - first_ns) * 1e-9
+        if pace != "none":
+            _wait_until(due, SPIN_S if pace == "spin" else 0.0)
+        yield message, is_floor
+
+
+def _wait_until(due: float, spin_s: float) -> None:
+    ahead_s = due - perf_counter() - spin_s
+    if ahead_s > 0.0:
+        sleep(ahead_s)
+    while spin_s and perf_counter() < due:
+        pass
+
+
+def summarise_measured(measured: Measured) -> Result:
+    """Return the percentiles of a run, ratios to its floor, and the share of a core that each process used."""
+    floor = spread(np.array(measured.floor_ns) * 1e-3)
+    imu = spread(np.array(measured.imu_ns[WARM_UP:]) * 1e-3)
+    assert imu is not None
+    ratios = {key: imu[key] / floor[key] for key in ("median", "p99")} if floor else {}
+    return {
+        "imu_us": imu,
+        "fresh_us": spread(np.array(measured.fresh_ns) * 1e-3),
+        "floor_us": floor,
+        "ratio_to_floor": ratios,
+        "age_ms": spread(np.array(measured.age_ns[WARM_UP:]) * 1e-6),
+        "update_ms": spread(np.array(measured.update_ns) * 1e-6),
+        "cpu": {
+            "imu_path": measured.cpu_s / measured.wall_s,
+            "optimiser": measured.optimiser_cpu_s / measured.wall_s,
+        },
+        "wall_s": measured.wall_s,
+    }
+
+
+def spread(values: NDArray[np.floating[Any]]) -> dict[str, float] | None:
+    """Return count, mean, standard deviation, percentiles and maximum of values (N,); None if there are none."""
+    if not len(values):
+        return None
+    median, p90, p99, p999 = np.percentile(values, [50.0, 90.0, 99.0, 99.9])
+    moments = {"count": len(values), "mean": float(values.mean()), "std": float(values.std())}
+    return moments | {"median": median, "p90": p90, "p99": p99, "p99.9": p999, "max": float(values.max())}

@@ -1,0 +1,286 @@
+"""The report of one replay: where the machine was, how it was known, and why the estimator switched.
+
+From plain arrays only: who reads the files of a replay is above this room.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from holdfast.messages import Array
+from holdfast.report.page import Block, Cell, Figure, Page, Provenance, Section, Table, Text, digest
+from holdfast.report.run_record import RunRecord
+from holdfast.report.timeline import Stretch, antenna_stretches, health_stretches, lost_stretches
+from holdfast.report.words import ROUTINE, in_words
+
+LOST, WARNING, GOOD, START = "#d55e00", "#e69f00", "#009e73", "#9aa5b1"
+HEALTH_COLOURS = {
+    "nominal": GOOD,
+    "gnss_degraded": "#56b4e9",
+    "lidar_lost": "#cc79a7",
+    "recovering": WARNING,
+    "fallback": LOST,
+    "imu_gap": "#7a5195",
+    "optimiser_reset": "#1d2630",
+    "initialising": START,
+}
+STATISTICS = ("mean", "std", "rms", "median", "p95", "max")
+
+
+def single_run_page(run: RunRecord) -> Page:
+    """Return the report of one replay."""
+    provenance = Provenance(run.command, run.summary["versions"], digest(run.summary["config"]), run.seed)
+    sections = [
+        Section("Where it was", _track(run)),
+        Section("Errors against the reference", _errors(run)),
+        Section("How it was known", _health(run)),
+        Section("Every switch and its reason", _switches(run)),
+        Section("What became of the measurements", _measurements(run)),
+        Section("The odometry frame", _odometry(run)),
+        Section("What the estimator claims", _claims(run)),
+        Section("Speed", _speed(run)),
+    ]
+    lead = _lead(run)
+    return Page(f"Replay of {run.name}", lead, provenance, [section for section in sections if section.blocks])
+
+
+def _lead(run: RunRecord) -> str:
+    way_m = float(np.linalg.norm(np.diff(run.world, axis=0), axis=1).sum())
+    lost = lost_stretches(run.events, run.start_ns, run.end_s)
+    without_s = sum(stretch.end_s - stretch.start_s for stretch in lost)
+    lead = f"{run.end_s - run.times_s[0]:.0f} s of estimates over {way_m:.0f} m"
+    lead += (
+        f", {without_s:.0f} s of them without GNSS in {len(lost)} outage{'s' * (len(lost) > 1)}."
+        if lost
+        else ", GNSS all the time."
+    )
+    if run.errors is not None:
+        found = run.errors.values
+        rms = [f"{name.split(' [')[0]} {_rms(found[name]):.3g} {_unit(name)}" for name in list(found)[:3]]
+        lead += f" RMS error against {run.errors.source}: {', '.join(rms)}."
+    return lead if run.summary["finished"] else f"{lead} The replay did not come to its end."
+
+
+def _track(run: RunRecord) -> list[Block]:
+    from holdfast.report.figures import Line, track_map
+
+    tracks = (
+        []
+        if run.reference is None
+        else [Line("reference", run.reference[:, 0], run.reference[:, 1], "#9aa5b1", width=5.0)]
+    )
+    tracks.append(Line("estimate, as it was published", run.world[:, 0], run.world[:, 1]))
+    inside = np.zeros(len(run.times_s), dtype=np.bool_)
+    for stretch in lost_stretches(run.events, run.start_ns, run.end_s):
+        inside |= (run.times_s >= stretch.start_s) & (run.times_s < stretch.end_s)
+    if inside.any():
+        without = np.where(inside[:, None], run.world[:, :2], np.nan)
+        tracks.append(Line("estimate without GNSS", without[:, 0], without[:, 1], LOST, width=3.0))
+    (e0, n0), (e1, n1) = run.world[0, :2], run.world[-1, :2]
+    plot = track_map(tracks, {"start": (float(e0), float(n0)), "end": (float(e1), float(n1))})
+    datum = run.summary.get("datum")
+    where = "in the frame in which it started" if datum is None else (
+        f"from the datum at {datum['latitude_deg']:.7f} N, {datum['longitude_deg']:.7f} E, {datum['altitude_m']:.1f} m"
+    )  # fmt: skip
+    notes: list[Block] = [Text(note, note=True) for note in run.notes]
+    return [*notes, Figure("track", "Track from above", plot, f"Position of the IMU, {where}.")]
+
+
+def _errors(run: RunRecord) -> list[Block]:
+    from holdfast.report.figures import Line, Panel, over_time
+
+    if run.errors is None:
+        return []
+    times_s, values = run.errors.times_s, run.errors.values
+    panels = [Panel(name, [*_claimed(run, name), Line("error", times_s, of)]) for name, of in values.items()]
+    lost = lost_stretches(run.events, run.start_ns, run.end_s)
+    without = np.zeros(len(times_s), dtype=np.bool_)
+    for stretch in lost:
+        without |= (times_s >= stretch.start_s) & (times_s < stretch.end_s)
+    parts = {"all": np.ones(len(times_s), dtype=np.bool_)}
+    parts |= {"GNSS trusted": ~without, "GNSS lost": without} if without.any() else {}
+    rows: list[list[Cell]] = [
+        [name, when, *(_statistic(of[where], key) for key in STATISTICS), int(where.sum())]
+        for name, of in values.items()
+        for when, where in parts.items()
+        if where.any()
+    ]
+    return [
+        Table("errors", "Errors", ("error", "when", *STATISTICS, "poses"), rows, f"Against {run.errors.source}."),
+        Figure("errors-over-time", "Errors over time", over_time(panels, _bands(lost)),
+               "Dashed: three times the standard deviation that the estimator claims."),
+    ]  # fmt: skip
+
+
+def _health(run: RunRecord) -> list[Block]:
+    from holdfast.report.figures import Span, time_line
+
+    stretches = {"health": health_stretches(run.events, run.start_ns, run.end_s)}
+    stretches |= antenna_stretches(run.events, run.start_ns, run.end_s, run.summary["counts"])
+    spans, used = [], set()
+    for row, of in stretches.items():
+        for stretch in of:
+            colour = _colour(stretch)
+            used.add(stretch.name)
+            spans.append(Span(row, stretch.start_s, stretch.end_s, colour, _told(stretch)))
+    legend = {name: colour for name, colour in HEALTH_COLOURS.items() if name in used}
+    plot = time_line(list(stretches), spans, legend, run.end_s)
+    seconds = dict.fromkeys(HEALTH_COLOURS, 0.0)
+    for stretch in stretches["health"]:
+        seconds[stretch.name] = seconds.get(stretch.name, 0.0) + stretch.end_s - stretch.start_s
+    total = sum(seconds.values()) or 1.0
+    rows: list[list[Cell]] = [[name, s, 100.0 * s / total] for name, s in seconds.items() if s > 0.0]
+    caption = "An antenna is green while it is trusted. The worst of what is true at a time is its health."
+    return [
+        Figure("health", "Health and trust over time", plot, caption),
+        Table("health-shares", "Time in each health", ("health", "time [s]", "share [%]"), rows),
+    ]
+
+
+def _switches(run: RunRecord) -> list[Block]:
+    rows: list[list[Cell]] = [
+        [f"{run.seconds(event):.2f}", in_words(event)] for event in run.events if event["kind"] not in ROUTINE
+    ]
+    caption = "Single measurements that were refused or late are counted below; events.jsonl has each of them."
+    return [Table("switches", "What happened, in words", ("time [s]", "what and why"), rows, caption)]
+
+
+def _measurements(run: RunRecord) -> list[Block]:
+    from holdfast.report.figures import counts_over_time
+
+    outcomes = sorted({name for of in run.summary["counts"].values() for name in of})
+    rows: list[list[Cell]] = [
+        [sensor, *(of.get(name, 0) for name in outcomes)] for sensor, of in run.summary["counts"].items()
+    ]
+    columns = ("sensor", *(name.replace("_", " ") for name in outcomes))
+    blocks: list[Block] = [Table("outcomes", "Outcomes by sensor", columns, rows)]
+    refused: dict[str, list[float]] = {}
+    for event in run.events:
+        if event["kind"] in ("rejected", "late"):
+            why = "late" if event["kind"] == "late" else str(event["reason"]).replace("_", " ")
+            refused.setdefault(f"{event['sensor']}: {why}", []).append(run.seconds(event))
+    if refused:
+        times = {name: np.array(of) for name, of in sorted(refused.items(), key=lambda item: -len(item[1]))}
+        plot = counts_over_time(times, run.end_s, "measurements")
+        blocks.append(Figure("refused", "Refused and late measurements over time", plot, "Per 1/120 of the time."))
+    return blocks
+
+
+def _odometry(run: RunRecord) -> list[Block]:
+    from holdfast.report.figures import Line, Panel, over_time
+
+    lost = _bands(lost_stretches(run.events, run.start_ns, run.end_s))
+    names = ("east", "north", "up")
+    where = [Line(name, run.times_s, run.correction[:, k]) for k, name in enumerate(names)]
+    panels = [Panel("T_W_O [m]", where), Panel("T_W_O yaw [deg]", [Line("yaw", run.times_s, run.correction[:, 3])])]
+    jerks = {name: _departure(track) for name, track in (("in W", run.world), ("in O", run.odometry))}
+    lines = [Line(name, run.times_s[2:], np.maximum(1e3 * of, 1e-4)) for name, of in jerks.items()]
+    rows: list[list[Cell]] = [
+        [name, *(1e3 * float(np.quantile(of, q)) for q in (0.5, 0.99, 1.0))] for name, of in jerks.items()
+    ]
+    caption = "What W corrects, T_W_O takes: a consumer of poses in O never sees it."
+    why = "How far each estimate lies from the straight continuation of the two before it: acceleration, or a jump."
+    return [
+        Figure("correction", "The odometry frame in the world", over_time(panels, lost), caption),
+        Figure("departure", "Steps", over_time([Panel("departure [mm]", lines, "log")], lost), why),
+        Table("departures", "Departure from the straight continuation",
+              ("frame", "median [mm]", "p99 [mm]", "max [mm]"), rows),
+    ]  # fmt: skip
+
+
+def _claims(run: RunRecord) -> list[Block]:
+    from holdfast.report.figures import Line, Panel, over_time
+
+    lost = _bands(lost_stretches(run.events, run.start_ns, run.end_s))
+    blocks: list[Block] = []
+    if len(run.sigma_times_s):
+        panels = [Panel(name, [Line("sigma", run.sigma_times_s, of)], "log") for name, of in run.sigmas.items()]
+        blocks.append(Figure("sigmas", "Standard deviations that it claims", over_time(panels, lost)))
+    if len(run.bias_times_s):
+        axes = ("x", "y", "z")
+        panels = [
+            Panel(label, [Line(axis, run.bias_times_s, run.biases[:, first + k]) for k, axis in enumerate(axes)])
+            for label, first in (("gyroscope [rad/s]", 0), ("accelerometer [m/s²]", 3))
+        ]
+        blocks.append(Figure("biases", "Biases of the IMU, as estimated", over_time(panels, lost)))
+    return blocks
+
+
+def _speed(run: RunRecord) -> list[Block]:
+    from holdfast.report.figures import histogram, quantiles
+
+    timing = run.summary["timing"]
+    found = {"IMU sample": (timing["imu_us"], 1.0), "message with an update": (timing["update_ms"], 1e3)}
+    known = {name: (of, factor) for name, (of, factor) in found.items() if of}
+    keys = ("mean", "median", "p90", "p99", "max")
+    rows: list[list[Cell]] = [
+        [name, *(factor * of[key] for key in keys), of["count"]] for name, (of, factor) in known.items()
+    ]
+    factor = timing["real_time_factor"]
+    pace = "" if factor is None else f" The replay ran at {factor:.1f} x real time."
+    caption = f"How long the estimator took for one message, in one process.{pace}"
+    columns = ("message", *(f"{key} [us]" for key in keys), "count")
+    blocks: list[Block] = [Table("latency", "Time per message", columns, rows, caption)]
+    binned = {
+        name: (scale * np.array(of["histogram"]["edges"]), np.array(of["histogram"]["counts"]))
+        for name, (of, scale) in known.items()
+        if "histogram" in of
+    }
+    if binned:
+        return [*blocks, Figure("latencies", "Distribution", histogram(binned, "time per message [us]"))]
+    of_all = {name: {key: scale * of[key] for key in keys[1:]} for name, (of, scale) in known.items()}
+    return (
+        [*blocks, Figure("latencies", "Percentiles", quantiles(of_all, "time per message [us]"))] if of_all else blocks
+    )
+
+
+def _claimed(run: RunRecord, name: str) -> list[Any]:
+    """Return three times the claimed deviation of an error as a line, and its mirror where the error has a sign."""
+    from holdfast.report.figures import Line
+
+    if name not in run.sigmas or run.errors is None:
+        return []
+    signs = (1.0, -1.0) if (run.errors.values[name] < 0.0).any() else (1.0,)
+    sigma = run.sigmas[name]
+    return [Line("3 sigma, claimed", run.sigma_times_s, 3.0 * sign * sigma, "#5f6b7a", "dot", 1.0) for sign in signs]
+
+
+def _departure(positions: Array) -> Array:
+    """Return |p_k - 2 p_{k-1} + p_{k-2}| (N - 2,) of positions (N, 3) [m]."""
+    departure: Array = np.linalg.norm(np.diff(positions, n=2, axis=0), axis=1)
+    return departure
+
+
+def _bands(stretches: Sequence[Stretch]) -> list[Any]:
+    from holdfast.report.figures import Band
+
+    return [Band(stretch.start_s, stretch.end_s, LOST, "without GNSS") for stretch in stretches]
+
+
+def _colour(stretch: Stretch) -> str:
+    known = HEALTH_COLOURS | {"trusted": GOOD, "lost": LOST}
+    return known.get(stretch.name, WARNING)
+
+
+def _told(stretch: Stretch) -> str:
+    return f"{stretch.start_s:.1f} to {stretch.end_s:.1f} s: {stretch.name.replace('_', ' ')}. {stretch.why}".strip()
+
+
+def _statistic(values: Array, name: str) -> float:
+    return {
+        "mean": float(values.mean()),
+        "std": float(values.std()),
+        "rms": _rms(values),
+        "median": float(np.median(values)),
+        "p95": float(np.quantile(np.abs(values), 0.95)),
+        "max": float(np.abs(values).max()),
+    }[name]
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _unit(name: str) -> str:
+    return name.partition("[")[2].rstrip("]")

@@ -1,0 +1,139 @@
+"""Where a scene is shown, and what is drawn into it: a recording, the results of a replay, or a live stream."""
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Protocol
+
+import rerun as rr
+
+from holdfast.errors import ConfigError
+from holdfast.geometry.earth import Geodetic
+from holdfast.recording.bag_file import Codec
+from holdfast.recording.raw import RawBag, RawChannel
+from holdfast.viz.scene import DATUM, FIX, Scene
+
+APPLICATION = "holdfast"
+FLUSH_ROWS = 20_000
+LIVE_FLUSH_S = 0.25
+
+
+def open_sink(target: str, name: str) -> rr.RecordingStream:
+    """Return a recording of Rerun.
+
+    Args:
+        target: `window` opens the viewer, `....rrd` writes a file, `rerun+http://HOST:PORT/proxy` joins a viewer.
+        name: what the recording is called.
+
+    Raises:
+        ConfigError: the target cannot be opened.
+    """
+    recording = rr.RecordingStream(APPLICATION)
+    recording.send_recording_name(name)
+    try:
+        if target == "window":
+            recording.spawn()
+        elif target.endswith(".rrd"):
+            recording.save(target)
+        else:
+            recording.connect_grpc(target)
+    except (OSError, RuntimeError) as error:
+        raise ConfigError(f"{target}: cannot be opened ({error})") from None
+    return recording
+
+
+def draw_recording(path: Path, recording: rr.RecordingStream, progress: Callable[[int], None] | None = None) -> None:
+    """Draw a bag, or the output folder of a replay.
+
+    Args:
+        path: of either.
+        recording: where to draw.
+        progress: called with the arrival [ns] every now and then.
+
+    Raises:
+        RecordingError: it cannot be read.
+    """
+    is_replay = (path / "estimates.mcap").is_file()
+    with RawBag(path / "estimates.mcap" if is_replay else path) as bag:
+        codecs = {channel: channel.codec() for channel in bag.channels}
+        scene = Scene(recording, _datum_of_replay(path) if is_replay else _first_datum(bag, codecs))
+        for count, (time_ns, channel, raw) in enumerate(bag.messages()):
+            if scene.wants(channel.topic, channel.type, time_ns):
+                scene.add(channel.topic, channel.type, codecs[channel].deserialize(raw), time_ns)
+            if count % FLUSH_ROWS == FLUSH_ROWS - 1:
+                scene.flush()
+                if progress is not None:
+                    progress(time_ns)
+        if is_replay:
+            _add_events(path / "events.jsonl", scene)
+        scene.flush()
+    recording.flush()
+
+
+def _datum_of_replay(folder: Path) -> Geodetic | None:
+    summary = folder / "summary.json"
+    datum = json.loads(summary.read_text(encoding="utf-8")).get("datum") if summary.is_file() else None
+    return Geodetic(datum["latitude_deg"], datum["longitude_deg"], datum["altitude_m"]) if datum else None
+
+
+def _first_datum(bag: RawBag, codecs: Mapping[RawChannel, Codec]) -> Geodetic | None:
+    """Return the datum that a log of a live node holds: the first fixes come before it."""
+    if any(channel.topic.endswith(DATUM) and channel.type == FIX for channel in bag.channels):
+        for _, channel, raw in bag.messages():
+            if channel.topic.endswith(DATUM) and channel.type == FIX:
+                message = codecs[channel].deserialize(raw)
+                return Geodetic(message.latitude, message.longitude, message.altitude)
+    return None
+
+
+def _add_events(file: Path, scene: Scene) -> None:
+    if file.is_file():
+        for line in file.read_text(encoding="utf-8").splitlines():
+            event = json.loads(line)
+            sensor = f"{event['sensor']}: " if event["sensor"] else ""
+            scene.say("log/events", f"{sensor}{event['kind']}: {event['reason']}", "INFO", event["stamp_ns"])
+
+
+class LiveRecord(Protocol):
+    """One message of a live node."""
+
+    topic: str
+    type_name: str
+    data: bytes
+    time_ns: int
+
+
+class LiveFeed(Protocol):
+    """What feeds a live stream."""
+
+    def batches(self, timeout_s: float | None = None) -> Iterable[Sequence[LiveRecord]]:
+        """Iterate over lists of messages; an empty one if none came for so long."""
+
+    def complain(self, text: str) -> None:
+        """Tell the node that something is wrong."""
+
+
+def draw_live(feed: LiveFeed, target: str) -> None:
+    """Draw what a live node hears and says until its feed ends; to be run in a process of its own."""
+    from time import monotonic
+
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    try:
+        recording = open_sink(target, "live")
+    except ConfigError as error:
+        feed.complain(f"--view {error}")
+        return
+    scene, flushed = Scene(recording, awaits_datum=True), monotonic()
+    for batch in feed.batches(LIVE_FLUSH_S):
+        for record in batch:
+            if scene.wants(record.topic, record.type_name, record.time_ns):
+                message = store.deserialize_cdr(record.data, record.type_name)
+                scene.add(record.topic, record.type_name, message, record.time_ns)
+        if monotonic() - flushed > LIVE_FLUSH_S:
+            flushed = monotonic()
+            scene.flush()
+    scene.flush()
+    recording.flush()
+    recording.disconnect()

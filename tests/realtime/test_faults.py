@@ -1,0 +1,242 @@
+"""Whatever becomes of the optimiser or of the data: the IMU path answers every sample, and nothing is lost silently."""
+
+import os
+import signal
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from engine import bring_up, play, sigmas_m, stamps_of, wait_for, with_settings
+
+from holdfast.errors import ConfigError, EstimatorError
+from holdfast.messages import GnssFix, Heading, ImuSample, LidarPose
+from holdfast.realtime.engine import RealtimeEstimator
+from holdfast.realtime.memory import Word
+from holdfast.realtime.records import REQUEST, VALUES
+from holdfast.state import Health
+
+BEGIN_S = 4.0  # quick has started long before
+
+
+def imu_stamps(messages):
+    return [m.stamp_ns for m in messages if isinstance(m, ImuSample) and m.sensor == "imu"]
+
+
+def total(counts, sensor):
+    return sum(count for (name, _), count in counts.items() if name == sensor)
+
+
+@pytest.fixture
+def engine(drive):
+    """An engine that has started and knows the first seconds of the drive."""
+    with RealtimeEstimator(drive.config) as estimator:
+        bring_up(estimator, drive.until(BEGIN_S))
+        yield estimator
+
+
+def test_the_imu_path_goes_on_while_a_killed_optimiser_is_replaced(drive, engine):
+    first = engine.optimiser_pid
+    anchored_ns = engine.newest_state.stamp_ns
+    os.kill(first, signal.SIGKILL)
+    wait_for(lambda: engine.event_counts["optimiser_fault"] == 1)
+    messages = drive.between(BEGIN_S, 8.0)
+    outputs = play(engine, messages[:20], rate=1.0)
+    assert engine.health is Health.OPTIMISER_RESET
+    outputs += play(engine, messages[20:], rate=1.0)
+    assert stamps_of(outputs) == imu_stamps(messages)
+    engine.flush()
+    assert engine.optimiser_pid not in {None, first}
+    assert engine.newest_state.stamp_ns > anchored_ns + 3_000_000_000
+    (fault,) = (e for e in engine.take_events() if e.kind == "optimiser_fault")
+    assert "signal 9" in fault.reason
+
+
+def test_covariance_grows_while_there_is_no_optimiser_and_shrinks_when_it_is_back(drive, engine):
+    os.kill(engine.optimiser_pid, signal.SIGSTOP)
+    alone = play(engine, drive.between(BEGIN_S, 6.0), rate=2.0)  # 1 s, less than hang_s
+    os.kill(engine.optimiser_pid, signal.SIGCONT)
+    engine.flush()
+    again = play(engine, drive.between(6.0, 6.5), rate=1.0)
+    sigmas, later = sigmas_m(alone)[20:], sigmas_m(again)  # what was on its way has come in the first samples
+    assert (np.diff(sigmas) > 0.0).all()
+    assert sigmas[-1] > 1.2 * sigmas[0]
+    assert later[-1] < sigmas[-1]
+    assert engine.event_counts["optimiser_fault"] == 0
+
+
+def test_a_short_stop_loses_nothing(drive, engine):
+    os.kill(engine.optimiser_pid, signal.SIGSTOP)
+    play(engine, drive.between(BEGIN_S, 6.0))
+    os.kill(engine.optimiser_pid, signal.SIGCONT)
+    engine.flush()
+    waiting = engine._board.words[Word.WAITING]
+    sent = [m for m in drive.until(6.0) if isinstance(m, GnssFix | Heading | LidarPose)]
+    sensors = {m.sensor for m in sent}
+    assert sensors == {"gnss", "gnss_right", "heading", "lidar"}
+    assert sum(total(engine.counts, sensor) for sensor in sensors) + waiting == len(sent)
+    assert engine.newest_state.stamp_ns > drive.until(6.0)[-1].stamp_ns - 500_000_000
+
+
+def test_an_optimiser_that_hangs_is_replaced(drive):
+    with RealtimeEstimator(with_settings(drive.config, realtime={"hang_s": 0.5})) as engine:
+        bring_up(engine, drive.until(BEGIN_S))
+        hung = engine.optimiser_pid
+        os.kill(hung, signal.SIGSTOP)
+        messages = drive.between(BEGIN_S, 9.0)
+        outputs = play(engine, messages, rate=1.0)
+        assert stamps_of(outputs) == imu_stamps(messages)
+        engine.flush()
+        assert engine.optimiser_pid not in {None, hung}
+        assert engine.newest_state.stamp_ns > messages[-1].stamp_ns - 500_000_000
+        assert any("hung for 0.5 s" in e.reason for e in engine.take_events() if e.kind == "optimiser_fault")
+
+
+def test_an_optimiser_that_raises_is_replaced_and_says_where(drive, engine):
+    first = engine.optimiser_pid
+    head = 0, engine._samples.written, 99, 0, 0, 0, 0  # of a kind that does not exist
+    engine._requests.push(REQUEST.pack(*head, *[0.0] * VALUES))
+    messages = drive.between(BEGIN_S, 7.0)
+    outputs = play(engine, messages, rate=1.0)
+    assert stamps_of(outputs) == imu_stamps(messages)
+    engine.flush()
+    assert engine.optimiser_pid not in {None, first}
+    assert engine.newest_state.stamp_ns > messages[-1].stamp_ns - 500_000_000
+    (fault,) = (e for e in engine.take_events() if e.kind == "optimiser_fault")
+    assert "unknown kind" in fault.reason
+    assert "records.py:" in fault.reason
+
+
+def test_without_an_optimiser_for_long_memory_stays_bounded_and_the_estimate_honest(drive):
+    with RealtimeEstimator(with_settings(drive.config, realtime={"hang_s": 60.0})) as engine:
+        bring_up(engine, drive.until(BEGIN_S))
+        os.kill(engine.optimiser_pid, signal.SIGSTOP)
+        last = [m for m in drive.until(BEGIN_S) if isinstance(m, ImuSample) and m.sensor == "imu"][-1]
+        outputs = []
+        for k in range(1, 4001):  # 40 s at 100 Hz, as fast as it goes
+            at = k * 10_000_000
+            readings = last.angular_velocity + 1e-4 * np.sin([k, 2.0 * k, 3.0 * k])
+            outputs.append(
+                engine.process(
+                    replace(
+                        last, stamp_ns=last.stamp_ns + at, arrival_ns=last.arrival_ns + at, angular_velocity=readings
+                    )
+                )
+            )
+        assert len(stamps_of(outputs)) == 4000
+        sigmas = sigmas_m(outputs)
+        assert sigmas[1000] < sigmas[2000] < sigmas[3999]
+        assert len(engine._buffer._stamps) < 2500
+        os.kill(engine.optimiser_pid, signal.SIGCONT)
+        engine.flush()
+        assert engine.newest_state.stamp_ns > last.stamp_ns + 39_000_000_000
+
+
+def test_a_full_queue_is_counted_and_said_once(drive):
+    with RealtimeEstimator(with_settings(drive.config, realtime={"hang_s": 60.0})) as engine:
+        engine.wait_until_ready()
+        os.kill(engine.optimiser_pid, signal.SIGSTOP)
+        fix = next(m for m in drive.messages if isinstance(m, GnssFix))
+        sent = engine._requests.rows + 500
+        for k in range(sent):
+            engine.process(replace(fix, stamp_ns=fix.stamp_ns + 1_000_000 * k))
+        late = engine.counts[fix.sensor, "late"]
+        assert 500 <= late <= 600
+        assert sum(e.kind == "late" for e in engine.take_events()) == 1
+        os.kill(engine.optimiser_pid, signal.SIGCONT)
+        engine.flush()
+        assert total(engine.counts, fix.sensor) == sent
+
+
+def test_a_gap_of_the_imu_is_crossed(drive, engine):
+    before = play(engine, drive.between(BEGIN_S, 5.0), rate=2.0)
+    silent = [m for m in drive.between(5.0, 6.0) if not (isinstance(m, ImuSample) and m.sensor == "imu")]
+    play(engine, silent, rate=2.0)
+    after = play(engine, drive.between(6.0, 6.3), rate=2.0)
+    engine.flush()
+    assert stamps_of(after) == imu_stamps(drive.between(6.0, 6.3))
+    assert not next(o.estimate for o in after if o.estimate is not None).from_imu
+    assert sigmas_m(after)[0] > sigmas_m(before)[-1]
+    assert engine.event_counts["imu_gap"] == 1
+
+
+def test_a_flood_of_fixes_loses_nothing_and_the_state_keeps_up(drive, engine):
+    messages = []
+    for message in drive.between(BEGIN_S, 6.0):
+        messages.append(message)
+        if isinstance(message, GnssFix):  # 40 a second become 1000
+            messages += [replace(message, stamp_ns=message.stamp_ns + k * 1_000_000) for k in range(1, 25)]
+    outputs = play(engine, messages, rate=1.0)
+    assert stamps_of(outputs) == imu_stamps(messages)
+    engine.flush()
+    sent = sum(isinstance(m, GnssFix) for m in drive.until(BEGIN_S)) + sum(isinstance(m, GnssFix) for m in messages)
+    counted = total(engine.counts, "gnss") + total(engine.counts, "gnss_right")
+    assert 0 <= sent - counted <= engine._board.words[Word.WAITING]
+    assert engine.event_counts["optimiser_fault"] == 0
+    assert engine.newest_state.stamp_ns > messages[-1].stamp_ns - 500_000_000
+
+
+@pytest.mark.parametrize(
+    ("change", "outcome"),
+    [
+        ({"stamp_ns": 0}, "late"),
+        ({"stamp_ns": 4_102_444_800_000_000_000}, "clock_jump"),
+        ({"latitude_deg": float("nan")}, "not_finite"),
+        ({"covariance": np.full((3, 3), np.nan)}, "no_covariance"),
+    ],
+)
+def test_a_wrong_fix_is_counted_and_changes_nothing(drive, engine, change, outcome):
+    fix = next(m for m in drive.between(BEGIN_S, 6.0) if isinstance(m, GnssFix))
+    before = engine.counts[fix.sensor, outcome]
+    engine.process(replace(fix, **change))
+    engine.flush()
+    assert engine.counts[fix.sensor, outcome] == before + 1
+    assert engine.initialised
+
+
+@pytest.mark.parametrize(
+    ("change", "outcome"),
+    [
+        ({"stamp_ns": 0}, "backward"),
+        ({"stamp_ns": 4_102_444_800_000_000_000}, "clock_jump"),
+        ({"angular_velocity": np.array([np.nan, 0.0, 0.0])}, "not_finite"),
+        ({"specific_force": np.array([0.0, 1e9, 0.0])}, "out_of_range"),
+    ],
+)
+def test_a_wrong_sample_is_counted_and_not_answered(drive, engine, change, outcome):
+    sample = next(m for m in drive.between(BEGIN_S, 6.0) if isinstance(m, ImuSample) and m.sensor == "imu")
+    assert engine.process(replace(sample, **change)).estimate is None
+    assert engine.counts["imu", outcome] == 1
+    assert engine.process(sample).estimate is not None
+
+
+def test_a_sensor_that_is_not_configured_is_refused_at_once(drive):
+    config = drive.config.model_copy(update={"sensors": drive.config.sensors.model_copy(update={"lidar": None})})
+    pose = next(m for m in drive.messages if isinstance(m, LidarPose))
+    with RealtimeEstimator(config) as engine, pytest.raises(ConfigError, match=r"sensors\.lidar: not in the config"):
+        engine.process(pose)
+
+
+def test_a_closed_estimator_refuses_messages_but_still_tells(drive):
+    engine = RealtimeEstimator(drive.config)
+    bring_up(engine, drive.until(3.0))
+    pid = engine.optimiser_pid
+    began = time.monotonic()
+    engine.close()
+    engine.close()
+    assert time.monotonic() - began < 5.0
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+    with pytest.raises(EstimatorError, match="closed"):
+        engine.process(drive.messages[0])
+    assert engine.counts["gnss", "used"] > 0
+    assert engine.event_counts["initialised"] == 1
+    assert engine.optimiser_pid is None
+    assert isinstance(engine.health, Health)
+
+
+def test_an_engine_that_is_closed_at_once_leaves_nothing(drive):
+    engine = RealtimeEstimator(drive.config)
+    engine.close()
+    assert engine.optimiser_pid is None
+    assert not engine.initialised

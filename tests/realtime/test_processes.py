@@ -1,0 +1,134 @@
+"""However a process ends: none is left behind, and no shared memory."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from engine import wait_for
+
+KEEPER = """
+import sys, time
+import holdfast
+engine = holdfast.RealtimeEstimator(holdfast.load_config(sys.argv[1]))
+engine.wait_until_ready()
+print(engine.optimiser_pid, flush=True)
+time.sleep(60)
+"""
+COMMAND = [sys.executable, "-c", "from holdfast.cli import main; main()"]
+
+
+def is_running(pid):
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+@pytest.fixture
+def keeper(drive):
+    """A program with an engine, and the pid of its optimiser."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", KEEPER, str(drive.folder / "config.yaml")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    pid = int(process.stdout.readline())
+    yield process, pid
+    process.kill()
+    process.wait()
+    if is_running(pid):
+        os.kill(pid, signal.SIGKILL)
+
+
+@pytest.mark.parametrize("is_stopped", [False, True])
+def test_the_optimiser_ends_with_a_program_that_is_killed(keeper, is_stopped):
+    process, pid = keeper
+    if is_stopped:
+        os.kill(pid, signal.SIGSTOP)
+    assert is_running(pid)
+    process.kill()
+    wait_for(lambda: not is_running(pid), timeout_s=10.0)
+    assert process.stderr.read() == ""
+
+
+def test_the_shared_memory_has_no_name_that_could_be_left(keeper):
+    process, pid = keeper
+    for one in (process.pid, pid):
+        mapped = Path(f"/proc/{one}/maps").read_text(encoding="utf-8")
+        assert "memfd:holdfast (deleted)" in mapped
+        assert "/dev/shm" not in mapped
+    os.kill(pid, signal.SIGKILL)
+    process.kill()
+    process.wait()
+    assert not [path for path in Path("/dev/shm").glob("*") if "holdfast" in path.name]
+
+
+def test_a_program_that_ends_without_closing_leaves_nothing(drive):
+    code = KEEPER.replace("time.sleep(60)", "")
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(drive.folder / "config.yaml")],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    wait_for(lambda: not is_running(int(done.stdout)), timeout_s=10.0)
+
+
+def children(pid):
+    found = subprocess.run(["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True, check=False)
+    return [int(line) for line in found.stdout.split()]
+
+
+def test_ctrl_c_in_a_replay_writes_what_came_and_ends_both(drive, tmp_path):
+    process = subprocess.Popen(
+        [*COMMAND, "replay", str(drive.folder), "-c", str(drive.folder / "config.yaml"), "-o", str(tmp_path), "--realtime"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    track = tmp_path / "imu_in_world.tum"
+    wait_for(lambda: track.exists() and track.stat().st_size > 0, timeout_s=60.0)
+    time.sleep(1.0)
+    others = children(process.pid)
+    assert others
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "Traceback" not in said
+    assert not any(is_running(pid) for pid in others)
+    summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    assert summary["finished"] is False
+    assert summary["counts"]["gnss"]["used"] > 0
+    lines = track.read_text(encoding="utf-8").splitlines()
+    assert len(lines[-1].split()) == 8
+    assert (tmp_path / "optimized_in_world.tum").stat().st_size > 0
+    for line in (tmp_path / "events.jsonl").read_text(encoding="utf-8").splitlines():
+        json.loads(line)
+
+
+def test_a_realtime_replay_tells_the_same_story(drive, tmp_path):
+    done = subprocess.run(
+        [*COMMAND, "replay", str(drive.folder), "-c", str(drive.folder / "config.yaml"), "-o", str(tmp_path)]
+        + ["--realtime", "--rate", "4", "--duration", "10"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=100,
+    )
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    assert summary["finished"] is True
+    assert summary["counts"]["imu"] == {"used": 1000}
+    assert summary["events"]["initialised"] == 1
+    assert summary["events"].get("optimiser_fault", 0) == 0
+    assert summary["timing"]["update_ms"]["count"] > 50
+    assert summary["timing"]["wall_s"] > 2.4

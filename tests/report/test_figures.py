@@ -1,0 +1,75 @@
+"""Figures are thin, and thinning hides nothing."""
+
+import numpy as np
+import pytest
+
+from holdfast.report.figures import MAX_POINTS, Line, Panel, decimated, over_time, picture_map, track_map
+from holdfast.report.png import encode_png
+
+
+def test_a_spike_of_one_sample_survives_thinning():
+    time_s = np.arange(100_000) * 0.01
+    values = np.zeros(100_000)
+    values[54_321], values[12_345] = 5.0, -7.0
+    x, y = decimated(time_s, values)
+    assert len(x) <= MAX_POINTS + 4
+    assert (np.nanmax(y), np.nanmin(y)) == (5.0, -7.0)
+    assert x[np.nanargmax(y)] == pytest.approx(543.21)
+    assert (x[0], x[-1]) == (time_s[0], time_s[-1])
+
+
+@pytest.mark.parametrize("count", [100, 100_000])
+def test_a_line_is_broken_where_nothing_was_measured(count: int):
+    time_s = np.arange(count) * 0.01
+    gone = (time_s > 0.4 * time_s[-1]) & (time_s < 0.6 * time_s[-1])
+    x, y = decimated(time_s[~gone], np.ones((~gone).sum()))
+    assert np.isnan(y).sum() == 1
+    assert x[np.isnan(y)][0] == pytest.approx(0.6 * time_s[-1], rel=0.02)
+
+
+def test_a_line_with_a_stretch_of_nan_keeps_its_other_values():
+    values = np.concatenate([np.arange(5000.0), np.full(5000, np.nan), np.arange(5000.0)])
+    _, y = decimated(np.arange(15_000.0), values)
+    assert np.nanmax(y) == 4999.0
+    assert np.isnan(y).sum() >= 1
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_a_line_of_few_points_stays_as_it_is(count: int):
+    x, y = decimated(np.arange(float(count)), np.arange(float(count)))
+    assert x.tolist() == y.tolist() == list(range(count))
+
+
+def test_a_line_keeps_its_colour_and_name_over_all_panels():
+    time_s = np.arange(10.0)
+    lines = [Line("a", time_s, time_s), Line("b", time_s, time_s)]
+    figure = over_time([Panel("one", lines), Panel("two", lines[::-1])])
+    colours = {(trace.name, trace.line.color) for trace in figure.data}
+    assert len(colours) == 2
+    assert [trace.name for trace in figure.data if trace.showlegend] == ["a", "b"]
+
+
+def test_a_track_is_drawn_to_scale():
+    figure = track_map([Line("a", np.arange(9.0), np.arange(9.0))])
+    assert (figure.layout.yaxis.scaleanchor, figure.layout.yaxis.scaleratio) == ("x", 1.0)
+
+
+def test_a_picture_lies_where_its_pixels_are():
+    figure = picture_map(np.zeros((20, 40, 3), dtype=np.uint8), (-5.0, 7.0), 0.5)
+    image = figure.layout.images[0]
+    assert (image.x, image.y) == (-5.0, 17.0)  # its upper left corner
+    assert (image.sizex, image.sizey) == (20.0, 10.0)
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+def test_a_png_holds_its_pixels(channels: int, tmp_path):
+    image = pytest.importorskip("matplotlib.image")
+    pixels = np.random.default_rng(1).integers(0, 256, (17, 23, channels), dtype=np.uint8)
+    file = tmp_path / "image.png"
+    file.write_bytes(encode_png(pixels))
+    np.testing.assert_array_equal(np.rint(image.imread(file) * 255.0).astype(np.uint8), pixels)
+
+
+def test_what_is_no_image_is_refused():
+    with pytest.raises(ValueError, match=r"\(4, 4\)"):
+        encode_png(np.zeros((4, 4), dtype=np.uint8))

@@ -1,0 +1,222 @@
+"""`holdfast report`: a page about a replay, from its files alone."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from chromium import DESKTOP, PHONE, check_page, needs_chromium
+from click.testing import CliRunner
+
+from holdfast.cli import holdfast
+from holdfast.cli.report import BIAS_KEYS, read_run
+from holdfast.errors import ConfigError, HoldfastError, RecordingError
+from holdfast.recording.mcap_writer import McapWriter
+from holdfast.recording.tum import read_tum
+from holdfast.report.single_run import single_run_page
+from holdfast.report.timeline import antenna_stretches, health_stretches, lost_stretches
+from holdfast.report.words import in_words
+from holdfast.state import EventKind, Health, Outcome
+
+
+def call(*arguments: str | Path) -> str:
+    result = CliRunner().invoke(holdfast, [*map(str, arguments)], catch_exceptions=False, standalone_mode=False)
+    assert result.exit_code == 0
+    return result.output
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("report") / "yard"
+    call("simulate", "quick", "-o", folder)
+    call("replay", folder, "-c", folder / "config.yaml", "-o", folder / "out")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(simulated: Path) -> tuple[str, dict]:
+    file = simulated / "out" / "report.html"
+    call("report", simulated / "out", "--reference", simulated / "truth")
+    return file.read_text(encoding="utf-8"), json.loads(file.with_suffix(".json").read_text(encoding="utf-8"))
+
+
+def test_the_errors_are_those_that_evaluate_finds(page, simulated: Path, tmp_path: Path):
+    truth = simulated / "truth" / "imu_in_world.tum"
+    call("evaluate", simulated / "out" / "imu_in_world.tum", truth, "--json", tmp_path / "judged.json")
+    judged = json.loads((tmp_path / "judged.json").read_text())["alignments"]["none"]["scores"]["all"]["ape"]
+    table = page[1]["tables"]["errors"]
+    found = {(row[0], row[1]): dict(zip(table["columns"], row, strict=True)) for row in table["rows"]}
+    for ours, theirs in (("horizontal [m]", "horizontal_m"), ("vertical [m]", "vertical_m"), ("yaw [deg]", "yaw_deg")):
+        for name in ("mean", "std", "rms", "median", "p95", "max"):
+            assert found[ours, "all"][name] == pytest.approx(judged[theirs][name], rel=1e-6)
+
+
+def test_the_outage_is_where_the_scenario_put_it(page, simulated: Path):
+    run = read_run(simulated / "out", None)
+    (lost,) = lost_stretches(run.events, run.start_ns, run.end_s)
+    # GNSS is silent from 12 to 16 s; the gate waits some epochs before it says so, and some before it trusts again
+    assert 12.0 < lost.start_s < 14.0
+    assert 15.9 < lost.end_s < 18.0
+    assert "1 outage." in page[1]["lead"]
+
+
+def test_every_switch_has_its_reason_in_words(page):
+    told = [row[1] for row in page[1]["tables"]["switches"]["rows"]]
+    assert any("GNSS is lost" in text and "fallback graph takes over" in text for text in told)
+    assert any("Antenna gnss_right is no longer trusted: it is silent" in text for text in told)
+    assert any("GNSS is back" in text for text in told)
+    assert not any("_" in text.replace("gnss_right", "") for text in told)  # no codes
+
+
+def test_the_odometry_frame_is_what_lies_between_both_tracks(simulated: Path):
+    from scipy.spatial.transform import Rotation
+
+    run = read_run(simulated / "out", None)
+    world, odom = (read_tum(simulated / "out" / f"imu_in_{name}.tum") for name in ("world", "odom"))
+    for k in (0, len(world.stamps_ns) // 2, -1):
+        T = np.eye(4)[None].repeat(2, axis=0)
+        for pose, track in zip(T, (world, odom), strict=True):
+            pose[:3, :3], pose[:3, 3] = Rotation.from_quat(track.quaternions[k]).as_matrix(), track.positions[k]
+        T_W_O = T[0] @ np.linalg.inv(T[1])
+        np.testing.assert_allclose(run.correction[k, :3], T_W_O[:3, 3], atol=1e-6)
+        yaw = np.degrees(np.arctan2(T_W_O[1, 0], T_W_O[0, 0]))
+        assert run.correction[k, 3] == pytest.approx(yaw, abs=1e-6)
+
+
+def test_claimed_deviations_are_those_of_the_published_covariance(simulated: Path):
+    run = read_run(simulated / "out", None)
+    assert len(run.sigma_times_s) > 100
+    assert (run.sigmas["horizontal [m]"] > 0.0).all()
+    lost = (run.sigma_times_s > 13.0) & (run.sigma_times_s < 16.0)
+    good = (run.sigma_times_s > 5.0) & (run.sigma_times_s < 11.0)
+    assert np.median(run.sigmas["horizontal [m]"][lost]) > np.median(run.sigmas["horizontal [m]"][good])
+
+
+def test_without_a_reference_there_are_no_errors_but_all_the_rest(simulated: Path, tmp_path: Path):
+    call("report", simulated / "out", "-o", tmp_path / "other.html")
+    numbers = json.loads((tmp_path / "other.json").read_text(encoding="utf-8"))
+    assert "errors" not in numbers["tables"]
+    assert {"track", "health", "correction", "sigmas", "latencies"} <= set(numbers["figures"])
+
+
+def test_biases_are_drawn_where_the_diagnostics_have_them(simulated: Path, tmp_path: Path):
+    folder = tmp_path / "out"
+    shutil.copytree(simulated / "out", folder)
+    start_ns = read_run(folder, None).start_ns
+    with McapWriter(folder / "estimates.mcap") as writer:
+        types = writer.types
+        for k in range(3):
+            stamp_ns = start_ns + k * 10**9
+            values = [
+                types["diagnostic_msgs/msg/KeyValue"](key=key, value=f"{i + k}") for i, key in enumerate(BIAS_KEYS)
+            ]
+            status = types["diagnostic_msgs/msg/DiagnosticStatus"](
+                level=0, name="holdfast", message="", hardware_id="", values=values
+            )
+            stamp = types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+            header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
+            array = types["diagnostic_msgs/msg/DiagnosticArray"](header=header, status=[status])
+            writer.write("/diagnostics", array, "diagnostic_msgs/msg/DiagnosticArray", stamp_ns)
+    run = read_run(folder, None)
+    np.testing.assert_allclose(run.bias_times_s, [0.0, 1.0, 2.0], atol=1e-6)
+    np.testing.assert_allclose(run.biases, np.arange(6)[None] + np.arange(3)[:, None])
+    assert "biases" in {block.key for section in single_run_page(run).sections for block in section.blocks}
+
+
+def test_a_replay_that_was_cut_off_still_has_a_report(simulated: Path, tmp_path: Path):
+    folder = tmp_path / "out"
+    shutil.copytree(simulated / "out", folder)
+    (folder / "estimates.mcap").write_bytes(b"")
+    events = (folder / "events.jsonl").read_bytes()
+    (folder / "events.jsonl").write_bytes(events[:-20])
+    summary = json.loads((folder / "summary.json").read_text())
+    (folder / "summary.json").write_text(json.dumps(summary | {"finished": False}))
+    call("report", folder)
+    numbers = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    assert "did not come to its end" in numbers["lead"]
+    assert "are left out" in (folder / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "error", "said"),
+    [
+        ("summary.json", None, ConfigError, "holdfast replay"),
+        ("summary.json", "{", RecordingError, "no summary"),
+        ("summary.json", "{}", RecordingError, "'recording'"),
+        ("events.jsonl", "nothing\n{}\n", RecordingError, "events.jsonl:1"),
+        ("imu_in_world.tum", "", RecordingError, "no poses"),
+    ],
+)
+def test_what_is_no_replay_is_told_by_file(simulated: Path, tmp_path: Path, file, content, error, said):  # noqa: PLR0917
+    folder = tmp_path / "out"
+    shutil.copytree(simulated / "out", folder)
+    (folder / file).unlink() if content is None else (folder / file).write_text(content)
+    with pytest.raises(error, match=said) as caught:
+        call("report", folder)
+    assert file in str(caught.value)
+
+
+def test_a_reference_of_another_time_and_a_wrong_name_are_told(simulated: Path, tmp_path: Path):
+    (tmp_path / "other.tum").write_text("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n")
+    with pytest.raises(RecordingError, match=r"other\.tum: no overlap in time"):
+        call("report", simulated / "out", "--reference", tmp_path / "other.tum")
+    with pytest.raises(HoldfastError, match=r"must end in \.html"):
+        call("report", simulated / "out", "-o", tmp_path / "report.pdf")
+
+
+def test_stretches_follow_the_events():
+    def event(at_s: float, kind: str, sensor: str = "", reason: str = "") -> dict:
+        return {"stamp_ns": round(at_s * 1e9), "kind": kind, "sensor": sensor, "reason": reason}
+
+    events = [
+        event(1.0, "initialised"),
+        event(1.0, "health", reason="nominal"),
+        event(5.0, "antenna_lost", "gnss", "silent"),
+        event(5.0, "gnss_lost", "", "no antenna is trusted"),
+        event(5.0, "health", reason="fallback"),
+        event(8.0, "antenna_regained", "gnss", "5 good fixes in a row"),
+        event(8.0, "gnss_regained", "", "5 fixes agree"),
+        event(8.0, "health", reason="nominal"),
+        event(9.0, "gnss_lost", "", "no antenna is trusted"),
+    ]
+    assert [s[:3] for s in health_stretches(events, 0, 10.0)] == [
+        (0.0, 1.0, "initialising"), (1.0, 5.0, "nominal"), (5.0, 8.0, "fallback"), (8.0, 10.0, "nominal"),
+    ]  # fmt: skip
+    assert [s[:3] for s in antenna_stretches(events, 0, 10.0, {"gnss": {}})["gnss"]] == [
+        (1.0, 5.0, "trusted"), (5.0, 8.0, "lost"), (8.0, 10.0, "trusted"),
+    ]  # fmt: skip
+    assert [s[:2] for s in lost_stretches(events, 0, 10.0)] == [(5.0, 8.0), (9.0, 10.0)]
+
+
+@pytest.mark.parametrize("kind", EventKind)
+def test_every_kind_of_event_has_words(kind: EventKind):
+    said = in_words({"kind": str(kind), "sensor": "gnss", "reason": "some reason"})
+    assert "some reason" in said
+    routine = kind in (EventKind.REJECTED, EventKind.LATE, EventKind.WAITING)
+    assert routine or (said.startswith(str(kind)) is False and "_" not in said)
+
+
+@pytest.mark.parametrize("health", Health)
+def test_every_health_has_words(health: Health):
+    said = in_words({"kind": "health", "sensor": "", "reason": str(health)})
+    assert health is Health.INITIALISING or "_" not in said
+
+
+@pytest.mark.parametrize("outcome", [o for o in Outcome if o not in ("used", "ignored", "before_start")])
+def test_reasons_for_which_an_antenna_is_lost_have_words(outcome: Outcome):
+    reason = f"12 {outcome}, 1 innovation; gate power 0.13 m"
+    said = in_words({"kind": "antenna_lost", "sensor": "gnss", "reason": reason})
+    assert "12 fixes" in said or outcome not in GATED
+    assert "1 fix contradicting the estimate" in said
+    assert "any jump beyond 0.13 m" in said
+
+
+GATED = ("innovation", "too_fast", "baseline", "low_status", "no_covariance", "large_covariance", "walking", "late")
+
+
+@needs_chromium
+@pytest.mark.parametrize("size", [PHONE, DESKTOP], ids=["phone", "desktop"])
+def test_a_browser_draws_the_whole_report(page, simulated: Path, tmp_path: Path, size):
+    assert len(page[1]["figures"]) >= 8
+    check_page(simulated / "out" / "report.html", tmp_path, size, len(page[1]["figures"]))
