@@ -14,10 +14,10 @@ export OMP_NUM_THREADS := 1
 export MPLBACKEND := Agg
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check lint bench results scenarios clean
+.PHONY: help demo test check lint bench results scenarios paper paper-quick clean
 
 help: ## Show this list
-	@sed -n 's/^\([a-z]*\):.*## /\1: /p' Makefile | awk -F': ' '{ printf "  make %-9s %s\n", $$1, $$2 }'
+	@sed -n 's/^\([a-z-]*\):.*## /\1: /p' Makefile | awk -F': ' '{ printf "  make %-11s %s\n", $$1, $$2 }'
 
 demo: $(READY) ## Estimate a real drive, draw it and print how far it is from the reference
 	@$(BIN)/holdfast demo
@@ -42,6 +42,12 @@ results: $(READY) ## Run the real drives and print their accuracy
 
 scenarios: $(READY) ## Run the simulated scenarios with ten seeds each and print the tables (long)
 	@$(BIN)/python benchmarks/scenarios.py
+
+paper-quick: $(READY) ## Compare with the paper's other systems on short recordings: paper/report.html
+	@$(BIN)/holdfast paper -o paper --quick
+
+paper: $(READY) ## The same with ten seeds of ten minutes (more than an hour): paper-full/report.html
+	@$(BIN)/holdfast paper -o paper-full
 
 clean: ## Remove the virtual environment and the caches, not the results
 	@rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

@@ -5,6 +5,7 @@ first look. docs/results.md says what each measure means.
 """
 
 import argparse
+import pickle
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -49,20 +50,29 @@ class Runs:
         )
 
 
-def trials(scenario: str, seed: int, presets: Sequence[str]) -> list[Trial]:
-    """Simulate a scenario once and estimate it under every preset."""
-    loaded = load_scenario(scenario)
-    given = resolved_yaml(configuration(loaded), given_only=True)
-    configs = [parse_config(f"preset: {preset}\n{given}") for preset in presets]
-    with TemporaryDirectory() as folder:
-        return trials_of(loaded, seed, Path(folder), configs)
+def trials(scenario: str, seed: int, presets: Sequence[str], keep: Path | None = None) -> list[Trial]:
+    """Simulate a scenario once and estimate it under every preset; what `keep` holds already is not run again."""
+    files = {preset: keep / f"{scenario}-{seed}-{preset}.pickle" for preset in presets} if keep else {}
+    found = {preset: pickle.loads(file.read_bytes()) for preset, file in files.items() if file.exists()}
+    missing = [preset for preset in presets if preset not in found]
+    if missing:
+        loaded = load_scenario(scenario)
+        given = resolved_yaml(configuration(loaded), given_only=True)
+        configs = [parse_config(f"preset: {preset}\n{given}") for preset in missing]
+        with TemporaryDirectory() as folder:
+            found |= zip(missing, trials_of(loaded, seed, Path(folder), configs), strict=True)
+        for preset in missing if keep else ():
+            files[preset].write_bytes(pickle.dumps(found[preset]))
+    return [found[preset] for preset in presets]
 
 
-def run(scenarios: dict[str, int], presets: Sequence[str], jobs: int, first: int = 0) -> Iterator[list[Runs]]:
+def run(
+    scenarios: dict[str, int], presets: Sequence[str], jobs: int, first: int = 0, keep: Path | None = None
+) -> Iterator[list[Runs]]:
     """Yield the runs of every scenario (name -> number of seeds, from the first on), one entry per preset."""
     tasks = [(scenario, first + seed) for scenario, seeds in scenarios.items() for seed in range(seeds)]
     with ProcessPoolExecutor(jobs) as pool:
-        work = partial(trials, presets=presets)
+        work = partial(trials, presets=presets, keep=keep)
         done = pool.map(work, *zip(*tasks, strict=True)) if jobs > 1 else starmap(work, tasks)
         for scenario, seeds in scenarios.items():
             rows = []
@@ -138,16 +148,20 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="the scenario `quick` alone, two seeds")
     parser.add_argument("--details", action="store_true", help="print every outage and event, too")
     parser.add_argument("--write", action="store_true", help=f"write the tables into docs/{PAGE.name}")
+    parser.add_argument("--keep", type=Path, help="folder for finished runs of this state, which are not run again")
     options = parser.parse_args()
+    if options.keep:
+        options.keep.mkdir(parents=True, exist_ok=True)
+    how = (options.jobs, options.first, options.keep)
     chosen = dict.fromkeys(["quick"] if options.quick else options.scenarios, 2 if options.quick else options.seeds)
     lines: list[str] = []
-    for runs in run(chosen or dict.fromkeys(TASKS, options.seeds), options.presets, options.jobs, options.first):
+    for runs in run(chosen or dict.fromkeys(TASKS, options.seeds), options.presets, *how):
         lines += scenario_table(runs)
         if options.details:
             print("\n".join(details(runs)), file=sys.stderr)
     if not chosen:
         others = dict.fromkeys(OTHERS, min(OTHER_SEEDS, options.seeds))
-        rest = [one for runs in run(others, options.presets[:1], options.jobs, options.first) for one in runs]
+        rest = [one for runs in run(others, options.presets[:1], *how) for one in runs]
         lines += overview_table(rest)
         if options.details:
             print("\n".join(details(rest)), file=sys.stderr)

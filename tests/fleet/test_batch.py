@@ -2,11 +2,13 @@
 
 import csv
 import json
+import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from io import StringIO
 from pathlib import Path
 
 import pytest
@@ -96,6 +98,15 @@ def test_another_configuration_is_run_anew(batch, simulated: Path, tmp_path: Pat
     assert [line.partition(" of them before")[0][-1] for line in said] == ["0", "1", "0"]
 
 
+def test_errors_at_held_out_fixes_are_in_the_table(simulated: Path, tmp_path: Path):
+    arguments = (simulated, "-c", simulated / "config.yaml", "-o", tmp_path, "--hold-out", "gnss=2", "--duration", "5")
+    assert run(*arguments).returncode == 0
+    (row,) = table(tmp_path).values()
+    summary = json.loads((tmp_path / "yard" / "summary.json").read_text())
+    rms = summary["held_out"]["causal"]["all"]["horizontal_m"]["rms"]
+    assert float(row["held_out_horizontal_m_rms"]) == pytest.approx(rms, rel=1e-6)
+
+
 def test_ctrl_c_keeps_what_is_done_and_the_next_batch_goes_on(simulated: Path, tmp_path: Path):
     arguments = [simulated, "-c", simulated / "config.yaml", "-o", tmp_path / "out"]
     arguments += ["--vary", "graph.lag_s=1.5,2,2.5,3"]
@@ -138,6 +149,38 @@ def test_a_mistake_ends_in_one_line_and_exit_code_2(simulated: Path, tmp_path: P
         assert result.returncode == 2
         assert said in result.stderr
         assert len(result.stderr.splitlines()) == 1
+
+
+def test_ctrl_c_in_a_terminal_reaches_the_replays_too_and_none_counts_as_failed(simulated: Path, tmp_path: Path):
+    arguments = [simulated, "-c", simulated / "config.yaml", "-o", tmp_path / "out", "--jobs", "2"]
+    command = [*MAIN, "batch", *map(str, arguments), "--vary", "graph.lag_s=1.5,2"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    deadline = time.monotonic() + LIMIT_S
+    while len(list(tmp_path.glob("out/*/imu_in_world.tum"))) < 2 and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+    states = [json.loads(file.read_text())["state"] for file in tmp_path.glob("out/*/run.json")]
+    assert "failed" not in states
+
+
+def test_the_table_on_a_terminal_tells_units_and_reasons():
+    from rich.console import Console
+
+    from holdfast.cli.batch import progress_table
+    from holdfast.fleet.run import Outcome
+
+    console = Console(width=120, record=True, file=StringIO())
+    outcomes = [
+        Outcome("a [1]", "done", "", "", 12.3, {"horizontal_m": 0.0123}),
+        Outcome("b", "failed", "", "why [not]"),
+    ]
+    console.print(progress_table(outcomes))
+    text = console.export_text()
+    for part in ("time [s]", "horizontal RMS [m]", "a [1]", "0.012", "why [not]", "1 done, 0 running, 1 failed"):
+        assert part in text
 
 
 @pytest.fixture(scope="module")

@@ -35,6 +35,7 @@ class LiveProcess:
         content["live"] = LOOPBACK | {"domain_id": domain} | live
         path = folder / "live.yaml"
         path.write_text(json.dumps(content))
+        self.config = str(path)
         self._log = folder / "live.log"
         code = (
             RUN

@@ -3,6 +3,8 @@
 import json
 import resource
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -135,9 +137,13 @@ def test_a_drive_with_controls_a_full_disk_and_ctrl_c(live, joined, tmp_path):
         ("base_link", "cabin"),
     ]
 
-    for topic, latched in (("/holdfast/datum", True), ("/tf_static", True)):  # for those who come late
-        net.subscribe(topic, FIX if "datum" in topic else "tf2_msgs/msg/TFMessage", reliable=True, latched=latched)
-    samples = {s.topic: STORE.deserialize_cdr(s.data, s.type_name) for s in machine.hear(time.monotonic() + 2.0)}
+    latched = {"/holdfast/datum": FIX, "/tf_static": "tf2_msgs/msg/TFMessage", "/rosout": "rcl_interfaces/msg/Log"}
+    for topic, name in latched.items():  # for those who come late
+        net.subscribe(topic, name, reliable=True, latched=True)
+    late = machine.hear(time.monotonic() + 2.0)
+    samples = {s.topic: STORE.deserialize_cdr(s.data, s.type_name) for s in late}
+    said = [STORE.deserialize_cdr(s.data, s.type_name).msg for s in late if s.topic == "/rosout"]
+    assert any("the world's origin is" in text for text in said) and any("initialised" in text for text in said)
     configured = YAML(typ="safe").load((drive() / "config.yaml").read_text())["frames"]["datum"]
     datum = samples["/holdfast/datum"]
     assert (datum.latitude, datum.longitude, datum.altitude) == tuple(configured.values())
@@ -203,15 +209,18 @@ def test_without_a_single_message_it_says_so_and_exits_with_4(live):
     ((), {"interface": "nowhere0"}, "live.interface = nowhere0: this machine has"),
     ((), {"domain_id": 233}, "live.domain_id = 233: must be <= 232"),
     ((), {"namespace": "machine"}, "live.namespace"),
+    ((), {"sensors": {"gnss": {"topic": "/imu/data"}}}, "sensors.gnss.topic: /imu/data is that of another sensor"),
     (("--record", "/nowhere/log.mcap"), {}, "--record /nowhere/log.mcap: cannot be written"),
     (("--view", "scene.mp4"), {}, "--view scene.mp4: must be"),
     (("--duration", "-1"), {}, "--duration -1: must be > 0"),
 ])  # fmt: skip
 def test_a_mistake_of_the_user_is_one_line_and_exit_code_2(domain, tmp_path, mistake, capfd):
-    arguments, settings, words = mistake
+    arguments, settings, words = mistake[0], dict(mistake[1]), mistake[2]
     from holdfast.cli import main
 
-    content = {"sensors": {"imu": {"topic": "/imu/data"}}, "live": LOOPBACK | {"domain_id": domain} | settings}
+    sensors = {"imu": {"topic": "/imu/data"}} | settings.pop("sensors", {})
+    extrinsics = [{"parent": "imu", "child": "gnss", "translation_m": [1.0, 0.0, 1.0]}]
+    content = {"sensors": sensors, "extrinsics": extrinsics, "live": LOOPBACK | {"domain_id": domain} | settings}
     (tmp_path / "live.yaml").write_text(json.dumps(content))
     with pytest.MonkeyPatch.context() as patched, pytest.raises(SystemExit) as stopped:
         patched.setattr("sys.argv", ["holdfast", "live", "-c", str(tmp_path / "live.yaml"), *arguments])
@@ -219,3 +228,30 @@ def test_a_mistake_of_the_user_is_one_line_and_exit_code_2(domain, tmp_path, mis
     assert stopped.value.code == 2
     lines = capfd.readouterr().err.splitlines()
     assert len(lines) == 1 and words in lines[0], lines
+
+
+@pytest.mark.parametrize("after_s", [0.6, 1.2, 1.8])
+def test_ctrl_c_while_it_starts_is_one_word_and_no_traceback_of_any_process(live, tmp_path, after_s):
+    process = live("--record", tmp_path / "log.mcap")
+    time.sleep(after_s)
+    assert process.end() == 130
+    said = "\n".join(process.lines())
+    assert "Traceback" not in said and "KeyboardInterrupt" not in said, said
+    assert process.lines()[-1] == "interrupted"
+
+
+@pytest.mark.parametrize(("missing", "arguments", "extra"), [
+    ("cyclonedds", ("live", "-c", "CONFIG"), "dds"),
+    ("rerun", ("live", "-c", "CONFIG", "--view"), "viz"),
+    ("rerun", ("view", "RECORDING"), "viz"),
+])  # fmt: skip
+def test_a_missing_extra_is_named_with_the_command_that_installs_it(missing, arguments, extra, domain, tmp_path):
+    content = {"sensors": {"imu": {"topic": "/imu/data"}}, "live": LOOPBACK | {"domain_id": domain}}
+    (tmp_path / "live.yaml").write_text(json.dumps(content))
+    places = {"CONFIG": str(tmp_path / "live.yaml"), "RECORDING": str(drive() / "recording.mcap")}
+    code = f"import sys; sys.modules[{missing!r}] = None; from holdfast.cli import main; main()"
+    command = [sys.executable, "-c", code, *(places.get(argument, argument) for argument in arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[0].endswith(f'pip install "holdfast[{extra}]"')
+    assert len(done.stderr.splitlines()) == 1

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from network import drive, messages, plain
 
+from holdfast.cli import holdfast
 from holdfast.recording.tum import read_tum
 
 SECONDS = 6.0
@@ -84,7 +86,16 @@ def test_a_ros_node_and_holdfast_agree_on_every_field(distribution, ros_python, 
         assert all(message in recorded[topic] for message in heard), topic
     assert {topic: found["topics"].get(topic) for topic in TOPICS} == {topic: [name] for topic, name in TOPICS.items()}
     assert any(m["status"][0]["message"] == "nominal" for m in found["heard"]["/diagnostics"])
-    assert_near_truth(found)
+    heard = found["heard"]["/holdfast/odometry/world"]
+    stamps = [m["header"]["stamp"]["sec"] * 10**9 + m["header"]["stamp"]["nanosec"] for m in heard]
+    positions = [[m["pose"]["pose"]["position"][axis] for axis in "xyz"] for m in heard]
+    assert_near_truth(stamps, np.array(positions), found["offset_ns"])
+    assert (
+        CliRunner().invoke(holdfast, ["replay", str(log), "-c", process.config, "-o", str(tmp_path / "out")]).exit_code
+        == 0
+    )
+    replayed = read_tum(tmp_path / "out" / "imu_in_world.tum")  # the log is a recording like any other
+    assert_near_truth(replayed.stamps_ns, replayed.positions, found["offset_ns"])
 
 
 def single_bytes(message):
@@ -94,13 +105,10 @@ def single_bytes(message):
     return message
 
 
-def assert_near_truth(found):
-    """Fixes have a sigma of 8 mm horizontally: what is published live stays within 5 cm of the truth."""
+def assert_near_truth(stamps_ns, positions, offset_ns):
+    """Fixes have a sigma of 8 mm horizontally: what is estimated stays within 5 cm of the truth."""
     truth = read_tum(drive() / "truth" / "imu_in_world.tum")
-    heard = found["heard"]["/holdfast/odometry/world"]
-    stamps = [m["header"]["stamp"]["sec"] * 10**9 + m["header"]["stamp"]["nanosec"] for m in heard]
-    positions = np.array([[m["pose"]["pose"]["position"][axis] for axis in "xyz"] for m in heard])
-    at = np.array(stamps) - found["offset_ns"]
+    at = np.asarray(stamps_ns) - offset_ns - truth.stamps_ns[0]
     for axis in range(2):
-        true = np.interp(at - truth.stamps_ns[0], truth.stamps_ns - truth.stamps_ns[0], truth.positions[:, axis])
+        true = np.interp(at, truth.stamps_ns - truth.stamps_ns[0], truth.positions[:, axis])
         assert np.abs(positions[:, axis] - true).max() < 0.05

@@ -135,7 +135,7 @@ def test_a_folder_of_another_kind_of_run_is_refused(tmp_path):
     from holdfast.paper.evaluation import SETTINGS, evaluate
 
     (tmp_path / SETTINGS).write_text(json.dumps({"quick": False, "scenarios": "other", "versions": {}}))
-    with pytest.raises(ConfigError, match="other quick and scenarios and versions"):
+    with pytest.raises(ConfigError, match="other quick and scenarios and code and versions"):
         evaluate(tmp_path, 1, True, 1, lent(), "test")
 
 

@@ -22,7 +22,7 @@ sys.path.append(str(Path(__file__).parents[1] / "report"))
 from chromium import DESKTOP, PHONE, check_page, needs_chromium
 
 TIMES = {"count": 100.0, "mean": 12.0, "std": 3.0, "median": 11.0, "p90": 15.0, "p99": 20.0, "max": 50.0}
-SHARE = Closeness(points=1000, median_m=0.01, p95_m=0.04, rms_m=0.02, share_within=0.97)
+SHARE = Closeness(points=1000, area_m2=500.0, median_m=0.01, p95_m=0.04, rms_m=0.02, share_within=0.97)
 
 
 def statistics(value: float) -> Statistics:
@@ -138,6 +138,14 @@ def test_a_run_without_a_verdict_is_told(tmp_path: Path):
     failed = replace(whole.runs[0], failure="ValueError: what went wrong", seed=7)
     write_report(replace(whole, runs=(*whole.runs, failed)), tmp_path)
     assert "ValueError: what went wrong" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_system_without_a_map_is_told(tmp_path: Path):
+    from holdfast.report.page import render
+
+    failed = replace(maps()[1], failure="the trajectory covers none of the 9 scans", closeness={}, view=None)
+    html = render(paper_page(results(), (*maps()[:1], failed)))
+    assert "No map of construction with the poses of Holdfast: the trajectory covers none" in html
 
 
 def test_results_of_a_quick_look_say_that_they_are():

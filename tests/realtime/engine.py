@@ -8,10 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from holdfast.cli.subscriptions import subscriptions
+from holdfast.cli.trial import write_simulation
 from holdfast.config.load import load_config
 from holdfast.config.model import Config
 from holdfast.messages import ImuSample, Message
 from holdfast.recording.source import open_recording
+from holdfast.sim.scenario import load_scenario
 
 SECONDS = 20.0
 
@@ -30,12 +32,7 @@ class Drive(NamedTuple):
 
 
 def simulated(folder: Path) -> Drive:
-    from click.testing import CliRunner
-
-    from holdfast.cli.simulate import simulate
-
-    result = CliRunner().invoke(simulate, ["quick", "-o", str(folder)], catch_exceptions=False)
-    assert result.exit_code == 0, result.output
+    write_simulation(load_scenario("quick", {}), 0, folder)
     config = load_config(folder / "config.yaml")
     with open_recording(folder) as recording:
         messages = list(recording.read(subscriptions(config)))

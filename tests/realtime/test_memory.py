@@ -116,6 +116,7 @@ def same(one, other):
             assert a == b, field.name
 
 
+@settings(deadline=None)
 @given(epoch=st.integers(0, 2**40), samples=st.integers(0, 2**40), message=messages)
 def test_a_measurement_comes_out_as_it_went_in(epoch, samples, message):
     *counted, unpacked = unpack_request(pack_request(epoch, samples, message))
@@ -124,6 +125,7 @@ def test_a_measurement_comes_out_as_it_went_in(epoch, samples, message):
     same(unpacked, message)
 
 
+@settings(deadline=None)
 @given(sample=st.builds(ImuSample, stamps, stamps, st.just("imu"), vector(3), vector(3)))
 def test_a_sample_comes_out_as_it_went_in(sample):
     epoch, unpacked = unpack_sample(pack_sample(7, sample))

@@ -22,6 +22,11 @@ time.sleep(60)
 COMMAND = [sys.executable, "-c", "from holdfast.cli import main; main()"]
 
 
+def replay(drive, folder):
+    config = drive.folder / "config.yaml"
+    return [*COMMAND, "replay", str(drive.folder), "-c", str(config), "-o", str(folder), "--realtime"]
+
+
 def is_running(pid):
     try:
         state = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()[0]
@@ -90,7 +95,7 @@ def children(pid):
 
 def test_ctrl_c_in_a_replay_writes_what_came_and_ends_both(drive, tmp_path):
     process = subprocess.Popen(
-        [*COMMAND, "replay", str(drive.folder), "-c", str(drive.folder / "config.yaml"), "-o", str(tmp_path), "--realtime"],
+        replay(drive, tmp_path),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -117,8 +122,7 @@ def test_ctrl_c_in_a_replay_writes_what_came_and_ends_both(drive, tmp_path):
 
 def test_a_realtime_replay_tells_the_same_story(drive, tmp_path):
     done = subprocess.run(
-        [*COMMAND, "replay", str(drive.folder), "-c", str(drive.folder / "config.yaml"), "-o", str(tmp_path)]
-        + ["--realtime", "--rate", "4", "--duration", "10"],
+        [*replay(drive, tmp_path), "--rate", "4", "--duration", "10"],
         capture_output=True,
         text=True,
         check=False,
@@ -132,3 +136,36 @@ def test_a_realtime_replay_tells_the_same_story(drive, tmp_path):
     assert summary["events"].get("optimiser_fault", 0) == 0
     assert summary["timing"]["update_ms"]["count"] > 50
     assert summary["timing"]["wall_s"] > 2.4
+
+
+def test_each_process_runs_where_the_configuration_puts_it(drive):
+    allowed = sorted(os.sched_getaffinity(0))
+    if len(allowed) < 2:
+        pytest.skip("one core")
+    code = (
+        "import os, sys, holdfast\n"
+        "config = holdfast.load_config(sys.argv[1])\n"
+        "values = dict(pair.split('=') for pair in sys.argv[2:])\n"
+        "realtime = config.realtime.model_copy(update={name: int(value) for name, value in values.items()})\n"
+        "with holdfast.RealtimeEstimator(config.model_copy(update={'realtime': realtime})) as engine:\n"
+        "    engine.wait_until_ready()\n"
+        "    pid = engine.optimiser_pid\n"
+        "    here, there = (sorted(os.sched_getaffinity(one)) for one in (0, pid))\n"
+        "    print(here, there, os.getpriority(os.PRIO_PROCESS, pid))\n"
+    )
+
+    def placed(*settings):
+        done = subprocess.run(
+            [sys.executable, "-c", code, str(drive.folder / "config.yaml"), *settings],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=60,
+        )
+        return done.stdout.strip() or done.stderr
+
+    nice = os.getpriority(os.PRIO_PROCESS, 0)
+    assert placed() == f"{allowed} {allowed} {nice}"
+    assert placed(f"imu_core={allowed[0]}", "optimiser_nice=2") == f"[{allowed[0]}] {allowed} {min(nice + 2, 19)}"
+    assert placed(f"optimiser_core={allowed[1]}") == f"{allowed} [{allowed[1]}] {nice}"
+    assert "realtime.imu_core = 4096: must be one of" in placed("imu_core=4096")

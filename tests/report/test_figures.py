@@ -3,7 +3,17 @@
 import numpy as np
 import pytest
 
-from holdfast.report.figures import MAX_POINTS, Line, Panel, decimated, over_time, picture_map, track_map
+from holdfast.report.figures import (
+    MAX_POINTS,
+    Line,
+    Panel,
+    Span,
+    decimated,
+    over_time,
+    picture_map,
+    time_line,
+    track_map,
+)
 from holdfast.report.png import encode_png
 
 
@@ -47,6 +57,14 @@ def test_a_line_keeps_its_colour_and_name_over_all_panels():
     colours = {(trace.name, trace.line.color) for trace in figure.data}
     assert len(colours) == 2
     assert [trace.name for trace in figure.data if trace.showlegend] == ["a", "b"]
+
+
+def test_a_time_line_of_a_thousand_spans_has_few_traces_and_every_span():
+    spans = [Span("health", k, k + 0.5, "#009e73" if k % 2 else "#d55e00", f"span {k}") for k in range(1000)]
+    figure = time_line(["health"], spans, {"good": "#009e73"}, 1000.0)
+    assert len(figure.data) == 3
+    begun = sorted(start for trace in figure.data if trace.base is not None for start in trace.base)
+    assert begun == list(range(1000))
 
 
 def test_a_track_is_drawn_to_scale():

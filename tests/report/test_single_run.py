@@ -100,6 +100,19 @@ def test_without_a_reference_there_are_no_errors_but_all_the_rest(simulated: Pat
     assert {"track", "health", "correction", "sigmas", "latencies"} <= set(numbers["figures"])
 
 
+def test_errors_at_held_out_fixes_are_those_of_the_summary(simulated: Path, tmp_path: Path):
+    call(
+        "replay", simulated, "-c", simulated / "config.yaml", "-o", tmp_path, "--hold-out", "gnss=2", "--duration", "9"
+    )
+    call("report", tmp_path)
+    held_out = json.loads((tmp_path / "summary.json").read_text())["held_out"]["causal"]["all"]
+    table = json.loads((tmp_path / "report.json").read_text())["tables"]["held-out"]
+    row = dict(zip(table["columns"], table["rows"][0], strict=True))
+    assert (row["track"], row["when"]) == ("causal", "all")
+    assert row["fixes"] == held_out["horizontal_m"]["count"] > 50
+    assert row["horizontal RMS [m]"] == pytest.approx(held_out["horizontal_m"]["rms"], rel=1e-6)
+
+
 def test_biases_are_drawn_where_the_diagnostics_have_them(simulated: Path, tmp_path: Path):
     folder = tmp_path / "out"
     shutil.copytree(simulated / "out", folder)
@@ -118,9 +131,13 @@ def test_biases_are_drawn_where_the_diagnostics_have_them(simulated: Path, tmp_p
             header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
             array = types["diagnostic_msgs/msg/DiagnosticArray"](header=header, status=[status])
             writer.write("/diagnostics", array, "diagnostic_msgs/msg/DiagnosticArray", stamp_ns)
-    run = read_run(folder, None)
+    run = read_run(folder, simulated / "truth")
     np.testing.assert_allclose(run.bias_times_s, [0.0, 1.0, 2.0], atol=1e-6)
     np.testing.assert_allclose(run.biases, np.arange(6)[None] + np.arange(3)[:, None])
+    table = np.genfromtxt(simulated / "truth" / "imu_bias.csv", delimiter=",", names=True)
+    assert run.true_biases is not None
+    np.testing.assert_array_equal(run.true_biases[:, 0], table["gyroscope_x_rad_s"])
+    np.testing.assert_array_equal(run.true_biases[:, 5], table["accelerometer_z_m_s2"])
     assert "biases" in {block.key for section in single_run_page(run).sections for block in section.blocks}
 
 
@@ -161,6 +178,10 @@ def test_a_reference_of_another_time_and_a_wrong_name_are_told(simulated: Path, 
     (tmp_path / "other.tum").write_text("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n")
     with pytest.raises(RecordingError, match=r"other\.tum: no overlap in time"):
         call("report", simulated / "out", "--reference", tmp_path / "other.tum")
+    with pytest.raises(RecordingError, match=r"none\.tum: no such file"):
+        call("report", simulated / "out", "--reference", tmp_path / "none.tum")
+    with pytest.raises(RecordingError, match=r"imu_bias\.csv: no such file"):
+        call("report", simulated / "out", "--reference", tmp_path)
     with pytest.raises(HoldfastError, match=r"must end in \.html"):
         call("report", simulated / "out", "-o", tmp_path / "report.pdf")
 

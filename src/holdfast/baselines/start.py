@@ -17,6 +17,9 @@ from holdfast.sensors.heading import AxisYaw, yaw_of
 from holdfast.sensors.imu import ImuBuffer
 
 MAX_MEAN_RATE_RAD_S = 0.05  # turning evenly is not standing
+BATCHES = 10  # parts of the window whose means are compared
+CHANGE_SHARE = 0.1  # of the allowed spread, by which the mean may change within the window
+ENGINE = 10.0  # an idling engine shakes so many times as much as a motion may
 KEPT_FIXES = 200
 SIMULTANEOUS_NS = 20_000_000
 STANDSTILL_VELOCITY_SIGMA = 0.05  # [m/s]
@@ -59,8 +62,7 @@ class StandstillStart:
             return None
         force, rate = readings[0].mean(axis=0), readings[1].mean(axis=0)
         still = self._config.standstill
-        quiet = readings[0].std(axis=0).max() <= still.max_acceleration
-        quiet &= readings[1].std(axis=0).max() <= still.max_angular_rate_rad_s
+        quiet = _is_quiet(readings[0], still.max_acceleration) and _is_quiet(readings[1], still.max_angular_rate_rad_s)
         if not (quiet and np.linalg.norm(rate) <= MAX_MEAN_RATE_RAD_S and self._fixes_stand(now)):
             self.reason = "the machine has not stood still: the baselines cannot start in motion"
             return None
@@ -159,6 +161,16 @@ class StandstillStart:
         S[15:, 15:] = np.eye(3) * gyro_sigma**2
         covariance: Array = J @ S @ J.T
         return covariance
+
+
+def _is_quiet(readings: Array, bound: float) -> bool:
+    """Whether readings (N, 3) spread as at standstill: an engine may shake them, but moves no mean of a tenth."""
+    means = np.array([part.mean(axis=0) for part in np.array_split(readings, min(BATCHES, len(readings)))])
+    half = len(readings) // 2
+    change = abs(readings[half:].mean(axis=0) - readings[:half].mean(axis=0))
+    spread = means.std(axis=0, ddof=1)
+    allowed = CHANGE_SHARE * bound + 3.0 * spread * np.sqrt(4.0 / len(means))
+    return bool(spread.max() <= bound and readings.std(axis=0).max() <= ENGINE * bound and (change <= allowed).all())
 
 
 def cross_matrix(v: Array) -> Array:

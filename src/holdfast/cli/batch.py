@@ -123,7 +123,7 @@ def progress_table(outcomes: "Sequence[Outcome]") -> "Table":
         f"{sum(outcome.state == state for outcome in outcomes)} {state}"
         for state in ("done", "running", "failed", "waiting")
     )
-    table = Table("run", "state", "time [s]", "horizontal RMS [m]", "why", title=f"{counts} of {len(outcomes)}")
+    table = Table("run", "state", "time \\[s]", "horizontal RMS \\[m]", "why", title=f"{counts} of {len(outcomes)}")
     order = ("running", "failed", "done", "stopped", "waiting")
     chosen = outcomes
     if len(outcomes) > SHOWN:

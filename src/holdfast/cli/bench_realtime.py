@@ -23,6 +23,7 @@ COLUMNS = ("mean", "std", "median", "p99", "p99.9", "max")
 TITLES = {
     "busy": "optimiser busy",
     "idle": "optimiser idle",
+    "cabin_only": "optimiser busy, without the chassis",
     "back_to_back": "back to back",
 }
 
@@ -45,11 +46,12 @@ def realtime(  # noqa: PLR0917 (click passes the options by name)
     """Measure the realtime engine.
 
     Plays a recording at its own pace: the time from the arrival of an IMU sample until the propagated state is there,
-    with the optimiser busy and, for half as long, idle; and once back to back, as fast as it goes. The floor is GTSAM
-    alone taking in one sample, half way between two others in the same loop, so that its caches are as cold.
+    with the optimiser busy and, each for half as long, with an idle one, with samples back to back, and without the
+    state of the chassis. The floor is GTSAM alone taking in one sample, half way between two others in the same loop,
+    so that its caches are as cold.
     """
     from holdfast.replay.benchmark import describe_machine
-    from holdfast.replay.realtime_benchmark import measure_realtime, summarise_measured
+    from holdfast.replay.realtime_benchmark import measure_realtime, summarise_measured, without_chassis
 
     check_window(0.0, duration_s)
     if (recording is None) != (config_path is None):
@@ -59,15 +61,17 @@ def realtime(  # noqa: PLR0917 (click passes the options by name)
     with _material(recording, config_path, duration_s, nodes) as (config, messages):
         pace: Pace = "spin" if spin else "sleep"
         half = messages[: len(messages) // 2]
-        wanted: dict[str, tuple[Sequence[Message], Pace, bool]] = {
-            "busy": (messages, pace, False),
-            "idle": (half, pace, True),
-            "back_to_back": (messages, "none", False),
+        wanted: dict[str, tuple[Config, Sequence[Message], Pace, bool]] = {
+            "busy": (config, messages, pace, False),
+            "idle": (config, half, pace, True),
+            "back_to_back": (config, half, "none", False),
         }
+        if config.has_base():
+            wanted["cabin_only"] = (without_chassis(config), half, pace, False)
         runs = {}
-        for name, (played, how, is_idle) in wanted.items():
+        for name, (used, played, how, is_idle) in wanted.items():
             with progress_bar(TITLES[name], played[0].arrival_ns, played[-1].arrival_ns) as progress:
-                measured = measure_realtime(config, played, how, is_idle=is_idle, progress=progress)
+                measured = measure_realtime(used, played, how, is_idle=is_idle, progress=progress)
             runs[name] = summarise_measured(measured)
     result = {
         "recording": recording or "construction",

@@ -4,6 +4,7 @@ import gc
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from multiprocessing import resource_tracker
 from time import monotonic
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -47,12 +48,13 @@ def live(config_path: str, record_path: str | None, view_target: str | None, dur
     with ExitStack() as stack:
         stopped = stack.enter_context(_signals())
         network = stack.enter_context(_network(config.live))
-        feeds = _feeds(stack, record_path, view_target)
         from holdfast.live.node import LiveNode
         from holdfast.realtime.engine import RealtimeEstimator
 
-        engine = stack.enter_context(RealtimeEstimator(config))
-        engine.wait_until_ready()
+        with _held_back():
+            feeds = _feeds(stack, record_path, view_target)
+            engine = stack.enter_context(RealtimeEstimator(config))
+            engine.wait_until_ready()
         node = LiveNode(config, subscriptions(config), engine, network, feeds=feeds, say=_say)
         _say(f"listening on domain {network.domain_id}: {', '.join(node.inputs.topics)}")
         _say(f"publishing {', '.join(node.outputs.topics)}")
@@ -106,6 +108,17 @@ def _feeds(stack: ExitStack, record_path: str | None, view_target: str | None) -
         stack.callback(feed.close)
         feeds.append(feed)
     return feeds
+
+
+@contextmanager
+def _held_back() -> Iterator[None]:
+    """Hold signals back, also from what is started meanwhile: a process that still imports would end in a traceback."""
+    resource_tracker.ensure_running()  # multiprocessing's own: at its start it lets signals through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """`holdfast report`: one HTML page about a replay, from the files that it wrote."""
 
+import csv
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -9,11 +10,15 @@ import click
 from holdfast.errors import ConfigError, RecordingError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from holdfast.messages import Array
     from holdfast.report.run_record import Errors, RunRecord
     from holdfast.state import Trajectory
 
-TRUTH = "imu_in_world.tum"
+TRUTH, TRUE_BIASES = "imu_in_world.tum", "imu_bias.csv"
+TRUE_SENSORS = (("gyroscope", "rad_s"), ("accelerometer", "m_s2"))
 EVERY = 10  # of the estimates in estimates.mcap one is decoded: covariances change slowly
 BIAS_KEYS = tuple(
     f"bias_{sensor}_{axis}_{unit}" for sensor, unit in (("gyro", "rad_s"), ("accel", "m_s2")) for axis in "xyz"
@@ -52,8 +57,6 @@ def report(folder: Path, reference: Path | None, output: Path | None) -> None:
     from holdfast.report.page import write_page
     from holdfast.report.single_run import single_run_page
 
-    if reference is not None and reference.is_dir():
-        reference /= TRUTH
     file = folder / "report.html" if output is None else output
     if file.suffix.lower() not in (".html", ".htm"):
         raise ConfigError(f"--output {file}: the name must end in .html")
@@ -77,7 +80,10 @@ def read_run(folder: Path, reference: Path | None) -> "RunRecord":
     world, odometry = (read_tum(folder / f"imu_in_{name}.tum") for name in ("world", "odom"))
     start_ns = int(summary.get("start_ns") or min(int(world.stamps_ns[0]), *(e["stamp_ns"] for e in events)))
     claims, notes = _read_claims(folder / "estimates.mcap")
-    truth, errors = None, None
+    truth, errors, true_bias_ns, true_biases = None, None, None, None
+    if reference is not None and reference.is_dir():
+        true_bias_ns, true_biases = _read_true_biases(reference / TRUE_BIASES)
+        reference /= TRUTH
     if reference is not None:
         truth = read_tum(reference)
         errors = _judge(world, truth, reference, start_ns)
@@ -97,6 +103,8 @@ def read_run(folder: Path, reference: Path | None) -> "RunRecord":
         sigmas=claims.sigmas,
         bias_times_s=(claims.bias_stamps_ns - start_ns) * 1e-9,
         biases=claims.biases,
+        true_bias_times_s=None if true_bias_ns is None else (true_bias_ns - start_ns) * np.float64(1e-9),
+        true_biases=true_biases,
         reference=None if truth is None else _of_the_time(truth, world),
         errors=errors,
         notes=[*notes, *summary["warnings"]],
@@ -107,7 +115,9 @@ def _read_summary(folder: Path) -> dict[str, Any]:
     file = folder / "summary.json"
     try:
         summary: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        missing = [key for key in ("recording", "counts", "timing", "versions", "config") if key not in summary]
+        missing = [
+            key for key in ("recording", "counts", "timing", "held_out", "versions", "config") if key not in summary
+        ]
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise ConfigError(f"{file}: {reason} (allowed: a folder that `holdfast replay` has written)") from None
@@ -171,6 +181,22 @@ def _read_claims(file: Path) -> tuple[Claims, list[str]]:
     table = np.array(rows).reshape(-1, 3)
     sigmas = {"horizontal [m]": table[:, 0], "vertical [m]": table[:, 1], "yaw [deg]": np.degrees(table[:, 2])}
     return Claims(np.array(stamps), sigmas, np.array(bias_stamps), np.array(biases).reshape(-1, 6)), notes
+
+
+def _read_true_biases(file: Path) -> "tuple[NDArray[np.int64], Array]":
+    """Read stamps (T,) [ns] and true biases (T, 6) of the gyroscope, then the accelerometer."""
+    import numpy as np
+
+    axes = [f"{sensor}_{axis}_{unit}" for sensor, unit in TRUE_SENSORS for axis in "xyz"]
+    try:
+        with file.open(encoding="utf-8") as stream:
+            rows = list(csv.DictReader(stream))
+        stamps = np.array([int(row["stamp_ns"]) for row in rows], dtype=np.int64)
+        return stamps, np.array([[float(row[axis]) for axis in axes] for row in rows]).reshape(-1, 6)
+    except OSError as error:
+        raise RecordingError(f"{file}: {(error.strerror or str(error)).lower()}") from None
+    except (KeyError, TypeError, ValueError):
+        raise RecordingError(f"{file}: is no table of biases (allowed: that of `holdfast simulate`)") from None
 
 
 def _judge(world: "Trajectory", truth: "Trajectory", source: Path, start_ns: int) -> "Errors":

@@ -27,6 +27,7 @@ from holdfast.state import EventKind, Health, OptimisedState, Outcome
 
 STANDARD_GRAVITY = 9.80665
 RECENT = 64  # stamps per sensor among which a duplicate is looked for
+LATE_NS = 10_000_000_000  # by which a measurement that starts the estimator may be late
 FUTURE_NS = 1_000_000_000  # further ahead of the IMU's clock a stamp is an error
 
 Measurement = GnssFix | LidarPose | Heading
@@ -77,6 +78,7 @@ class Optimiser:
         self._lidar = None if lidar is None else LidarModel(lidar, gtsam.Pose3(config.T_I(lidar.frame)))
         self._gnss = GnssFusion(config, self._antennas, self._lidar, journal.tell, journal.count)
         self._node_interval_ns = round(config.graph.max_node_interval_s * 1e9)
+        self._start_window_ns = round(config.initialisation.window_s * 1e9) + LATE_NS
         self.graph: DualGraph
         self.gravity = STANDARD_GRAVITY
         self.world: LocalFrame | None = None
@@ -133,6 +135,7 @@ class Optimiser:
             self._tell(EventKind.CLOCK_STEP, raw_ns, "imu", "the clock has gone back: starting over")
             self._start_over()
         if not self.has_started:
+            self._buffer.forget_before(stamp - self._start_window_ns)
             return
         if self._buffer.gap_found_ns is not None:
             self._tell(EventKind.IMU_GAP, self._buffer.gap_found_ns, "imu", "samples on a straight line")

@@ -8,6 +8,9 @@ difference: T_O_I arrives where the state published before leads it, whatever ha
 velocity, also where the IMU was silent in between.
 """
 
+from collections.abc import Callable
+from weakref import ref
+
 import gtsam
 import numpy as np
 
@@ -23,31 +26,54 @@ FOLD_S = 1.0  # the walk of the biases enters the covariance this often
 class Spread:
     """The covariance (9, 9) after preintegrated samples, computed when it is asked for: (8) in docs/math.md.
 
+    Whoever adds a sample to `pim` calls `keep` before, if somebody still holds this.
+
     Args:
-        F: (9, 9) and (9, 6), how the state depends on the state at the base and on the bias.
-        covariance: (15, 15) of these two.
-        noise: (9, 9) of the samples.
+        pim: the samples.
+        nav: the state before them.
+        bias: the biases at which the state after them is predicted.
+        covariance: (15, 15) of state and biases.
     """
 
-    __slots__ = ("_F_bias", "_F_nav", "_base", "_noise", "_value")
+    __slots__ = ("__weakref__", "_bias", "_covariance", "_kept", "_nav", "_pim", "_value")
 
-    def __init__(self, F: tuple[Array, Array], covariance: Array, noise: Array) -> None:
-        self._F_nav, self._F_bias = F
-        self._base, self._noise = covariance, noise
+    def __init__(
+        self,
+        pim: gtsam.PreintegratedImuMeasurements,
+        nav: gtsam.NavState,
+        bias: gtsam.imuBias.ConstantBias,
+        covariance: Array,
+    ) -> None:
+        self._pim, self._nav, self._bias, self._covariance = pim, nav, bias, covariance
+        self._kept: tuple[Array, Array, Array] | None = None
         self._value: Array | None = None
+
+    def keep(self) -> None:
+        """Keep what the covariance is made of."""
+        if self._kept is None and self._value is None:
+            by_nav, by_bias = np.empty((9, 9), order="F"), np.empty((9, 6), order="F")
+            self._pim.predict(self._nav, self._bias, by_nav, by_bias)
+            self._kept = by_nav, by_bias, self._pim.residualCovariance()
 
     def __call__(self) -> Array:
         """Return the covariance."""
         if self._value is None:
             F = self.transition()
-            self._value = F @ self._base @ F.T
-            self._value += self._noise
+            assert self._kept is not None
+            self._value = F @ self._covariance @ F.T
+            self._value += self._kept[2]
+            self._kept = None
         return self._value
 
+    def __reduce__(self) -> tuple[Callable[[Array], Array], tuple[Array]]:
+        return np.asarray, (self(),)
+
     def transition(self) -> Array:
-        """Return F (9, 15)."""
+        """Return F (9, 15), how the state depends on the state before and on the biases; asked for before all else."""
+        self.keep()
+        assert self._kept is not None
         F = np.empty((9, 15))
-        F[:, :9], F[:, 9:] = self._F_nav, self._F_bias
+        F[:, :9], F[:, 9:], _ = self._kept
         return F
 
 
@@ -67,6 +93,7 @@ class Propagation:
         self.from_imu: bool
         self._pim: gtsam.PreintegratedImuMeasurements
         self._base: gtsam.NavState
+        self._given: Callable[[], Spread | None] = lambda: None  # what `predict` has given, while somebody holds it
 
     def start(self, state: OptimisedState) -> None:
         """Begin with a state and carry it to the newest sample."""
@@ -109,9 +136,14 @@ class Propagation:
 
     def predict(self) -> tuple[gtsam.NavState, Spread]:
         """Return the state now and its covariance."""
-        return self._predict(self._pim)
+        spread = self._spread(self._pim)
+        self._given = ref(spread)
+        return self.nav(), spread
 
     def _integrate(self, step: Step) -> None:
+        given = self._given()
+        if given is not None:
+            given.keep()
         self.rate = integrate(self._pim, step, self._bias_accel, self._bias_gyro)
         self.from_imu = True
 
@@ -123,14 +155,12 @@ class Propagation:
         force = self._buffer.latest_force() - self._bias_accel
         self._pim = gtsam.PreintegratedImuMeasurements(self._noise.params(force, self.rate, nav.attitude()), bias)
 
-    def _predict(self, pim: gtsam.PreintegratedImuMeasurements) -> tuple[gtsam.NavState, Spread]:
-        F = np.empty((9, 9), order="F"), np.empty((9, 6), order="F")
-        nav = pim.predict(self._base, self._bias, *F)
-        return nav, Spread(F, self._base_covariance, pim.residualCovariance())
+    def _spread(self, pim: gtsam.PreintegratedImuMeasurements) -> Spread:
+        return Spread(pim, self._base, self._bias, self._base_covariance)
 
     def _fold(self, pim: gtsam.PreintegratedImuMeasurements) -> None:
         """Make the state after `pim` the new base, so that other noise and the walk of the biases can be added."""
-        nav, spread = self._predict(pim)
+        nav, spread = pim.predict(self._base, self._bias), self._spread(pim)
         covariance = self._base_covariance + self._bias_walk * pim.deltaTij()
         covariance[:9, 9:] = spread.transition() @ self._base_covariance[:, 9:]
         covariance[9:, :9] = covariance[:9, 9:].T

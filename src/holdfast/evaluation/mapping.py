@@ -1,8 +1,9 @@
 """Maps from scans and the poses of any trajectory, and how far they lie from the true surface (paper, Figs. 1 and 5).
 
 Every point is moved to the pose of the lidar at its own time, so a map is wrong by what the trajectory is wrong and by
-the noise of the ranges. Of the points in each voxel one is kept, drawn at random, so that near and far surfaces count
-alike and no mean hides how the others spread. The map from the true poses shows what the lidar alone allows.
+the noise of the ranges. Of the points in each voxel one is kept, drawn at random, and stands for all of them: no mean
+hides how they spread. Each patch of the surface counts by its area, and within it each point alike: the measures depend
+neither on how often a place was seen nor on its distance. The map from the true poses shows what the lidar allows.
 """
 
 from collections.abc import Iterable, Mapping
@@ -20,6 +21,7 @@ from holdfast.messages import Array
 from holdfast.state import Trajectory
 
 MERGE_POINTS = 2_000_000  # points that are kept before they are merged into voxels
+PATCH_M = 1.0  # side of a patch of the surface: several voxels, so that each has points of all that was seen of it
 CELL_BITS = 21  # of a voxel's index per axis: 400 km at 0.2 m
 WHOLE = "all"
 
@@ -88,9 +90,16 @@ class VoxelMap:
 
 @dataclass(frozen=True, slots=True)
 class Closeness:
-    """How near the points of a map are to the surface."""
+    """How near the points of a map are to the surface, each patch of it weighed by its area.
+
+    Attributes:
+        points: of the map.
+        area_m2: of the surface to which they are near.
+        share_within: share of the surface that is mapped within `MapOptions.within_m`.
+    """
 
     points: int
+    area_m2: float
     median_m: float
     p95_m: float
     rms_m: float
@@ -150,13 +159,15 @@ def map_quality(
     """
     options = options or MapOptions()
     voxels = build_map(scans, trajectory, T_I_L, options)
-    distances, nearest = surface.nearest(voxels.points)
-    regions = surface.mesh.regions[nearest]
-    closeness = {WHOLE: _closeness(distances, options)}
+    distances, pieces = surface.nearest(voxels.points)
+    weights = _weights(pieces, voxels.counts, surface)
+    regions = surface.regions_of(pieces)
+    closeness = {WHOLE: _closeness(distances, weights, options)}
     for index, name in enumerate(surface.mesh.names):
-        if (regions == index).any():
-            closeness[name] = _closeness(distances[regions == index], options)
-    return MapQuality(voxels, distances, closeness, _view(voxels.points, distances, options))
+        inside = regions == index
+        if inside.any():
+            closeness[name] = _closeness(distances[inside], weights[inside], options)
+    return MapQuality(voxels, distances, closeness, _view(voxels, distances, options))
 
 
 def build_map(scans: Iterable[MapScan], trajectory: Trajectory, T_I_L: Array, options: MapOptions) -> VoxelMap:
@@ -250,24 +261,39 @@ def _keys(points: Array, voxel_m: float) -> NDArray[np.int64]:
     return keys
 
 
-def _closeness(distances: Array, options: MapOptions) -> Closeness:
-    median, p95 = np.percentile(distances, [50.0, 95.0])
+def _weights(pieces: NDArray[np.int64], counts: NDArray[np.int64], surface: SurfaceIndex) -> Array:
+    """Return weights (V,) of points [m^2]: those of a patch share the area of the pieces in it that were seen."""
+    seen, of_point = np.unique(pieces, return_inverse=True)
+    cells = np.floor(surface.samples[seen] / PATCH_M).astype(np.int64)
+    keys = np.column_stack([cells, surface.regions_of(seen)])
+    patch_of_seen = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+    areas = np.bincount(patch_of_seen, surface.areas_m2[seen])
+    patch = patch_of_seen[of_point]
+    weights: Array = areas[patch] * counts / np.bincount(patch, counts)[patch]
+    return weights
+
+
+def _closeness(distances: Array, weights: Array, options: MapOptions) -> Closeness:
+    order = np.argsort(distances)
+    up_to = np.cumsum(weights[order])
+    median, p95 = distances[order[np.searchsorted(up_to, np.array([0.5, 0.95]) * up_to[-1])]]
     return Closeness(
         points=len(distances),
+        area_m2=float(up_to[-1]),
         median_m=float(median),
         p95_m=float(p95),
-        rms_m=float(np.sqrt(np.mean(distances**2))),
-        share_within=float(np.mean(distances <= options.within_m)),
+        rms_m=float(np.sqrt(np.average(distances**2, weights=weights))),
+        share_within=float(np.average(distances <= options.within_m, weights=weights)),
     )
 
 
-def _view(points: Array, distances: Array, options: MapOptions) -> View:
-    low = np.floor(points[:, :2].min(axis=0) / options.pixel_m)
-    column, row = (np.floor(points[:, :2] / options.pixel_m) - low).astype(np.int64).T
+def _view(voxels: VoxelMap, distances: Array, options: MapOptions) -> View:
+    low = np.floor(voxels.points[:, :2].min(axis=0) / options.pixel_m)
+    column, row = (np.floor(voxels.points[:, :2] / options.pixel_m) - low).astype(np.int64).T
     width, height = int(column.max()) + 1, int(row.max()) + 1
     pixel = (height - 1 - row) * width + column
-    counts = np.bincount(pixel, minlength=width * height)
-    sums = np.bincount(pixel, distances, width * height)
+    counts = np.bincount(pixel, voxels.counts, width * height)
+    sums = np.bincount(pixel, voxels.counts * distances, width * height)
     errors = np.divide(sums, counts, out=np.full(width * height, np.nan), where=counts > 0)
     east, north = (low * options.pixel_m).tolist()
     return View(errors.reshape(height, width), (east, north), options.pixel_m)

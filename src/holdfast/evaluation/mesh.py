@@ -77,7 +77,10 @@ class SurfaceIndex:
     """Finds distances to a mesh.
 
     Attributes:
-        radius_m: that covers the piece of a triangle which a sample stands for.
+        pieces: of the triangles: (S,) the triangle of each.
+        samples: (S, 3) their middles [m].
+        areas_m2: (S,) their areas.
+        radius_m: that covers every piece from its sample.
 
     Raises:
         ConfigError: scipy is not installed.
@@ -90,41 +93,45 @@ class SurfaceIndex:
         except ImportError:
             raise ConfigError("distances to a mesh need scipy: pip install 'holdfast[sim]'") from None
         self._corners = mesh.vertices[mesh.faces]
-        samples, self._face_of, self.radius_m = _samples(self._corners)
-        self._tree = cKDTree(samples, balanced_tree=False, compact_nodes=False)
+        self.samples, self.pieces, self.areas_m2, self.radius_m = _samples(self._corners)
+        self._tree = cKDTree(self.samples, balanced_tree=False, compact_nodes=False)
 
     def nearest(self, points: Array) -> tuple[Array, NDArray[np.int64]]:
-        """Return the distances (N,) [m] of points (N, 3), and the nearest triangle of each.
+        """Return the distances (N,) [m] of points (N, 3), and for each the piece (N,) of a triangle that is nearest.
 
         Exact below about 2 m; beyond, where the search ends, at most `radius_m` too large.
         """
-        distances, faces = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
+        distances, pieces = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
         for start in range(0, len(points), CHUNK):
-            piece = slice(start, start + CHUNK)
-            distances[piece], faces[piece] = self._nearest(points[piece])
-        return distances, faces
+            rows = slice(start, start + CHUNK)
+            distances[rows], pieces[rows] = self._nearest(points[rows])
+        return distances, pieces
+
+    def regions_of(self, pieces: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the regions (N,) of pieces (N,)."""
+        return self.mesh.regions[self.pieces[pieces]]
 
     def _nearest(self, points: Array) -> tuple[Array, NDArray[np.int64]]:
-        distances, faces = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
+        distances, pieces = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
         open_rows = np.arange(len(points))
         for count in NEIGHBOURS:
-            count = min(count, len(self._face_of))  # noqa: PLW2901
+            count = min(count, len(self.pieces))  # noqa: PLW2901
             reach, near = self._tree.query(points[open_rows], k=count)
             near = near.reshape(len(open_rows), count)
-            candidates = self._face_of[near]
-            found = np.sqrt(_squared_distances(points[open_rows][:, None], self._corners[candidates]))
-            best = found.argmin(axis=1)
+            corners = self._corners[self.pieces[near]]
+            found = np.sqrt(_squared_distances(points[open_rows][:, None], corners))
+            best = found.argmin(axis=1)  # of the pieces of one triangle the first, whose sample is nearest
             rows = np.arange(len(open_rows))
-            distances[open_rows], faces[open_rows] = found[rows, best], candidates[rows, best]
+            distances[open_rows], pieces[open_rows] = found[rows, best], near[rows, best]
             proven = distances[open_rows] <= reach.reshape(len(open_rows), count)[:, -1] - self.radius_m
             open_rows = open_rows[~proven]
             if not len(open_rows):
                 break
-        return distances, faces
+        return distances, pieces
 
 
-def _samples(corners: Array) -> tuple[Array, NDArray[np.int64], float]:
-    """Return samples (S, 3) of triangles (F, 3, 3), the triangle of each, and the radius that covers every piece.
+def _samples(corners: Array) -> tuple[Array, NDArray[np.int64], Array, float]:
+    """Return samples (S, 3) of triangles (F, 3, 3), their triangles, the areas of their pieces, and the radius.
 
     A triangle whose longest edge has n times the spacing is divided into n^2 alike; their middles are the samples.
     """
@@ -137,7 +144,9 @@ def _samples(corners: Array) -> tuple[Array, NDArray[np.int64], float]:
         samples.append(np.einsum("wc,fcd->fwd", weights, corners[chosen]).reshape(-1, 3))
         face_of.append(np.repeat(chosen, len(weights)))
     radii = np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max(axis=1) / parts
-    return np.concatenate(samples), np.concatenate(face_of), float(radii.max())
+    whole_m2 = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    triangles = np.concatenate(face_of)
+    return np.concatenate(samples), triangles, (whole_m2 / parts**2)[triangles], float(radii.max())
 
 
 def _middles(count: int) -> Iterator[tuple[float, float, float]]:

@@ -18,6 +18,7 @@ TRUTH = Path("truth") / ESTIMATE
 POLL_S = 0.1
 PATIENCE_S = 10.0  # for a replay to write what it has after it was told to stop
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+INTERRUPTED = 130  # exit code of a replay
 MAIN = "from holdfast.cli import main; main()"
 
 State = Literal["waiting", "running", "done", "failed", "stopped"]
@@ -93,6 +94,8 @@ def _replay(job: Job, stop_file: Path) -> tuple[State, str]:
             _end(process)
     if process.returncode == 0:
         return "done", ""
+    if process.returncode == INTERRUPTED:  # Ctrl-C in a terminal reaches the replays, too
+        return "stopped", "the batch was interrupted"
     return "failed", _reason(job.folder / LOG, process.returncode)
 
 

@@ -1,5 +1,6 @@
 """A process of its own for what must not hold up the IMU path: it is fed without ever waiting for it."""
 
+import os
 import pickle
 import queue
 import signal
@@ -13,6 +14,7 @@ from typing import NamedTuple
 
 BATCHES = 4096  # that may wait for a slow consumer: 20 s at 200 wake-ups a second
 FINISH_S = 30.0
+NICE = 10  # whoever feeds comes first
 
 
 class Record(NamedTuple):
@@ -134,6 +136,7 @@ def _run(
 ) -> None:  # pragma: no cover (in the other process)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the feeding process says when to end
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    os.nice(NICE)
     consumer = Consumer(incoming, complaints)
     try:
         consume(consumer, *arguments)

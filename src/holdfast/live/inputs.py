@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
+from holdfast.errors import ConfigError
 from holdfast.live.dds import Network, Publication, Sample
 from holdfast.live.idl import STORE
 from holdfast.messages import Message
@@ -19,6 +20,9 @@ class Inputs:
         network: where to subscribe.
         subscriptions: of the sensors; topics in full.
         reliable: ask for lost samples again.
+
+    Raises:
+        ConfigError: one topic is to be two sensors that no message can be at once.
     """
 
     def __init__(self, network: Network, subscriptions: Sequence[Subscription], *, reliable: bool = False) -> None:
@@ -33,6 +37,10 @@ class Inputs:
             allowed = DECODERS[subscription.kind]
             known = self.topics.get(subscription.topic)
             types = tuple(allowed) if known is None else tuple(name for name in known if name in allowed)
+            if not types:
+                raise ConfigError(
+                    f"sensors.{subscription.sensor}.topic: {subscription.topic} is that of another sensor"
+                )
             self.topics[subscription.topic] = types
             for type_name in types:
                 self._decoders.setdefault((subscription.topic, type_name), []).append(allowed[type_name](subscription))

@@ -7,7 +7,8 @@ import json
 import os
 import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import asdict
 from hashlib import sha256
@@ -19,10 +20,11 @@ from typing import Any
 
 import numpy as np
 
+import holdfast
 from holdfast.baselines.msf import MSF_TUNING
 from holdfast.baselines.tsif import TSIF_TUNING
 from holdfast.config.load import resolved_yaml
-from holdfast.errors import ConfigError
+from holdfast.errors import ConfigError, HoldfastError
 from holdfast.messages import Array
 from holdfast.paper.job import Lent, is_done, run_file, run_job
 from holdfast.paper.latency import measure
@@ -43,6 +45,10 @@ from holdfast.sim.scenario import load_scenario
 SETTINGS, LATENCY = "settings.json", "latency.json"
 LATENCY_S, QUICK_LATENCY_S = 120.0, 30.0
 POLL_S = 0.5
+# tables, maps and pages are drawn anew from the runs each time
+ROOMS = ("baselines", "config", "estimator", "evaluation", "geometry", "graph", "recording", "replay", "sensors", "sim")
+FILES = ("curves", "job", "latency", "stream", "study", "systems", "verdict")
+MAKES_RUNS = ("*.py", *(f"{room}/**/*.py" for room in ROOMS), *(f"paper/{name}.py" for name in FILES))
 
 Progress = Callable[[int, int], None]
 """Is told how many runs are done, and how many there are."""
@@ -96,6 +102,7 @@ def run_jobs(planned: Sequence[Job], output: Path, jobs: int, lent: Lent, progre
 
     Raises:
         OSError: a file cannot be written.
+        HoldfastError: a process was killed.
     """
     files = [run_file(output, job, task) for job in planned for task in job.tasks]
     open_jobs = [job for job in planned if not all(is_done(output, job, task) for task in job.tasks)]
@@ -105,7 +112,9 @@ def run_jobs(planned: Sequence[Job], output: Path, jobs: int, lent: Lent, progre
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     with TemporaryDirectory(prefix="holdfast-paper-") as scratch:  # of this process: the others may be ended
+        others = active_children()
         pool = ProcessPoolExecutor(jobs, get_context("spawn"))
+        waiting: set[Future[None]] = set()
         try:
             with _deaf_to_interrupts():
                 waiting = {pool.submit(run_job, job, output, lent, Path(scratch)) for job in open_jobs}
@@ -115,13 +124,15 @@ def run_jobs(planned: Sequence[Job], output: Path, jobs: int, lent: Lent, progre
                     future.result()
                 if progress is not None:
                     progress(sum(file.exists() for file in files), len(files))
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in active_children():
+        except BrokenProcessPool:
+            raise HoldfastError(
+                f"{output}: a process of the evaluation was killed (out of memory?); what is done is kept: run it again"
+            ) from None
+        finally:
+            pool.shutdown(wait=not waiting, cancel_futures=True)
+            for process in set(active_children()).difference(others) if waiting else ():
                 process.terminate()
                 process.join()
-            raise
-        pool.shutdown()
 
 
 @contextmanager
@@ -135,9 +146,9 @@ def _deaf_to_interrupts() -> Iterator[None]:
 
 
 def _claim(output: Path, quick: bool, scenarios: Mapping[str, str]) -> None:
-    """Refuse a folder whose runs were made with other scenarios or versions; say in a new one what is run."""
+    """Refuse a folder whose runs were made in another way, or by other code; say in a new one what is run."""
     digest = sha256("\n".join(scenarios.values()).encode()).hexdigest()
-    mine = {"quick": quick, "scenarios": digest, "versions": _versions()}
+    mine = {"quick": quick, "scenarios": digest, "code": _code_digest(), "versions": _versions()}
     path = output / SETTINGS
     if path.exists():
         try:
@@ -151,6 +162,15 @@ def _claim(output: Path, quick: bool, scenarios: Mapping[str, str]) -> None:
             )
         return
     write_whole(path, json.dumps(mine, indent=1).encode())
+
+
+def _code_digest() -> str:
+    """Return what changes with any line that makes a run: the version does not, while somebody works on the code."""
+    root = Path(holdfast.__file__).parent
+    digest = sha256()
+    for file in sorted(file for place in MAKES_RUNS for file in root.glob(place)):
+        digest.update(str(file.relative_to(root)).encode() + file.read_bytes())
+    return digest.hexdigest()
 
 
 def _versions() -> dict[str, str]:

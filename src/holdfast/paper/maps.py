@@ -1,24 +1,27 @@
 """Maps of the paper's two tasks (Figs. 1 and 5): scans gathered with the poses of every system, judged by the site.
 
 The scans of seed 0 are ray-cast in memory; every system runs on the same recording, and so do the true poses. What is
-done is kept: a map is a PLY file and a row of maps.json.
+done is kept, task by task: a map is a PLY file, a view from above and a row of maps.json.
 """
 
 import json
+import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
 from dataclasses import asdict, dataclass
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError, RecordingError
 from holdfast.evaluation.mapping import WHOLE, Closeness, MapOptions, MapScan, View, map_quality, write_map
 from holdfast.evaluation.mesh import SurfaceIndex, read_mesh
+from holdfast.messages import Array
 from holdfast.paper.job import Lent
 from holdfast.paper.results import write_whole
 from holdfast.paper.study import QUICK, TASKS
@@ -35,6 +38,7 @@ from holdfast.state import Trajectory
 
 FOLDER, SCORES, TRUE_POSES = "maps", "maps.json", "truth"
 QUICK_EVERY = 3  # of the scans of a quick look one in so many is used
+POLL_S = 0.5
 COLOUR_LIMIT_M = 0.2
 SCALE = ((0.0, (24, 90, 70)), (0.25, (60, 160, 110)), (0.5, (240, 220, 110)), (1.0, (200, 60, 40)))
 """From the surface to `COLOUR_LIMIT_M` beside it: share of the limit -> red, green, blue."""
@@ -75,12 +79,23 @@ def make_maps(
     tasks = [scenario for scenario in TASKS[: 1 if quick else 2] if not _folder(output, scenario, SCORES).exists()]
     if not tasks:
         return
-    with ProcessPoolExecutor(min(jobs, len(tasks)), get_context("spawn")) as pool:
-        futures = [pool.submit(map_task, scenario, output, quick, lent) for scenario in tasks]
-        for done, future in enumerate(as_completed(futures), start=1):
-            future.result()
+    files = [_folder(output, scenario, f"{system}.ply") for scenario in tasks for system in (TRUE_POSES, *SYSTEMS)]
+    quiet = (signal.SIGINT, signal.SIG_IGN)  # at Ctrl-C the process that started them speaks, and ends them
+    pool = ProcessPoolExecutor(min(jobs, len(tasks)), get_context("spawn"), signal.signal, quiet)
+    try:
+        waiting = {pool.submit(map_task, scenario, output, quick, lent) for scenario in tasks}
+        while waiting:
+            done, waiting = wait(waiting, timeout=POLL_S, return_when=FIRST_EXCEPTION)
+            for future in done:
+                future.result()
             if progress is not None:
-                progress(done, len(tasks))
+                progress(sum(file.exists() for file in files), len(files))
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in active_children():
+            process.terminate()
+        raise
+    pool.shutdown()
 
 
 def load_maps(output: Path) -> Maps | None:
@@ -110,7 +125,7 @@ def title(score: MapScore) -> str:
     return "the truth" if score.system == TRUE_POSES else SYSTEMS[score.system].title
 
 
-def coloured(errors: "np.ndarray[Any, np.dtype[np.float64]]") -> "np.ndarray[Any, np.dtype[np.uint8]]":
+def coloured(errors: Array) -> NDArray[np.uint8]:
     """Return pixels (H, W, 4) of errors (H, W) [m]; what is NaN stays transparent."""
     known = np.isfinite(errors)
     share = np.clip(np.where(known, errors, 0.0) / COLOUR_LIMIT_M, 0.0, 1.0)
@@ -170,8 +185,10 @@ def map_task(scenario_name: str, output: Path, quick: bool, lent: Lent) -> None:
             try:
                 poses = _true_poses(simulation) if system == TRUE_POSES else _poses(system, config, recording, lent)
                 quality = map_quality(scans, poses, surface, T_I_L, options)
-            except RecordingError as error:
-                rows.append(about | {"failure": str(error), "scans": 0, "left_out": len(scans), "closeness": {}})
+            except Exception as error:  # a system that fails, in whatever way, does not stop the others
+                kind = "" if isinstance(error, RecordingError) else f"{type(error).__name__}: "
+                about["failure"] = f"{kind}{error}"
+                rows.append(about | {"scans": 0, "left_out": len(scans), "closeness": {}})
                 continue
             write_map(quality, folder / f"{system}.ply")
             view = quality.view

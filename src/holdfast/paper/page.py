@@ -5,7 +5,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from holdfast.paper import page_figures, page_tables
-from holdfast.paper.maps import Maps, load_maps, map_figures
+from holdfast.paper.maps import Maps, load_maps, map_figures, title
 from holdfast.paper.results import Results
 from holdfast.paper.study import TASKS
 from holdfast.paper.tables import QUANTITIES, failures, lost_cells
@@ -42,8 +42,8 @@ def paper_page(results: Results, maps: Maps | None = None) -> Page:
         Section("Switches and their reasons", [page_tables.switches(results, scenario) for scenario in TASKS]),
         Section("What this depends on", list(page_tables.about(results))),
     ]
-    title = "Holdfast: the paper's evaluation, rebuilt"
-    return Page(title, _lead(results), provenance, [section for section in sections if section.blocks])
+    heading = "Holdfast: the paper's evaluation, rebuilt"
+    return Page(heading, _lead(results), provenance, [section for section in sections if section.blocks])
 
 
 def _lead(results: Results) -> str:
@@ -80,6 +80,9 @@ def _outages(results: Results) -> Iterator[Block]:
 def _maps(maps: Maps | None) -> Iterator[Block]:
     if maps is None:
         return
+    for score in maps:
+        if score.failure:
+            yield Text(f"No map of {score.scenario} with the poses of {title(score)}: {score.failure}", note=True)
     yield page_tables.maps_table(maps)
     for scenario in TASKS:
         drawn = list(map_figures(tuple(score for score in maps if score.scenario == scenario)))

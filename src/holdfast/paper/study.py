@@ -137,7 +137,10 @@ def plan(seeds: int, quick: bool, variations: Variations) -> list[Job]:
     growth = tuple(Task("growth", system) for system in SYSTEMS)
     jobs += [Job("tunnel", seed, growth, QUICK["tunnel"] if quick else {}) for seed in range(min(seeds, GROWTH_SEEDS))]
     disturbed = QUICK["construction"] if quick else {"duration_s": SENSITIVITY_S}
-    jobs += [Job("construction", 0, _sensitivity(quick), disturbed, label="sensitivity")]
+    jobs += [
+        Job("construction", 0, tasks, disturbed, label=f"sensitivity-{name}")
+        for name, tasks in _sensitivity(quick).items()
+    ]
     return jobs
 
 
@@ -145,13 +148,17 @@ def _accuracy() -> tuple[Task, ...]:
     return tuple(Task("accuracy", system) for system in SYSTEMS)
 
 
-def _sensitivity(quick: bool) -> tuple[Task, ...]:
+def _sensitivity(quick: bool) -> dict[str, tuple[Task, ...]]:
+    """Return tasks by what disturbs them: jobs of their own, so that the last of all does not take long."""
+    groups: dict[str, list[Disturbance | None]] = {"none": [None]}
     if quick:
-        disturbances = [Disturbance("gnss", delay_s=0.3), Disturbance("lidar", clock_s=0.05)]
+        groups["some"] = [Disturbance("gnss", delay_s=0.3), Disturbance("lidar", clock_s=0.05)]
     else:
-        disturbances = [Disturbance("gnss", delay_s=value) for value in GNSS_DELAYS_S]
-        disturbances += [Disturbance("lidar", delay_s=value) for value in LIDAR_DELAYS_S]
-        disturbances += [Disturbance("gnss", clock_s=value) for value in GNSS_CLOCKS_S]
-        disturbances += [Disturbance("lidar", clock_s=value) for value in LIDAR_CLOCKS_S]
-    undisturbed = tuple(Task("sensitivity", system) for system in SENSITIVE)
-    return undisturbed + tuple(Task("sensitivity", system, "", d) for d in disturbances for system in SENSITIVE)
+        groups["gnss-delay"] = [Disturbance("gnss", delay_s=value) for value in GNSS_DELAYS_S]
+        groups["lidar-delay"] = [Disturbance("lidar", delay_s=value) for value in LIDAR_DELAYS_S]
+        groups["gnss-clock"] = [Disturbance("gnss", clock_s=value) for value in GNSS_CLOCKS_S]
+        groups["lidar-clock"] = [Disturbance("lidar", clock_s=value) for value in LIDAR_CLOCKS_S]
+    return {
+        name: tuple(Task("sensitivity", system, "", one) for one in disturbances for system in SENSITIVE)
+        for name, disturbances in groups.items()
+    }

@@ -75,7 +75,7 @@ class Lost:
 
 
 def cell(results: Results, scenario: str, system: str, quantity: Quantity, statistic: str) -> Cell:
-    """Return a cell of Table I."""
+    """Return a cell of Table I; of a signed quantity the magnitude of its mean."""
     values = [
         quantity.factor * abs(float(getattr(run.errors[quantity.key], statistic)))
         for run in results.of("accuracy", scenario, system)

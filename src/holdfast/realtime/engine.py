@@ -3,14 +3,13 @@
 The IMU path takes no lock, waits for nothing, and goes on whatever becomes of the optimiser.
 """
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from time import monotonic, sleep, time_ns
 from types import TracebackType
 from typing import Self
 
-import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -23,21 +22,22 @@ from holdfast.estimator.journal import Journal
 from holdfast.estimator.optimiser import Measurement
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.messages import FixStatus, GnssFix, Heading, ImuSample, JointAngle, LidarPose, Message
+from holdfast.realtime.chronicle import Chronicle
 from holdfast.realtime.layout import Board
 from holdfast.realtime.memory import Word
 from holdfast.realtime.placement import place_caller
-from holdfast.realtime.records import Published, Request, pack_request, pack_sample, unpack_nav
-from holdfast.realtime.reports import Report
-from holdfast.realtime.supervisor import Supervisor
+from holdfast.realtime.records import Published, Request, pack_request, pack_sample
+from holdfast.realtime.supervisor import START_S, Supervisor
 from holdfast.realtime.worker import Settings
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.state import Event, EventKind, Health, HealthReport, OptimisedState, Outcome
 
-START_S = 60.0
 FLUSH_S = 30.0
+LEAVE = 2  # for so many samples a new state is left to calls that are in less of a hurry
 SPARE_ROWS = 64  # of the ring of measurements, kept for requests
 KEPT_NS = 1_000_000_000  # of samples before the newest optimised state
-RESCUE_NS = 5_000_000_000  # without an optimised state for so long, the propagated one takes its place
+WAITING_NS = 30_000_000_000  # of samples before the start
+RESCUE_S = 5.0  # without an optimised state for so long, or three node intervals, the propagated one takes its place
 
 
 class RealtimeEstimator:
@@ -54,46 +54,40 @@ class RealtimeEstimator:
     """
 
     def __init__(self, config: Config, *, in_step: bool = False) -> None:
-        place_caller(config.realtime)
+        cores = place_caller(config.realtime)
         self.config = config
         self._in_step = in_step
         self._journal = Journal()
+        self._chronicle = Chronicle(self._journal)
         self._buffer = ImuBuffer(config.sensors.imu)
         self._path = ImuPath(config, self._buffer, self._journal)
         self._monitor = HealthMonitor(config)
         self._sensors = frozenset(name for name, sensor in config.sensors if sensor is not None)
         self._board = Board()
         self._slot, self._samples, self._requests = self._board.published, self._board.samples, self._board.requests
-        self._epoch = self._life = self._recoveries = self._seen = self._anchor_ns = 0
+        self._epoch = self._life = self._recoveries = self._seen = self._left = self._anchor_ns = 0
+        self._rescue_ns = round(max(RESCUE_S, 3.0 * config.graph.max_node_interval_s) * 1e9)
         self._newest: Published | None = None
         self._world: LocalFrame | None = None
         self._is_full = self._is_rescued = self._is_closed = False
         self._fault_version: int | None = None  # of the slot when the optimiser failed, until a successor publishes
-        # what the supervisor's thread puts here, and the caller takes
-        self._events: deque[Event] = deque()
-        self._smoothed: deque[tuple[int, bytes]] = deque()
-        self._took_ns: deque[int] = deque()
-        self._report: Report | None = None
-        self._counts_before: Counter[tuple[str, Outcome]] = Counter()  # by optimisers that have ended
-        self._event_counts: Counter[EventKind] = Counter()
-        self._supervisor = Supervisor(Settings(config, in_step), self._board, self._hear, self._hear_fault)
+        self._supervisor = Supervisor(
+            Settings(config, in_step, cores), self._board, self._chronicle.hear, self._hear_fault
+        )
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
         self.close()
 
     def close(self) -> None:
         """Let the optimiser take in what is left, and end it; what it told can still be asked for."""
-        if self._is_closed:
-            return
-        self._is_closed = True
-        self._supervisor.stop()
-        self._look()
-        self._board.close()
+        if not self._is_closed:
+            self._is_closed = True
+            self._supervisor.stop()
+            self._look()
+            self._board.close()
 
     # --- what a program asks -----------------------------------------------------------------------------------------
 
@@ -115,7 +109,7 @@ class RealtimeEstimator:
     @property
     def waiting_for(self) -> str:
         """What keeps the estimator from starting."""
-        return "the optimiser process is coming up" if self._report is None else self._report.waiting_for
+        return self._told().waiting_for
 
     @property
     def health(self) -> Health:
@@ -136,19 +130,17 @@ class RealtimeEstimator:
     @property
     def counts(self) -> Counter[tuple[str, Outcome]]:
         """How many measurements of each sensor had which outcome; those that still wait are not counted yet."""
-        return self._journal.counts + self._counts_before + Counter(self._report.counts if self._report else {})
+        return self._told().counts
 
     @property
     def event_counts(self) -> Counter[EventKind]:
         """How many events of each kind there were."""
-        return self._journal.event_counts + self._event_counts
+        return self._told().event_counts
 
     @property
     def events(self) -> list[Event]:
         """The events that have not been taken."""
-        while self._events:
-            self._journal.events.append(self._events.popleft())
-        return self._journal.events
+        return self._told().events
 
     @property
     def newest_state(self) -> OptimisedState | None:
@@ -163,20 +155,19 @@ class RealtimeEstimator:
     @property
     def optimiser_cpu_s(self) -> float:
         """Processor time of the other process, as of its last report [s]."""
-        return 0.0 if self._report is None else self._report.cpu_s
+        return self._told().optimiser_cpu_s
 
     def health_report(self) -> HealthReport:
         """Return the health now with what it rests on."""
-        health = self.health
-        return self._monitor.report(self._buffer.latest_ns, health)
+        return self._monitor.report(self._buffer.latest_ns, self.health)
 
     def take_events(self) -> list[Event]:
         """Return the events since the last call."""
-        return self._journal.take_events() if self.events else []
+        return self._told().take_events()
 
     def take_update_times(self) -> list[int]:
         """Return how long each update since the last call took [ns]."""
-        return [self._took_ns.popleft() for _ in range(len(self._took_ns))]
+        return self._told().take_update_times()
 
     def wait_until_ready(self, timeout_s: float = START_S) -> None:
         """Wait until the optimiser process has come up; not needed, because what comes before waits for it.
@@ -199,15 +190,17 @@ class RealtimeEstimator:
             timeout_s,
             "answer",
         )
-        self._supervisor.collect()
-        return Output(None, self._look() if self._slot.version != self._seen else None, self._take_smoothed())
+        optimised = self._look() if self._slot.version != self._seen else None
+        return Output(None, optimised, self._told().take_smoothed())
 
     def _wait(self, is_done: Callable[[], bool], timeout_s: float, what: str) -> None:
         until_s = monotonic() + timeout_s
         while not is_done():
             if monotonic() > until_s:
-                raise EstimatorError(f"the optimiser process does not {what} within {timeout_s:g} s")
-            self._supervisor.collect()
+                fault = self._told().last_fault
+                reason = f"the optimiser process does not {what} within {timeout_s:g} s"
+                raise EstimatorError(f"{reason}: {fault}" if fault else reason)
+            self._told()
             sleep(20e-6 if self._in_step else 1e-3)
 
     # --- what a program tells ----------------------------------------------------------------------------------------
@@ -232,13 +225,13 @@ class RealtimeEstimator:
         return self._process_measurement(message)
 
     def refresh(self) -> Output:
-        """Take in a new optimised state, if there is one; every other call but `flush` does so as well.
+        """Take in a new optimised state, if there is one; for a program that has nothing else to do.
 
-        Called when a program has nothing else to do, it takes the work of it from the next sample of the IMU.
+        Every message that is not a sample of the IMU does so as well; where none comes, the third sample does.
         """
         if self._slot.version == self._seen:
             return NOTHING
-        return Output(None, self._look(), self._take_smoothed())
+        return Output(None, self._look(), self._told().take_smoothed())
 
     def add_imu(
         self, stamp_ns: int, angular_velocity: ArrayLike, specific_force: ArrayLike, arrival_ns: int | None = None
@@ -248,7 +241,7 @@ class RealtimeEstimator:
         Here as in what follows, `arrival_ns` is the time at which it came; now, if it is left out.
         """
         rate, force = np.asarray(angular_velocity, dtype=np.float64), np.asarray(specific_force, dtype=np.float64)
-        return self._process_imu(ImuSample(stamp_ns, arrival_ns or time_ns(), "imu", rate, force))
+        return self.process(ImuSample(stamp_ns, arrival_ns or time_ns(), "imu", rate, force))
 
     def add_gnss(
         self,
@@ -308,7 +301,9 @@ class RealtimeEstimator:
         self._begin_anew(datum)
 
     def _process_imu(self, sample: ImuSample) -> Output:
-        optimised = self._look() if self._slot.version != self._seen else None
+        self._left += self._slot.version != self._seen
+        is_time = self._left > LEAVE or (self._left > 0 and self._path.predictor is None)
+        optimised = self._look() if is_time else None
         heard = self._path.hear(sample)
         if heard is None:
             return NOTHING if optimised is None else Output(None, optimised)
@@ -319,9 +314,11 @@ class RealtimeEstimator:
         self._samples.push(pack_sample(self._epoch, sample))
         if self._in_step:
             return self.flush()._replace(estimate=estimate, base=base)
-        if estimate is not None and estimate.stamp_ns - self._anchor_ns > RESCUE_NS:
+        if estimate is None:
+            self._buffer.forget_before(self._buffer.latest_ns - WAITING_NS)
+        elif estimate.stamp_ns - self._anchor_ns > self._rescue_ns:
             self._rescue()
-        return Output(estimate, optimised, self._take_smoothed() if self._smoothed else (), base)
+        return Output(estimate, optimised, self._chronicle.take_smoothed(), base)
 
     def _process_measurement(self, message: Measurement) -> Output:
         if message.sensor not in self._sensors:
@@ -337,10 +334,10 @@ class RealtimeEstimator:
                 reason = f"the optimiser is {waiting} measurements behind: those that follow are lost"
                 self._journal.tell(EventKind.LATE, request.stamp_ns, request.sensor, reason)
             self._is_full = True
-            return
-        self._is_full = False
-        self._requests.push(pack_request(self._epoch, self._samples.written, request))
-        self._supervisor.wake()
+        else:
+            self._is_full = False
+            self._requests.push(pack_request(self._epoch, self._samples.written, request))
+            self._supervisor.wake()
 
     def _begin_anew(self, datum: Geodetic | None) -> None:
         self._path.stop()
@@ -350,8 +347,7 @@ class RealtimeEstimator:
             self.flush()
 
     def _forget(self) -> None:
-        self._epoch += 1
-        self._newest = None
+        self._epoch, self._newest = self._epoch + 1, None
 
     # --- what the optimiser tells ------------------------------------------------------------------------------------
 
@@ -360,7 +356,7 @@ class RealtimeEstimator:
         found = self._slot.read()
         if found is None:
             return None
-        self._seen, record = found
+        self._left, (self._seen, record) = 0, found
         newest = Published.unpack(record)
         if newest.epoch != self._epoch:
             return None  # the optimiser does not know yet that all began anew
@@ -389,29 +385,15 @@ class RealtimeEstimator:
         self._anchor_ns, self._is_rescued = state.stamp_ns, True
         self._buffer.forget_before(state.stamp_ns - KEPT_NS)
 
-    def _take_smoothed(self) -> list[tuple[int, gtsam.NavState]]:
-        taken = [self._smoothed.popleft() for _ in range(len(self._smoothed))]
-        return [(stamp_ns, unpack_nav(packed)) for stamp_ns, packed in taken]
-
-    def _hear(self, report: Report | None) -> None:
-        """Keep what the optimiser tells, in whatever thread; None: it has ended."""
-        if report is None:
-            if self._report is not None:
-                self._counts_before += Counter(self._report.counts)
-                self._report = self._report._replace(counts={})
-            return
-        if report.fault:
-            report = report._replace(waiting_for=self.waiting_for)
-        self._report = report
-        self._events.extend(report.events)
-        self._event_counts.update(event.kind for event in report.events)
-        self._smoothed.extend(report.smoothed)
-        self._took_ns.extend(report.took_ns)
+    def _told(self) -> Chronicle:
+        """Return the chronicle with what has come until now."""
+        if not self._is_closed:
+            self._supervisor.collect()
+        return self._chronicle
 
     def _hear_fault(self, why: str) -> None:
+        """Note, in the thread of the supervisor, why an optimiser has ended."""
         words = self._board.words
         lost = words[Word.WAITING] + words[Word.BEGUN] - words[Word.REQUESTS]
-        reason = f"the optimiser process {why}; up to {lost} measurements are lost with it"
-        self._events.append(Event(self._buffer.latest_ns, EventKind.OPTIMISER_FAULT, "", reason))
-        self._event_counts[EventKind.OPTIMISER_FAULT] += 1
+        self._chronicle.hear_fault(self._buffer.latest_ns, why, lost)
         self._fault_version = self._slot.version

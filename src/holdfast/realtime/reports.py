@@ -71,8 +71,8 @@ class Inbox:
         self.is_open = True
         os.set_blocking(descriptor, False)
 
-    def receive(self) -> Iterator[Report]:
-        """Yield the reports that are there."""
+    def fetch(self) -> int:
+        """Take what is in the pipe, unread; return how many bytes wait to be read."""
         while self.is_open:
             try:
                 chunk = os.read(self._descriptor, CHUNK)
@@ -80,6 +80,11 @@ class Inbox:
                 break
             self.is_open = bool(chunk)
             self._part += chunk
+        return len(self._part)
+
+    def receive(self) -> Iterator[Report]:
+        """Yield the reports that are there."""
+        self.fetch()
         while len(self._part) >= _LENGTH.size:
             end = _LENGTH.size + _LENGTH.unpack_from(self._part)[0]
             if len(self._part) < end:

@@ -15,6 +15,7 @@ from time import monotonic, sleep
 
 from holdfast.realtime.layout import Board
 from holdfast.realtime.memory import Word
+from holdfast.realtime.placement import release_cores
 from holdfast.realtime.reports import Inbox, Report
 from holdfast.realtime.worker import Settings
 
@@ -22,6 +23,7 @@ PERIOD_S = 0.05
 START_S = 60.0  # in which a process must have come up
 STEADY_S = 10.0  # a process that lived for so long has not died of its start
 MAX_PAUSE_S = 30.0
+MANY = 1 << 20  # bytes of reports that nobody has asked for
 END_S = 5.0  # in which it must have taken in what is left
 
 
@@ -73,7 +75,7 @@ class Supervisor:
             pass  # it has ended, which the thread notices; where the pipe is full, it has been woken
 
     def collect(self) -> None:
-        """Hear the reports that are there."""
+        """Hear the reports that are there; in the thread of the caller, who can tell when there is time for it."""
         with self._collecting:
             if self._inbox is not None:
                 for report in self._inbox.receive():
@@ -88,6 +90,7 @@ class Supervisor:
     # --- the thread ------------------------------------------------------------------------------------------------
 
     def _supervise(self) -> None:
+        release_cores(self._settings.cores)
         self._start()
         woke_s = monotonic()
         while not self._stopping.wait(PERIOD_S):
@@ -95,7 +98,7 @@ class Supervisor:
             if now_s - woke_s > 10 * PERIOD_S:
                 self._beat_s = now_s  # this process did not run either
             woke_s = now_s
-            self.collect()
+            self._fetch()
             fault = self._fault(now_s)
             if fault is not None:
                 self._end(0.0)
@@ -106,6 +109,13 @@ class Supervisor:
                     break
                 self._start()
         self._end(END_S)
+
+    def _fetch(self) -> None:
+        """Empty the pipe; to read what it held would keep the interpreter's lock from the IMU path."""
+        with self._collecting:
+            is_much = self._inbox is not None and self._inbox.fetch() > MANY
+        if is_much:
+            self.collect()  # nobody asks
 
     def _start(self) -> None:
         """Start the interpreter that runs this one, with the modules that this one finds."""

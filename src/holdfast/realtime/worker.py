@@ -31,14 +31,21 @@ from holdfast.state import OptimisedState, Outcome
 
 POLL_S = 0.001  # while a measurement waits for the IMU, whose samples wake nobody
 IDLE_S = 0.05
+BATCH = 256  # measurements that are taken in before an update: it must end before someone thinks that this hangs
 HISTORY_NS = 4_000_000_000  # of samples before the state at which a successor begins
 
 
 class Settings(NamedTuple):
-    """What the optimiser process must know; `in_step`: an update at every trigger, as in one process."""
+    """What the optimiser process must know.
+
+    Attributes:
+        in_step: an update at every trigger, as in one process.
+        cores: that the process may use; its parent may have been tied to one of them.
+    """
 
     config: Config
     in_step: bool
+    cores: frozenset[int] | None
 
 
 class Worker:
@@ -55,6 +62,7 @@ class Worker:
         self._optimiser = Optimiser(self._config, self._buffer, self._journal)
         self._datum: Geodetic | None = None
         self._waiting_for = ""
+        self._told_counts: dict[tuple[str, Outcome], int] = {}
         self._smoothed: list[tuple[int, bytes]] = []
         self._took_ns: list[int] = []
         self._resume()
@@ -65,11 +73,9 @@ class Worker:
         while is_wanted:
             self._words[Word.HEARTBEAT] += 1
             if not self.take_in():
-                self._report()
                 is_wanted = self._sleep()
         while self.take_in():
             pass
-        self._report()
 
     @property
     def counts(self) -> dict[tuple[str, Outcome], int]:
@@ -79,7 +85,11 @@ class Worker:
     def take_in(self) -> bool:
         """Take in what has come, in the order of arrival, and optimise at the end of it; whether there was anything."""
         before = self._sample, self._request
-        while (row := self._board.requests.read(self._request)) is not None:
+        for _ in range(BATCH):
+            row = self._board.requests.read(self._request)
+            if row is None:
+                self._hear_until(None)
+                break
             self._words[Word.BEGUN] = self._request + 1
             epoch, samples, request = unpack_request(row)
             if not self._hear_until(samples):
@@ -88,10 +98,9 @@ class Worker:
             self._add(epoch, request)
             if self._in_step and self._optimiser.is_due:
                 break
-        else:
-            self._hear_until(None)
         if self._optimiser.is_due:
             self._update()
+        self._report()
         self._words[Word.WAITING] = len(self._optimiser.pending)
         self._words[Word.REQUESTS], self._words[Word.SAMPLES] = self._request, self._sample
         return (self._sample, self._request) != before
@@ -154,10 +163,10 @@ class Worker:
         self._board.published.write(record.pack())
 
     def _report(self) -> None:
-        journal, waiting_for = self._journal, self._optimiser.waiting_for
-        if journal.events or self._took_ns or waiting_for != self._waiting_for:
-            self._waiting_for = waiting_for
-            taken = journal.take_events(), self.counts, self._smoothed, self._took_ns
+        counts, waiting_for = self.counts, self._optimiser.waiting_for
+        if self._took_ns or self._journal.events or counts != self._told_counts or waiting_for != self._waiting_for:
+            self._told_counts, self._waiting_for = counts, waiting_for
+            taken = self._journal.take_events(), counts, self._smoothed, self._took_ns
             self._smoothed, self._took_ns = [], []
             self._reports.send(Report(*taken, waiting_for, process_time()))
         else:
@@ -207,7 +216,7 @@ def main() -> None:
     _die_with_parent()
     outbox = Outbox(reports)
     settings: Settings = pickle.loads(_read_exactly(length))
-    place_optimiser(settings.config.realtime)
+    place_optimiser(settings.config.realtime, settings.cores)
     worker = None
     try:
         worker = Worker(settings, Board(memory), outbox)

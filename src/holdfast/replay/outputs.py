@@ -20,6 +20,7 @@ from holdfast.replay.ros_messages import (
     EstimateMessages,
     Observed,
     RosMessage,
+    bias_status,
     diagnostic_array,
     estimator_status,
 )
@@ -47,6 +48,7 @@ class Outputs:
             self._stack = stack.pop_all()
         self._messages = EstimateMessages(config)
         self._last_node_ns = -1
+        self._newest: Estimate | None = None
         self._diagnosed_ns = 0
         self._mounted = not self._messages.has_mounts
 
@@ -61,6 +63,7 @@ class Outputs:
     def write(self, output: Output) -> None:
         """Write what one message led to."""
         if output.estimate is not None:
+            self._newest = output.estimate
             self._write_estimate(output.estimate, output.base)
         # a late measurement updates the window without making a newer node: a track holds each node once
         if output.optimised is not None and output.optimised.stamp_ns > self._last_node_ns:
@@ -83,7 +86,10 @@ class Outputs:
         if now_ns - self._diagnosed_ns < DIAGNOSTICS_PERIOD_NS:
             return
         self._diagnosed_ns = now_ns
-        message = diagnostic_array(self._mcap.types, now_ns, [estimator_status(estimator)])
+        statuses = [estimator_status(estimator)]
+        if self._newest is not None:
+            statuses.append(bias_status(self._newest))
+        message = diagnostic_array(self._mcap.types, now_ns, statuses)
         self._mcap.write("/diagnostics", message, DIAGNOSTICS, now_ns)
 
     def _write_estimate(self, estimate: Estimate, base: BaseState | None) -> None:

@@ -74,3 +74,12 @@ def odometry(estimate: Estimate, pose: gtsam.Pose3, rate_variance: float) -> Ros
         estimate.angular_velocity,
         twist_covariance.ravel(),
     )
+
+
+def seen_from(other: RosOdometry, estimate: Estimate, pose: gtsam.Pose3) -> RosOdometry:
+    """Return the odometry of the same estimate for another pose; the twist is in the body, so it stays."""
+    return other._replace(
+        position=pose.translation(),
+        quaternion_xyzw=quaternion_xyzw(pose.rotation()),
+        pose_covariance=pose_covariance(estimate.covariance, pose.rotation().matrix()).ravel(),
+    )

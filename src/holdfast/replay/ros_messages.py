@@ -7,7 +7,7 @@ from holdfast.config.model import Config
 from holdfast.estimator.base import BaseGeometry
 from holdfast.recording.cdr import OdometryEncoder
 from holdfast.replay.frame_transforms import FrameTransforms
-from holdfast.replay.ros import base_odometry, odometry
+from holdfast.replay.ros import base_odometry, odometry, seen_from
 from holdfast.state import BaseState, Estimate, Health, HealthReport, Outcome
 
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -60,7 +60,7 @@ class EstimateMessages:
         rate_variance = self._rate_density / period_s
         world = odometry(estimate, T_W_I, rate_variance)
         yield RosMessage(self._topics[0], ODOMETRY, self._in_world.encode(stamp, *world))
-        odom = odometry(estimate, estimate.T_W_O.inverse() * T_W_I, rate_variance)
+        odom = seen_from(world, estimate, estimate.T_W_O.inverse() * T_W_I)
         yield RosMessage(self._topics[1], ODOMETRY, self._in_odometry.encode(stamp, *odom))
         yield RosMessage("/tf", TRANSFORMS, self._transforms.at(estimate, base))
         if base is not None and self._geometry is not None:
@@ -109,6 +109,17 @@ def estimator_status(estimator: Observed) -> Status:
     level = OK if report.health is Health.NOMINAL else WARN
     message = report.health if estimator.initialised else f"{report.health}: {estimator.waiting_for}"
     return Status(level, "holdfast", message, values)
+
+
+def bias_status(estimate: Estimate) -> Status:
+    """Return the biases of the IMU, as they are estimated."""
+    bias = {"gyro": (estimate.bias.gyroscope(), "rad_s"), "accel": (estimate.bias.accelerometer(), "m_s2")}
+    values = [
+        (f"bias_{sensor}_{axis}_{unit}", f"{value:.9g}")
+        for sensor, (vector, unit) in bias.items()
+        for axis, value in zip("xyz", vector, strict=True)
+    ]
+    return Status(OK, "holdfast: biases of the IMU", "", values)
 
 
 def diagnostic_array(types: Mapping[str, Any], stamp_ns: int, statuses: Sequence[Status]) -> Any:

@@ -13,6 +13,8 @@ from holdfast.evaluation.absolute import summarise
 from holdfast.replay.held_out import Judgement
 from holdfast.replay.runner import Replay, Timing
 
+BIN = float(np.log(1.2))
+
 
 def summarise_replay(replay: Replay, recording: str, warnings: Sequence[str], finished: bool) -> dict[str, Any]:
     """Return the content of summary.json."""
@@ -23,6 +25,7 @@ def summarise_replay(replay: Replay, recording: str, warnings: Sequence[str], fi
     silent = {judgement.stamp_ns for judgement in replay.causal.judgements if judgement.imu_silent}
     return {
         "recording": recording,
+        "start_ns": replay.first_stamp_ns,
         "finished": finished,
         "initialised": estimator.initialised,
         "waiting_for": None if estimator.initialised else estimator.waiting_for,
@@ -58,8 +61,8 @@ def timing_summary(timing: Timing) -> dict[str, Any]:
     }
 
 
-def percentiles(values: NDArray[np.floating[Any]]) -> dict[str, float] | None:
-    """Return count, mean, median, p90, p99 and max of values (N,); None if there are none."""
+def percentiles(values: NDArray[np.floating[Any]]) -> dict[str, Any] | None:
+    """Return count, mean, median, p90, p99, max and histogram of values (N,); None if there are none."""
     if not len(values):
         return None
     median, p90, p99 = np.percentile(values, [50.0, 90.0, 99.0])
@@ -70,7 +73,16 @@ def percentiles(values: NDArray[np.floating[Any]]) -> dict[str, float] | None:
         "p90": float(p90),
         "p99": float(p99),
         "max": float(values.max()),
+        "histogram": _histogram(values),
     }
+
+
+def _histogram(values: NDArray[np.floating[Any]]) -> dict[str, list[float]]:
+    """Return how many values lie between edges that grow by a fifth."""
+    low, high = np.log(np.maximum(values.min(), 1e-9)), np.log(np.maximum(values.max(), 1e-9))
+    edges = np.exp(np.arange(np.floor(low / BIN), np.ceil(high / BIN) + 2.0) * BIN)
+    counts, _ = np.histogram(values, edges)
+    return {"edges": [float(f"{edge:.6g}") for edge in edges], "counts": counts.tolist()}
 
 
 def held_out_summary(judgements: Sequence[Judgement], silent: Collection[int]) -> dict[str, Any] | None:

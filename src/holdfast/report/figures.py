@@ -131,11 +131,12 @@ def time_line(rows: Sequence[str], spans: Sequence[Span], legend: Mapping[str, s
         end_s: of the axis of time [s].
     """
     figure = go.Figure(layout=_layout(130 + 34 * len(rows)))
-    for span in spans:
+    for colour in dict.fromkeys(span.colour for span in spans):  # few traces are drawn fast, however many spans
+        alike = [span for span in spans if span.colour == colour]
         figure.add_bar(
-            x=[span.end_s - span.start_s], base=[span.start_s], y=[span.row], orientation="h", showlegend=False,
-            marker={"color": span.colour, "line": {"width": 0}}, width=0.7, hovertext=[span.text], hoverinfo="text",
-            textposition="none", name=span.text,
+            x=[span.end_s - span.start_s for span in alike], base=[span.start_s for span in alike],
+            y=[span.row for span in alike], hovertext=[span.text for span in alike], orientation="h", showlegend=False,
+            marker={"color": colour, "line": {"width": 0}}, width=0.7, hoverinfo="text", textposition="none", name="",
         )  # fmt: skip
     for name, colour in legend.items():
         figure.add_bar(x=[None], y=[rows[0]], orientation="h", name=name, marker={"color": colour})

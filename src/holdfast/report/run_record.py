@@ -42,6 +42,8 @@ class RunRecord:
         sigmas: what the estimator claims, by name with its unit: each (M,).
         bias_times_s: (B,).
         biases: (B, 6) of the gyroscope [rad/s], then the accelerometer [m/s^2]; without rows where none are known.
+        true_bias_times_s: (T,) of a simulation; None where the truth is not known.
+        true_biases: (T, 6) as `biases`.
         reference: (R, 3) position of I in W by the reference [m]; None without one.
     """
 
@@ -58,6 +60,8 @@ class RunRecord:
     sigmas: Mapping[str, Array]
     bias_times_s: Array
     biases: Array
+    true_bias_times_s: Array | None = None
+    true_biases: Array | None = None
     reference: Array | None = None
     errors: Errors | None = None
     seed: str = ""

@@ -1,17 +1,30 @@
 """The report of one replay: where the machine was, how it was known, and why the estimator switched.
 
-From plain arrays only: who reads the files of a replay is above this room.
+From plain arrays only: who reads the files of a replay is above this room. Importing it needs plotly.
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from holdfast.messages import Array
+from holdfast.report.figures import (
+    COLOURS,
+    Band,
+    Line,
+    Panel,
+    Span,
+    counts_over_time,
+    histogram,
+    over_time,
+    quantiles,
+    time_line,
+    track_map,
+)
 from holdfast.report.page import Block, Cell, Figure, Page, Provenance, Section, Table, Text, digest
 from holdfast.report.run_record import RunRecord
-from holdfast.report.timeline import Stretch, antenna_stretches, health_stretches, lost_stretches
+from holdfast.report.timeline import ANTENNAS, Stretch, antenna_stretches, health_stretches, lost_stretches
 from holdfast.report.words import ROUTINE, in_words
 
 LOST, WARNING, GOOD, START = "#d55e00", "#e69f00", "#009e73", "#9aa5b1"
@@ -33,7 +46,7 @@ def single_run_page(run: RunRecord) -> Page:
     provenance = Provenance(run.command, run.summary["versions"], digest(run.summary["config"]), run.seed)
     sections = [
         Section("Where it was", _track(run)),
-        Section("Errors against the reference", _errors(run)),
+        Section("How wrong it was", [*_errors(run), *_held_out(run)]),
         Section("How it was known", _health(run)),
         Section("Every switch and its reason", _switches(run)),
         Section("What became of the measurements", _measurements(run)),
@@ -49,12 +62,13 @@ def _lead(run: RunRecord) -> str:
     way_m = float(np.linalg.norm(np.diff(run.world, axis=0), axis=1).sum())
     lost = lost_stretches(run.events, run.start_ns, run.end_s)
     without_s = sum(stretch.end_s - stretch.start_s for stretch in lost)
-    lead = f"{run.end_s - run.times_s[0]:.0f} s of estimates over {way_m:.0f} m"
-    lead += (
-        f", {without_s:.0f} s of them without GNSS in {len(lost)} outage{'s' * (len(lost) > 1)}."
-        if lost
-        else ", GNSS all the time."
-    )
+    lead = f"{run.end_s - run.times_s[0]:.0f} s of estimates over {way_m:.0f} m, "
+    if not set(ANTENNAS) & set(run.summary["counts"]):
+        lead += "without GNSS."
+    elif lost:
+        lead += f"{without_s:.0f} s of them without GNSS in {len(lost)} outage{'s' * (len(lost) > 1)}."
+    else:
+        lead += "GNSS was never lost."
     if run.errors is not None:
         found = run.errors.values
         rms = [f"{name.split(' [')[0]} {_rms(found[name]):.3g} {_unit(name)}" for name in list(found)[:3]]
@@ -63,41 +77,30 @@ def _lead(run: RunRecord) -> str:
 
 
 def _track(run: RunRecord) -> list[Block]:
-    from holdfast.report.figures import Line, track_map
-
-    tracks = (
-        []
-        if run.reference is None
-        else [Line("reference", run.reference[:, 0], run.reference[:, 1], "#9aa5b1", width=5.0)]
-    )
-    tracks.append(Line("estimate, as it was published", run.world[:, 0], run.world[:, 1]))
-    inside = np.zeros(len(run.times_s), dtype=np.bool_)
-    for stretch in lost_stretches(run.events, run.start_ns, run.end_s):
-        inside |= (run.times_s >= stretch.start_s) & (run.times_s < stretch.end_s)
+    tracks = [Line("estimate, as it was published", run.world[:, 0], run.world[:, 1])]
+    if run.reference is not None:
+        tracks.insert(0, Line("reference", run.reference[:, 0], run.reference[:, 1], START, width=5.0))
+    inside = _within(run.times_s, lost_stretches(run.events, run.start_ns, run.end_s))
     if inside.any():
         without = np.where(inside[:, None], run.world[:, :2], np.nan)
         tracks.append(Line("estimate without GNSS", without[:, 0], without[:, 1], LOST, width=3.0))
     (e0, n0), (e1, n1) = run.world[0, :2], run.world[-1, :2]
     plot = track_map(tracks, {"start": (float(e0), float(n0)), "end": (float(e1), float(n1))})
     datum = run.summary.get("datum")
-    where = "in the frame in which it started" if datum is None else (
-        f"from the datum at {datum['latitude_deg']:.7f} N, {datum['longitude_deg']:.7f} E, {datum['altitude_m']:.1f} m"
-    )  # fmt: skip
+    where = "in the frame in which it started"
+    if datum is not None:
+        where = f"from the datum at {datum['latitude_deg']:.7f} deg N, {datum['longitude_deg']:.7f} deg E"
     notes: list[Block] = [Text(note, note=True) for note in run.notes]
     return [*notes, Figure("track", "Track from above", plot, f"Position of the IMU, {where}.")]
 
 
 def _errors(run: RunRecord) -> list[Block]:
-    from holdfast.report.figures import Line, Panel, over_time
-
     if run.errors is None:
         return []
     times_s, values = run.errors.times_s, run.errors.values
     panels = [Panel(name, [*_claimed(run, name), Line("error", times_s, of)]) for name, of in values.items()]
     lost = lost_stretches(run.events, run.start_ns, run.end_s)
-    without = np.zeros(len(times_s), dtype=np.bool_)
-    for stretch in lost:
-        without |= (times_s >= stretch.start_s) & (times_s < stretch.end_s)
+    without = _within(times_s, lost)
     parts = {"all": np.ones(len(times_s), dtype=np.bool_)}
     parts |= {"GNSS trusted": ~without, "GNSS lost": without} if without.any() else {}
     rows: list[list[Cell]] = [
@@ -109,13 +112,34 @@ def _errors(run: RunRecord) -> list[Block]:
     return [
         Table("errors", "Errors", ("error", "when", *STATISTICS, "poses"), rows, f"Against {run.errors.source}."),
         Figure("errors-over-time", "Errors over time", over_time(panels, _bands(lost)),
-               "Dashed: three times the standard deviation that the estimator claims."),
+               "Dotted: three times the standard deviation that the estimator claims."),
     ]  # fmt: skip
 
 
-def _health(run: RunRecord) -> list[Block]:
-    from holdfast.report.figures import Span, time_line
+def _held_out(run: RunRecord) -> list[Block]:
+    """Return the errors at the fixes that were kept from the estimator."""
+    rows: list[list[Cell]] = [
+        [track, part, of["horizontal_m"]["count"], *(of["horizontal_m"][key] for key in ("rms", "p95", "max")),
+         *(of["vertical_m"][key] for key in ("rms", "max")), of["nees_per_dof"]]
+        for track, parts in run.summary["held_out"].items()
+        for part, of in (parts or {}).items()
+    ]  # fmt: skip
+    head = (
+        "track",
+        "when",
+        "fixes",
+        "horizontal RMS [m]",
+        "p95 [m]",
+        "max [m]",
+        "vertical RMS [m]",
+        "max [m]",
+        "NEES / 3",
+    )
+    caption = "The fixes have errors of their own. Causal: as it was published; smoothed: as it left the window."
+    return [Table("held-out", "Errors at fixes that were held back", head, rows, caption)] if rows else []
 
+
+def _health(run: RunRecord) -> list[Block]:
     stretches = {"health": health_stretches(run.events, run.start_ns, run.end_s)}
     stretches |= antenna_stretches(run.events, run.start_ns, run.end_s, run.summary["counts"])
     spans, used = [], set()
@@ -147,8 +171,6 @@ def _switches(run: RunRecord) -> list[Block]:
 
 
 def _measurements(run: RunRecord) -> list[Block]:
-    from holdfast.report.figures import counts_over_time
-
     outcomes = sorted({name for of in run.summary["counts"].values() for name in of})
     rows: list[list[Cell]] = [
         [sensor, *(of.get(name, 0) for name in outcomes)] for sensor, of in run.summary["counts"].items()
@@ -168,16 +190,14 @@ def _measurements(run: RunRecord) -> list[Block]:
 
 
 def _odometry(run: RunRecord) -> list[Block]:
-    from holdfast.report.figures import Line, Panel, over_time
-
     lost = _bands(lost_stretches(run.events, run.start_ns, run.end_s))
     names = ("east", "north", "up")
     where = [Line(name, run.times_s, run.correction[:, k]) for k, name in enumerate(names)]
     panels = [Panel("T_W_O [m]", where), Panel("T_W_O yaw [deg]", [Line("yaw", run.times_s, run.correction[:, 3])])]
-    jerks = {name: _departure(track) for name, track in (("in W", run.world), ("in O", run.odometry))}
-    lines = [Line(name, run.times_s[2:], np.maximum(1e3 * of, 1e-4)) for name, of in jerks.items()]
+    departures = {name: _departure(track) for name, track in (("in W", run.world), ("in O", run.odometry))}
+    lines = [Line(name, run.times_s[2:], np.maximum(1e3 * of, 1e-4)) for name, of in departures.items()]
     rows: list[list[Cell]] = [
-        [name, *(1e3 * float(np.quantile(of, q)) for q in (0.5, 0.99, 1.0))] for name, of in jerks.items()
+        [name, *(1e3 * float(np.quantile(of, q)) for q in (0.5, 0.99, 1.0))] for name, of in departures.items()
     ]
     caption = "What W corrects, T_W_O takes: a consumer of poses in O never sees it."
     why = "How far each estimate lies from the straight continuation of the two before it: acceleration, or a jump."
@@ -190,26 +210,29 @@ def _odometry(run: RunRecord) -> list[Block]:
 
 
 def _claims(run: RunRecord) -> list[Block]:
-    from holdfast.report.figures import Line, Panel, over_time
-
     lost = _bands(lost_stretches(run.events, run.start_ns, run.end_s))
     blocks: list[Block] = []
     if len(run.sigma_times_s):
         panels = [Panel(name, [Line("sigma", run.sigma_times_s, of)], "log") for name, of in run.sigmas.items()]
         blocks.append(Figure("sigmas", "Standard deviations that it claims", over_time(panels, lost)))
     if len(run.bias_times_s):
-        axes = ("x", "y", "z")
-        panels = [
-            Panel(label, [Line(axis, run.bias_times_s, run.biases[:, first + k]) for k, axis in enumerate(axes)])
-            for label, first in (("gyroscope [rad/s]", 0), ("accelerometer [m/s²]", 3))
-        ]
-        blocks.append(Figure("biases", "Biases of the IMU, as estimated", over_time(panels, lost)))
+        panels = [Panel("gyroscope [rad/s]", _bias_lines(run, 0)), Panel("accelerometer [m/s²]", _bias_lines(run, 3))]
+        caption = "" if run.true_biases is None else "Dotted: the truth of the simulation."
+        blocks.append(Figure("biases", "Biases of the IMU, as estimated", over_time(panels, lost), caption))
     return blocks
 
 
-def _speed(run: RunRecord) -> list[Block]:
-    from holdfast.report.figures import histogram, quantiles
+def _bias_lines(run: RunRecord, first: int) -> list[Line]:
+    """Return the lines of three axes, and those of the truth where it is known."""
+    lines = []
+    for k, axis in enumerate("xyz"):
+        lines.append(Line(axis, run.bias_times_s, run.biases[:, first + k], COLOURS[k]))
+        if run.true_biases is not None and run.true_bias_times_s is not None:
+            lines.append(Line(f"{axis}, true", run.true_bias_times_s, run.true_biases[:, first + k], COLOURS[k], "dot"))
+    return lines
 
+
+def _speed(run: RunRecord) -> list[Block]:
     timing = run.summary["timing"]
     found = {"IMU sample": (timing["imu_us"], 1.0), "message with an update": (timing["update_ms"], 1e3)}
     known = {name: (of, factor) for name, (of, factor) in found.items() if of}
@@ -235,15 +258,21 @@ def _speed(run: RunRecord) -> list[Block]:
     )
 
 
-def _claimed(run: RunRecord, name: str) -> list[Any]:
+def _claimed(run: RunRecord, name: str) -> list[Line]:
     """Return three times the claimed deviation of an error as a line, and its mirror where the error has a sign."""
-    from holdfast.report.figures import Line
-
     if name not in run.sigmas or run.errors is None:
         return []
     signs = (1.0, -1.0) if (run.errors.values[name] < 0.0).any() else (1.0,)
     sigma = run.sigmas[name]
     return [Line("3 sigma, claimed", run.sigma_times_s, 3.0 * sign * sigma, "#5f6b7a", "dot", 1.0) for sign in signs]
+
+
+def _within(times_s: Array, stretches: Sequence[Stretch]) -> NDArray[np.bool_]:
+    """Tell which times (N,) lie in one of the stretches."""
+    found = np.zeros(len(times_s), dtype=np.bool_)
+    for stretch in stretches:
+        found |= (times_s >= stretch.start_s) & (times_s < stretch.end_s)
+    return found
 
 
 def _departure(positions: Array) -> Array:
@@ -252,9 +281,7 @@ def _departure(positions: Array) -> Array:
     return departure
 
 
-def _bands(stretches: Sequence[Stretch]) -> list[Any]:
-    from holdfast.report.figures import Band
-
+def _bands(stretches: Sequence[Stretch]) -> list[Band]:
     return [Band(stretch.start_s, stretch.end_s, LOST, "without GNSS") for stretch in stretches]
 
 

@@ -8,7 +8,7 @@ ROUTINE = frozenset({"rejected", "late", "waiting"})
 
 TOLD = {
     "initialised": "The estimator started ({reason}).",
-    "imu_gap": "The IMU drops out: {reason}. No IMU factor spans it; the motion model, GNSS and lidar bridge it.",
+    "imu_gap": "The IMU drops out: {reason}. No IMU factor spans it; the motion model and the other sensors do.",
     "clock_step": "The clock of {sensor} went back for good: {reason}.",
     "estimate_suspect": "The estimate itself is doubted: {sensor} says it is {reason}. The fixes are believed.",
     "gnss_lost": "GNSS is lost: {reason}. The fallback graph takes over in the same IMU tick.",

@@ -214,13 +214,12 @@ class ImuBuffer:
         if after_gap or last < 2:
             self._line_start = last
             return False
-        t0, t1, t2 = self._stamps[-3:]
         before, middle, newest = self._readings[-3:]
-        ratio = (t2 - t1) / (t1 - t0)
-        # by index or by time, whichever a logger goes by
-        if _bends(before, middle, newest, 1.0) and (ratio == 1.0 or _bends(before, middle, newest, ratio)):
-            self._line_start = last - 1
-            return False
+        if _bends(before, middle, newest, 1.0):
+            t0, t1, t2 = self._stamps[-3:]
+            if t2 - t1 == t1 - t0 or _bends(before, middle, newest, (t2 - t1) / (t1 - t0)):
+                self._line_start = last - 1  # on a line neither by index nor by time, whichever a logger goes by
+                return False
         start = self._line_start
         needed = self._max_gap_ns
         if not (self._rates[-1] - self._rates[start]).any() and not (self._forces[-1] - self._forces[start]).any():

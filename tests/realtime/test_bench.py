@@ -1,0 +1,64 @@
+"""`holdfast bench realtime` measures what it says, and refuses what it cannot do in one line."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from engine import Drive
+
+COMMAND = [sys.executable, "-c", "from holdfast.cli import main; main()", "bench", "realtime"]
+
+
+def bench(*arguments):
+    return subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, text=True, check=False, timeout=120)
+
+
+@pytest.fixture(scope="module")
+def result(drive: Drive, tmp_path_factory):
+    path = tmp_path_factory.mktemp("bench") / "result.json"
+    config = drive.folder / "config.yaml"
+    done = bench("--recording", drive.folder, "-c", config, "--duration", "5", "--json", path)
+    assert done.returncode == 0, done.stderr
+    return done.stdout, json.loads(path.read_text(encoding="utf-8"))
+
+
+def test_each_run_has_its_times_and_its_floor(result):
+    _, found = result
+    assert set(found["runs"]) == {"busy", "idle", "back_to_back", "cabin_only"}
+    for run in found["runs"].values():
+        imu, floor = run["imu_us"], run["floor_us"]
+        assert 0.0 < imu["median"] <= imu["p99"] <= imu["p99.9"] <= imu["max"]
+        assert imu["median"] > floor["median"]  # it does what the floor does, and more
+        assert run["ratio_to_floor"]["median"] == pytest.approx(imu["median"] / floor["median"])
+        assert 0.0 < run["cpu"]["imu_path"] <= 1.1
+
+
+def test_an_idle_optimiser_updates_seldom_and_its_state_is_old(result):
+    _, found = result
+    busy, idle = found["runs"]["busy"], found["runs"]["idle"]
+    assert busy["update_ms"]["count"] > 50  # 45 measurements a second
+    assert idle["update_ms"]["count"] < 25  # a node each half second
+    assert idle["age_ms"]["median"] > busy["age_ms"]["median"]
+
+
+def test_what_is_printed_fits_into_a_terminal(result):
+    printed, _ = result
+    assert "optimiser busy" in printed
+    assert "x the floor at the median" in printed
+    assert all(len(line) <= 120 for line in printed.splitlines())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--duration", "-1"], "--duration -1: must be > 0"),
+        (["--recording", "nowhere"], "--recording and -c belong together"),
+        (["--json", "no/such/folder/x.json"], "its folder does not exist"),
+    ],
+)
+def test_a_mistake_is_one_line(arguments, says):
+    done = bench(*arguments)
+    assert done.returncode == 2
+    assert says in done.stderr
+    assert len(done.stderr.splitlines()) == 1
