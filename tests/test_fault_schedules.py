@@ -19,7 +19,7 @@ ONCE_FAILED = {
     120: "velocity corrected at once: O stepped",
     41: "the velocity was corrected by 0.5 m/s at once, after a jump of the lidar without GNSS",
     40: "started in motion, the heading was corrected by 9 deg; the velocity in O turned at once",
-    63: "the clocks of IMU and GNSS went back; what was driven until the IMU was heard again went into T_W_O",
+    63: "the clocks of IMU and GNSS went back; what was driven in the meantime went into T_W_O",
 }
 
 

@@ -106,7 +106,8 @@ def test_both_graphs_are_identical_at_the_switch_and_go_their_own_ways_after_it(
             continue  # fixes in quarantine have nodes in the published graph only
         apart_since.append(apart(main.nav, published.nav)[0])
     assert apart_since[0] < 1e-6 < max(apart_since)
-    assert estimator._optimiser.graph.main is estimator._optimiser.graph.published  # after the recovery they are one again
+    # after the recovery they are one again
+    assert estimator._optimiser.graph.main is estimator._optimiser.graph.published
 
 
 def test_without_a_difference_between_the_graphs_there_is_one():

@@ -89,9 +89,7 @@ def test_two_antennas_of_a_standing_machine_are_no_motion():
     config = without_heading(right=True, standstill={"max_acceleration": 1e-4})  # never quiet
     estimator, _ = run(
         config,
-        in_order(
-            standing(), fixes(STANDING, 0.0, 3.0), fixes(STANDING, 0.0, 3.0, arm=ARM_RIGHT, sensor="gnss_right")
-        ),
+        in_order(standing(), fixes(STANDING, 0.0, 3.0), fixes(STANDING, 0.0, 3.0, arm=ARM_RIGHT, sensor="gnss_right")),
     )
     assert "moved 0.0 m" in estimator.waiting_for
 

@@ -173,6 +173,17 @@ def test_a_full_queue_is_counted_and_said_once(drive):
         assert total(engine.counts, fix.sensor) == sent
 
 
+def test_samples_of_the_imu_alone_bring_new_states_in(drive, engine):
+    samples = [m for m in drive.between(BEGIN_S, 6.0) if isinstance(m, ImuSample) and m.sensor == "imu"]
+    outputs = play(engine, samples[:150], rate=1.0)
+    assert sum(o.optimised is not None for o in outputs) >= 2  # a node each half second
+    assert engine.flush().estimate is None
+    before = engine.newest_state.stamp_ns
+    play(engine, samples[150:], rate=1.0)
+    wait_for(lambda: engine.refresh().optimised is not None or engine.newest_state.stamp_ns > before)
+    assert engine.newest_state.stamp_ns > before
+
+
 def test_a_gap_of_the_imu_is_crossed(drive, engine):
     before = play(engine, drive.between(BEGIN_S, 5.0), rate=2.0)
     silent = [m for m in drive.between(5.0, 6.0) if not (isinstance(m, ImuSample) and m.sensor == "imu")]

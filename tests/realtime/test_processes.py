@@ -169,3 +169,22 @@ def test_each_process_runs_where_the_configuration_puts_it(drive):
     assert placed(f"imu_core={allowed[0]}", "optimiser_nice=2") == f"[{allowed[0]}] {allowed} {min(nice + 2, 19)}"
     assert placed(f"optimiser_core={allowed[1]}") == f"{allowed} [{allowed[1]}] {nice}"
     assert "realtime.imu_core = 4096: must be one of" in placed("imu_core=4096")
+
+
+def test_the_example_runs_without_a_guard_for_its_main_module(drive):
+    example = Path(__file__).parents[2] / "examples" / "realtime.py"
+    assert len(example.read_text(encoding="utf-8").splitlines()) <= 32
+    process = subprocess.Popen(
+        [sys.executable, "-u", str(example), str(drive.folder)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        said = next(line for line in process.stdout if " m +- " in line)
+    finally:
+        process.kill()
+        process.wait()
+    east, north, up, *_ = (float(word) for word in said.split()[:3])
+    assert abs(east) + abs(north) + abs(up) < 20.0  # the machine has hardly left the datum
+    assert process.stderr.read() == ""

@@ -9,6 +9,7 @@ velocity, also where the IMU was silent in between.
 """
 
 from collections.abc import Callable
+from typing import Any
 from weakref import ref
 
 import gtsam
@@ -26,7 +27,7 @@ FOLD_S = 1.0  # the walk of the biases enters the covariance this often
 class Spread:
     """The covariance (9, 9) after preintegrated samples, computed when it is asked for: (8) in docs/math.md.
 
-    Whoever adds a sample to `pim` calls `keep` before, if somebody still holds this.
+    Whoever adds a sample to `pim` asks for it before, if somebody still holds this.
 
     Args:
         pim: the samples.
@@ -35,7 +36,7 @@ class Spread:
         covariance: (15, 15) of state and biases.
     """
 
-    __slots__ = ("__weakref__", "_bias", "_covariance", "_kept", "_nav", "_pim", "_value")
+    __slots__ = ("__weakref__", "_made_of", "_value")
 
     def __init__(
         self,
@@ -44,37 +45,30 @@ class Spread:
         bias: gtsam.imuBias.ConstantBias,
         covariance: Array,
     ) -> None:
-        self._pim, self._nav, self._bias, self._covariance = pim, nav, bias, covariance
-        self._kept: tuple[Array, Array, Array] | None = None
-        self._value: Array | None = None
-
-    def keep(self) -> None:
-        """Keep what the covariance is made of."""
-        if self._kept is None and self._value is None:
-            by_nav, by_bias = np.empty((9, 9), order="F"), np.empty((9, 6), order="F")
-            self._pim.predict(self._nav, self._bias, by_nav, by_bias)
-            self._kept = by_nav, by_bias, self._pim.residualCovariance()
+        self._made_of: tuple[Any, ...] | None = pim, nav, bias, covariance
+        self._value: Array
 
     def __call__(self) -> Array:
         """Return the covariance."""
-        if self._value is None:
-            F = self.transition()
-            assert self._kept is not None
-            self._value = F @ self._covariance @ F.T
-            self._value += self._kept[2]
-            self._kept = None
+        if self._made_of is not None:
+            pim, nav, bias, covariance = self._made_of
+            F = transition(pim, nav, bias)
+            self._value = F @ covariance @ F.T
+            self._value += pim.residualCovariance()
+            self._made_of = None
         return self._value
 
     def __reduce__(self) -> tuple[Callable[[Array], Array], tuple[Array]]:
         return np.asarray, (self(),)
 
-    def transition(self) -> Array:
-        """Return F (9, 15), how the state depends on the state before and on the biases; asked for before all else."""
-        self.keep()
-        assert self._kept is not None
-        F = np.empty((9, 15))
-        F[:, :9], F[:, 9:], _ = self._kept
-        return F
+
+def transition(pim: gtsam.PreintegratedImuMeasurements, nav: gtsam.NavState, bias: gtsam.imuBias.ConstantBias) -> Array:
+    """Return F (9, 15), how the state after preintegrated samples depends on the state before and on the biases."""
+    by_nav, by_bias = np.empty((9, 9), order="F"), np.empty((9, 6), order="F")
+    pim.predict(nav, bias, by_nav, by_bias)
+    F = np.empty((9, 15))
+    F[:, :9], F[:, 9:] = by_nav, by_bias
+    return F
 
 
 class Propagation:
@@ -143,7 +137,7 @@ class Propagation:
     def _integrate(self, step: Step) -> None:
         given = self._given()
         if given is not None:
-            given.keep()
+            given()
         self.rate = integrate(self._pim, step, self._bias_accel, self._bias_gyro)
         self.from_imu = True
 
@@ -162,7 +156,7 @@ class Propagation:
         """Make the state after `pim` the new base, so that other noise and the walk of the biases can be added."""
         nav, spread = pim.predict(self._base, self._bias), self._spread(pim)
         covariance = self._base_covariance + self._bias_walk * pim.deltaTij()
-        covariance[:9, 9:] = spread.transition() @ self._base_covariance[:, 9:]
+        covariance[:9, 9:] = transition(pim, self._base, self._bias) @ self._base_covariance[:, 9:]
         covariance[9:, :9] = covariance[:9, 9:].T
         covariance[:9, :9] = spread()
         self._begin(self.stamp_ns, nav, covariance)
