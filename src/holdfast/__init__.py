@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from holdfast.errors import HoldfastError as HoldfastError
     from holdfast.errors import RecordingError as RecordingError
     from holdfast.estimator.estimator import Estimator as Estimator
-    from holdfast.estimator.estimator import Output as Output
     from holdfast.geometry.earth import Geodetic as Geodetic
     from holdfast.messages import FixStatus as FixStatus
     from holdfast.messages import GnssFix as GnssFix
@@ -30,6 +29,7 @@ if TYPE_CHECKING:
     from holdfast.state import Estimate as Estimate
     from holdfast.state import Event as Event
     from holdfast.state import Health as Health
+    from holdfast.state import Output as Output
 
 __version__ = "0.1.0"
 
@@ -51,7 +51,7 @@ _PUBLIC = {
     "ImuSample": "messages",
     "JointAngle": "messages",
     "LidarPose": "messages",
-    "Output": "estimator.estimator",
+    "Output": "state",
     "RealtimeEstimator": "realtime.engine",
     "RecordingError": "errors",
     "load_config": "config.load",

@@ -6,7 +6,7 @@ body frame I; biases follow in GTSAM's order, accelerometer [m/s^2] before gyros
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, NamedTuple
@@ -193,6 +193,21 @@ class BaseState(NamedTuple):
         """Velocity (3,) of B's origin, expressed in O [m/s]."""
         velocity: Array = self.T_O_B.rotation().rotate(self.velocity)
         return velocity
+
+
+class Output(NamedTuple):
+    """What one message led to: an estimate at an IMU sample, an optimisation, states that will not change any more.
+
+    `base` is the state of the chassis at the estimate, if it is known.
+    """
+
+    estimate: Estimate | None = None
+    optimised: OptimisedState | None = None
+    smoothed: Sequence[tuple[int, gtsam.NavState]] = ()
+    base: BaseState | None = None
+
+
+NOTHING = Output()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

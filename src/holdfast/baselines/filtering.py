@@ -7,7 +7,7 @@ from typing import Generic
 import gtsam
 import numpy as np
 
-from holdfast.baselines.intake import AntennaFix, Intake, Measurement, Output
+from holdfast.baselines.intake import AntennaFix, Intake, Measurement
 from holdfast.baselines.propagation import Propagation, Tuning
 from holdfast.baselines.rewind import B, Filter, Rewinder
 from holdfast.baselines.start import StandstillStart, Start
@@ -15,7 +15,7 @@ from holdfast.config.model import Config
 from holdfast.geometry.earth import Geodetic
 from holdfast.messages import GnssFix, Heading, ImuSample, LidarPose, Message
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.state import Estimate, Event, EventKind, OptimisedState, Outcome
+from holdfast.state import Estimate, Event, EventKind, OptimisedState, Outcome, Output
 
 NO_OFFSET = gtsam.Pose3()
 

@@ -1,7 +1,6 @@
 """What the baselines take in: messages are checked as the estimator checks them, and become measurements in W."""
 
 from collections import Counter, deque
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import gtsam
@@ -13,19 +12,10 @@ from holdfast.messages import Array, GnssFix, Heading, LidarPose
 from holdfast.sensors.gnss import AntennaPosition, GnssModel
 from holdfast.sensors.heading import AxisYaw, HeadingModel
 from holdfast.sensors.lidar import LidarModel
-from holdfast.state import BaseState, Estimate, Event, EventKind, OptimisedState, Outcome
+from holdfast.state import Event, EventKind, Outcome
 
 RECENT = 64  # stamps per sensor among which a duplicate is looked for
 MAX_AHEAD_NS = 1_000_000_000  # further ahead of its arrival no clock is
-
-
-class Output(NamedTuple):
-    """What one message led to; the fields are those of `holdfast.estimator.estimator.Output`."""
-
-    estimate: Estimate | None = None
-    optimised: OptimisedState | None = None
-    smoothed: Sequence[tuple[int, gtsam.NavState]] = ()
-    base: BaseState | None = None
 
 
 class AntennaFix(NamedTuple):

@@ -10,7 +10,7 @@ from collections import Counter
 import gtsam
 import numpy as np
 
-from holdfast.baselines.intake import AntennaFix, Intake, Output, TrackPose
+from holdfast.baselines.intake import AntennaFix, Intake, TrackPose
 from holdfast.baselines.start import StandstillStart, Start
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
@@ -18,7 +18,7 @@ from holdfast.geometry.earth import Geodetic
 from holdfast.messages import Array, GnssFix, Heading, ImuSample, LidarPose, Message
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lidar import LidarModel
-from holdfast.state import Estimate, Event, EventKind, Outcome
+from holdfast.state import Estimate, Event, EventKind, Outcome, Output
 
 NO_OFFSET = gtsam.Pose3()
 

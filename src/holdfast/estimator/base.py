@@ -97,19 +97,19 @@ class BaseGeometry:
         R_B_I = T_I_B.rotation().matrix().T
         axis = self._R_B_J[:, 2]  # of the joint, in B; and where B's origin is from it
         arm = self._R_B_J @ self._T_J_B.translation()
-        by_angle = np.concatenate([-axis, np.cross(arm, axis)])
+        by_angle = np.concatenate([-axis, _skew(arm) @ axis])
         angle_variance, turn_variance = base.joint_angle_sigma_rad**2, base.turn_rate_sigma_rad_s**2
         pose = to_B @ estimate.covariance[:6, :6] @ to_B.T + angle_variance * np.outer(by_angle, by_angle)
         across = np.eye(3) - np.outer(axis, axis)
         # sources: velocity of I in I, angular velocity of I in I, angle of the joint, rate of the chassis
         G = np.zeros((6, 8))
         G[:3, 3:6] = across @ R_B_I
-        G[:3, 6] = np.cross(axis, base.angular_velocity)
+        G[:3, 6] = _skew(axis) @ base.angular_velocity
         G[:3, 7] = axis
-        velocity_J = base.velocity - np.cross(base.angular_velocity, arm)
+        velocity_J = base.velocity - _skew(base.angular_velocity) @ arm
         G[3:, :3] = R_B_I
         G[3:, 3:6] = -R_B_I @ _skew(self._T_I_A.translation())
-        G[3:, 6] = np.cross(axis, velocity_J)
+        G[3:, 6] = _skew(axis) @ velocity_J
         G[3:] -= _skew(arm) @ G[:3]
         J = np.zeros((3, 9))
         J[:, :3], J[:, 6:] = _skew(estimate.nav.bodyVelocity()), np.eye(3)

@@ -5,10 +5,6 @@ are called in turn; `holdfast.realtime` puts them into two processes.
 """
 
 from collections import Counter
-from collections.abc import Sequence
-from typing import NamedTuple
-
-import gtsam
 
 from holdfast.config.model import Config
 from holdfast.estimator.imu_path import ImuPath
@@ -17,22 +13,7 @@ from holdfast.estimator.optimiser import Measurement, Optimiser
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.messages import ImuSample, JointAngle, Message
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.state import BaseState, Estimate, Event, EventKind, Health, HealthReport, OptimisedState, Outcome
-
-
-class Output(NamedTuple):
-    """What one message led to: an estimate at an IMU sample, an optimisation, states that will not change any more.
-
-    `base` is the state of the chassis at the estimate, if it is known.
-    """
-
-    estimate: Estimate | None = None
-    optimised: OptimisedState | None = None
-    smoothed: Sequence[tuple[int, gtsam.NavState]] = ()
-    base: BaseState | None = None
-
-
-NOTHING = Output()
+from holdfast.state import NOTHING, BaseState, Estimate, Event, EventKind, Health, HealthReport, Outcome, Output
 
 
 class Estimator:

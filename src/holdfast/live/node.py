@@ -7,7 +7,6 @@ from time import monotonic_ns, time_ns
 from typing import Any, Protocol
 
 from holdfast.config.model import Config
-from holdfast.estimator.estimator import Output
 from holdfast.geometry.earth import Geodetic
 from holdfast.live.dds import Network, Sample
 from holdfast.live.feed import Feed, Record
@@ -18,7 +17,7 @@ from holdfast.live.watch import MALFORMED, Finding, Watch
 from holdfast.messages import Message
 from holdfast.recording.source import Subscription
 from holdfast.replay.ros_messages import OK, WARN, Observed, Status, estimator_status
-from holdfast.state import Event, EventKind
+from holdfast.state import Event, EventKind, Output
 
 REVIEW_NS = 1_000_000_000
 WAIT_S = 0.1  # the longest that a wish to stop goes unheard

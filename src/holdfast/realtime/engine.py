@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError, EstimatorError
-from holdfast.estimator.estimator import NOTHING, Output
 from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import ImuPath
 from holdfast.estimator.journal import Journal
@@ -30,7 +29,7 @@ from holdfast.realtime.records import Published, Request, pack_request, pack_sam
 from holdfast.realtime.supervisor import START_S, Supervisor
 from holdfast.realtime.worker import Settings
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.state import Event, EventKind, Health, HealthReport, OptimisedState, Outcome
+from holdfast.state import NOTHING, Event, EventKind, Health, HealthReport, OptimisedState, Outcome, Output
 
 FLUSH_S = 30.0
 LEAVE = 2  # for so many samples a new state is left to calls that are in less of a hurry

@@ -9,7 +9,6 @@ from typing import Self
 
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
-from holdfast.estimator.estimator import Output
 from holdfast.recording.mcap_writer import McapWriter
 from holdfast.recording.tum import TumWriter
 from holdfast.replay.frame_transforms import translation_and_quaternion
@@ -24,7 +23,7 @@ from holdfast.replay.ros_messages import (
     diagnostic_array,
     estimator_status,
 )
-from holdfast.state import BaseState, Estimate, Event
+from holdfast.state import BaseState, Estimate, Event, Output
 
 
 class Outputs:

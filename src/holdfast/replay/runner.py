@@ -10,14 +10,14 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.errors import EstimatorError
-from holdfast.estimator.estimator import Estimator, Output
+from holdfast.estimator.estimator import Estimator
 from holdfast.geometry.earth import LocalFrame
 from holdfast.messages import GnssFix, ImuSample, Message
 from holdfast.realtime.engine import RealtimeEstimator
 from holdfast.replay.held_out import HeldOutJudge, HoldOut, HoldOutFilter
 from holdfast.replay.outputs import Outputs
 from holdfast.report.track import JudgedTrack
-from holdfast.state import Estimate, Health
+from holdfast.state import Estimate, Health, Output
 
 
 @dataclass(slots=True)
