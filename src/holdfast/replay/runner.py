@@ -15,6 +15,7 @@ from holdfast.geometry.earth import LocalFrame
 from holdfast.messages import GnssFix, ImuSample, Message
 from holdfast.realtime.engine import RealtimeEstimator
 from holdfast.replay.held_out import HeldOutJudge, HoldOut, HoldOutFilter
+from holdfast.replay.interrupts import Uninterrupted
 from holdfast.replay.outputs import Outputs
 from holdfast.report.track import JudgedTrack
 from holdfast.state import Estimate, Health, Output
@@ -73,6 +74,8 @@ class Replay:
         if self._realtime is not None:
             self._realtime.wait_until_ready()
         began, first_ns, last_ns = perf_counter(), 0, 0
+        uninterrupted = Uninterrupted()
+        uninterrupted.start()
         try:
             for count, message in enumerate(self._filter.split(messages)):
                 last_ns = message.arrival_ns
@@ -81,10 +84,12 @@ class Replay:
                     ahead_s = (last_ns - first_ns) * 1e-9 / rate - (perf_counter() - began)
                     if ahead_s > 0.0:
                         self._wait(ahead_s, last_ns)
-                self._process(message)
+                with uninterrupted:
+                    self._process(message)
                 if progress is not None and count % 500 == 0:
                     progress(last_ns)
         finally:
+            uninterrupted.stop()
             self.timing.wall_s = perf_counter() - began
             self.timing.recorded_s = (last_ns - first_ns) * 1e-9
             if self._realtime is None:

@@ -1,0 +1,37 @@
+"""Ctrl-C is heard between two pieces of work."""
+
+import signal
+
+import pytest
+
+from holdfast.replay.interrupts import Uninterrupted
+
+
+def test_work_that_has_begun_is_finished_before_ctrl_c_is_heard():
+    uninterrupted, done = Uninterrupted(), []
+    uninterrupted.start()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            for k in range(3):
+                with uninterrupted:
+                    if k == 1:
+                        signal.raise_signal(signal.SIGINT)
+                    done.append(k)
+        assert done == [0, 1]
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)  # no work: at once
+    finally:
+        uninterrupted.stop()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_program_that_ignores_ctrl_c_goes_on_ignoring_it():
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        uninterrupted = Uninterrupted()
+        uninterrupted.start()
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+        uninterrupted.stop()
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
