@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from holdfast.replay.runner import Replay
 
 OUTAGE_S = (380.0, 440.0)  # since the first message
+RECOVERY_S = 10.0  # fixes come every 2 s, and several must agree
 CONFIG = """\
 # The KITTI drive that ships with gtsam (raw data 2011_10_03_0027): IMU and GNSS of an OXTS RT3003.
 sensors:
@@ -74,12 +75,16 @@ def _print_table(run: "Replay") -> None:
         table.add_column(column, justify="left" if not column else "right")
     causal, smoothed = run.causal.judgements, run.smoothed.judgements
     silent = {judgement.stamp_ns for judgement in causal if judgement.imu_silent}
+    ended_ns = max((judgement.stamp_ns for judgement in causal if judgement.in_outage), default=0)
+    recovering = {j.stamp_ns for j in causal if 0 < j.stamp_ns - ended_ns <= RECOVERY_S * 1e9}
+    apart = silent | recovering
     rows = [
-        ("as published, GNSS and IMU heard", [j for j in causal if not j.in_outage and j.stamp_ns not in silent]),
+        ("as published, GNSS and IMU heard", [j for j in causal if not j.in_outage and j.stamp_ns not in apart]),
         ("  ... in the IMU's drop-outs (*)", [j for j in causal if not j.in_outage and j.stamp_ns in silent]),
-        ("smoothed, 3 s later", [j for j in smoothed if not j.in_outage and j.stamp_ns not in silent]),
+        ("smoothed, 3 s later", [j for j in smoothed if not j.in_outage and j.stamp_ns not in apart]),
         ("in the outage, first 10 s", _first(causal, 10.0)),
         ("in the outage, whole minute", _first(causal, 60.0)),
+        ("after it, first 10 s (**)", [j for j in causal if j.stamp_ns in recovering]),
     ]
     for name, judgements in rows:
         if judgements:
@@ -88,6 +93,7 @@ def _print_table(run: "Replay") -> None:
             table.add_row(name, str(len(e)), *(f"{value:.2f}" for value in values))
     Console().print(table)
     click.echo("(*) the logger drew lines through the positions too: those fixes are no measurements.")
+    click.echo("(**) two fixes, 2 s apart here, must agree with each other before GNSS is trusted again.")
 
 
 def _first(judgements: list, seconds: float) -> list:  # type: ignore[type-arg]

@@ -23,6 +23,7 @@ AGREEMENT_SIGMA = 4.0  # fixes in quarantine are no further from their mean
 COMPARED = 20  # with the mean of so many of the newest
 STRAYS = 3  # so many in a row that disagree end a run of agreement
 PERIODS_OF_SILENCE = 3
+PUNCTUAL = 0.99  # fixes every two seconds are not always two seconds apart
 UNKNOWN_PERIOD_S = 2.0  # before the second fix
 
 
@@ -146,7 +147,7 @@ class AntennaGate:
         span_s = (held[-1].fix.stamp_ns - held[0].fix.stamp_ns) * 1e-9
         if self._hold_s > 0.0:
             return span_s >= self._hold_s
-        return span_s >= self._gate.regain_s or len(held) >= self._gate.regain_after
+        return span_s >= PUNCTUAL * self._gate.regain_s or len(held) >= self._gate.regain_after
 
     def believes(self, after_s: float) -> bool:
         """Whether fixes that contradict the estimate have agreed with each other for so long that they are right."""
