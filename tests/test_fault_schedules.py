@@ -22,6 +22,11 @@ ONCE_FAILED = {
     63: "the clocks of IMU and GNSS went back; what was driven in the meantime went into T_W_O",
 }
 
+STILL_FAILING = {
+    498: "the IMU's clock went back: two samples are 11 ms apart by their stamps, 0.5 s in truth; O turns by 0.026 deg: "
+    "the angular velocity of an estimate is the mean since the sample before",
+}
+
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(1000, 1020))
@@ -32,4 +37,11 @@ def test_no_schedule_breaks_the_estimator(seed):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", ONCE_FAILED)
 def test_a_schedule_that_broke_the_estimator_once_does_so_no_more(seed):
+    assert complaints(seed) == []
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="see STILL_FAILING")
+@pytest.mark.parametrize("seed", STILL_FAILING)
+def test_a_schedule_that_still_breaks_the_estimator(seed):
     assert complaints(seed) == []
