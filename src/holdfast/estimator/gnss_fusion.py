@@ -144,8 +144,9 @@ class GnssFusion:
         Returns:
             Whether GNSS was regained, so that the published graph is another one.
         """
-        while self._used and self._used[0].fix.stamp_ns < graph.main.oldest_ns:
-            self._used.popleft()
+        oldest_ns = graph.main.oldest_ns
+        if any(used.fix.stamp_ns < oldest_ns for used in self._used):  # in the order of arrival, not of stamps
+            self._used = deque(used for used in self._used if used.fix.stamp_ns >= oldest_ns)
         if self._gate.innovation and self._used and self._used[-1].fix.stamp_ns - self._reviewed_ns >= REVIEW_NS:
             self._reviewed_ns = self._used[-1].fix.stamp_ns
             self._retract_worst(graph.main)
