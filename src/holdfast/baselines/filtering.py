@@ -1,26 +1,21 @@
 """A filter behind the estimator's interface: a message in, an estimate at every IMU sample out."""
 
-from collections import Counter
 from collections.abc import Callable
 from typing import Generic
 
-import gtsam
 import numpy as np
 
+from holdfast.baselines.baseline import NO_OFFSET, Baseline
 from holdfast.baselines.intake import AntennaFix, Intake, Measurement
 from holdfast.baselines.propagation import Propagation, Tuning
 from holdfast.baselines.rewind import B, Filter, Rewinder
 from holdfast.baselines.start import StandstillStart, Start
 from holdfast.config.model import Config
-from holdfast.geometry.earth import Geodetic
 from holdfast.messages import GnssFix, Heading, ImuSample, LidarPose, Message
-from holdfast.sensors.imu import ImuBuffer
-from holdfast.state import Estimate, Event, EventKind, OptimisedState, Outcome, Output
-
-NO_OFFSET = gtsam.Pose3()
+from holdfast.state import Estimate, EventKind, OptimisedState, Outcome, Output
 
 
-class FilterEstimator(Generic[B]):
+class FilterEstimator(Baseline, Generic[B]):
     """Runs a filter on the messages of one machine; deterministic, as the estimator is.
 
     The odometry frame O of a filter is W: whatever its updates correct is seen by who follows it.
@@ -39,46 +34,18 @@ class FilterEstimator(Generic[B]):
         hears_lidar: bool,
         tuning: Tuning,
     ) -> None:
-        self.config = config
+        super().__init__(config)
         self._make = make
         self._tuning = tuning
-        self._intake = Intake(config)
         self._hears_lidar = hears_lidar and self._intake.lidar is not None
-        self._buffer = ImuBuffer(config.sensors.imu)
-        self._starter = StandstillStart(config, self._intake, self._buffer)
         self._rewinder: Rewinder[B] | None = None
         self._belief: B
         self._waiting: list[Measurement] = []
 
     @property
-    def counts(self) -> Counter[tuple[str, Outcome]]:
-        """What became of the measurements, by sensor and outcome."""
-        return self._intake.counts
-
-    @property
-    def events(self) -> list[Event]:
-        """What happened since `take_events`."""
-        return self._intake.events
-
-    @property
-    def datum(self) -> Geodetic | None:
-        """Origin of W on the ellipsoid, or None until the first accepted fix."""
-        return None if self._intake.world is None else self._intake.world.datum
-
-    @property
     def initialised(self) -> bool:
         """Whether estimates are being given."""
         return self._rewinder is not None
-
-    @property
-    def waiting_for(self) -> str:
-        """What keeps the filter from starting."""
-        return self._starter.reason
-
-    def take_events(self) -> list[Event]:
-        """Return the events since the last call."""
-        events, self._intake.events = self._intake.events, []
-        return events
 
     def process(self, message: Message) -> Output:
         """Take in one message, in the order of arrival."""
@@ -89,10 +56,7 @@ class FilterEstimator(Generic[B]):
         if isinstance(message, LidarPose) and self._hears_lidar:
             return self._enqueue(self._intake.track_pose(message))
         if isinstance(message, Heading) and not self.initialised:
-            heading = self._intake.axis_yaw(message)
-            if heading is not None:
-                self.counts[message.sensor, Outcome.BEFORE_START] += 1
-                self._starter.add_heading(heading)
+            self._start_by(message)
             return Output()
         return self._ignore(message)
 

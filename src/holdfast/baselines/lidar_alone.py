@@ -5,25 +5,20 @@ next, so a judge who asks between them has to interpolate. Extrinsics are applie
 the start are those of the other baselines.
 """
 
-from collections import Counter
-
 import gtsam
 import numpy as np
 
-from holdfast.baselines.intake import AntennaFix, Intake, TrackPose
-from holdfast.baselines.start import StandstillStart, Start
+from holdfast.baselines.baseline import NO_OFFSET, Baseline
+from holdfast.baselines.intake import AntennaFix, TrackPose
+from holdfast.baselines.start import Start
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
-from holdfast.geometry.earth import Geodetic
 from holdfast.messages import Array, GnssFix, Heading, ImuSample, LidarPose, Message
-from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lidar import LidarModel
-from holdfast.state import Estimate, Event, EventKind, Outcome, Output
-
-NO_OFFSET = gtsam.Pose3()
+from holdfast.state import Estimate, EventKind, Outcome, Output
 
 
-class LidarAlone:
+class LidarAlone(Baseline):
     """The odometry's track behind the estimator's interface.
 
     Raises:
@@ -31,47 +26,19 @@ class LidarAlone:
     """
 
     def __init__(self, config: Config) -> None:
-        self.config = config
-        self._intake = Intake(config)
+        super().__init__(config)
         if self._intake.lidar is None:
             raise ConfigError("sensors.lidar: there is none, so its odometry cannot be judged")
         self._lidar: LidarModel = self._intake.lidar
-        self._buffer = ImuBuffer(config.sensors.imu)
-        self._starter = StandstillStart(config, self._intake, self._buffer)
         self._start: Start | None = None
         self._last: TrackPose | None = None
         self._T_W_V = gtsam.Pose3()
         self._P = np.zeros((6, 6))
 
     @property
-    def counts(self) -> Counter[tuple[str, Outcome]]:
-        """What became of the measurements, by sensor and outcome."""
-        return self._intake.counts
-
-    @property
-    def events(self) -> list[Event]:
-        """What happened since `take_events`."""
-        return self._intake.events
-
-    @property
-    def datum(self) -> Geodetic | None:
-        """Origin of W on the ellipsoid, or None until the first accepted fix."""
-        return None if self._intake.world is None else self._intake.world.datum
-
-    @property
     def initialised(self) -> bool:
         """Whether it is known where the machine started."""
         return self._start is not None
-
-    @property
-    def waiting_for(self) -> str:
-        """What keeps it from starting."""
-        return self._starter.reason
-
-    def take_events(self) -> list[Event]:
-        """Return the events since the last call."""
-        events, self._intake.events = self._intake.events, []
-        return events
 
     def process(self, message: Message) -> Output:
         """Take in one message, in the order of arrival."""
@@ -93,10 +60,7 @@ class LidarAlone:
             if outcome is Outcome.USED:
                 self._buffer.add(message)
         elif isinstance(message, Heading):
-            heading = self._intake.axis_yaw(message)
-            if heading is not None:
-                self.counts[message.sensor, Outcome.BEFORE_START] += 1
-                self._starter.add_heading(heading)
+            self._start_by(message)
         elif isinstance(message, GnssFix):
             fix = self._intake.fix(message)
             if fix is not None and isinstance(fix.content, AntennaFix):
