@@ -266,6 +266,7 @@ def test_replaying_twice_gives_the_same_bytes(drive, with_base, tmp_path, reques
     assert [name for name in once if once[name] != twice[name]] == []
     for content in summaries:
         assert content.pop("timing")
+        assert content.pop("command").startswith("holdfast replay ")  # names the folder
     assert summaries[0] == summaries[1]
 
 

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ def call(*arguments: str | Path) -> str:
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("report") / "yard"
-    call("simulate", "quick", "-o", folder)
+    call("simulate", "quick", "-o", folder, "--seed", "5")
     call("replay", folder, "-c", folder / "config.yaml", "-o", folder / "out")
     return folder
 
@@ -91,6 +92,16 @@ def test_claimed_deviations_are_those_of_the_published_covariance(simulated: Pat
     lost = (run.sigma_times_s > 13.0) & (run.sigma_times_s < 16.0)
     good = (run.sigma_times_s > 5.0) & (run.sigma_times_s < 11.0)
     assert np.median(run.sigmas["horizontal [m]"][lost]) > np.median(run.sigmas["horizontal [m]"][good])
+
+
+def test_the_page_tells_the_command_the_seed_and_the_versions_that_made_it(page, simulated: Path):
+    made = page[1]["provenance"]
+    replayed, reported = made["command"].split("; ")
+    assert replayed == f"holdfast replay {simulated} -c {simulated}/config.yaml -o {simulated}/out"
+    assert reported == f"holdfast report {simulated}/out --reference {simulated}/truth/imu_in_world.tum"
+    assert made["seed"] == "5"
+    assert made["versions"]["holdfast"] == version("holdfast")
+    assert f"seed 5 · config {made['config_digest']} · holdfast" in page[0]
 
 
 def test_without_a_reference_there_are_no_errors_but_all_the_rest(simulated: Path, tmp_path: Path):

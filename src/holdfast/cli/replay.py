@@ -118,9 +118,10 @@ def _naming_the_output(output: str) -> Iterator[None]:
 
 def write_summary(run: "Replay", recording: str, warnings: list[str], folder: Path, finished: bool) -> dict[str, Any]:
     """Write summary.json and return its content."""
+    from holdfast.cli.command_line import command_line
     from holdfast.replay.summary import summarise_replay
 
-    summary = summarise_replay(run, recording, warnings, finished)
+    summary = summarise_replay(run, recording, warnings, finished, command_line())
     (folder / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     return summary
 

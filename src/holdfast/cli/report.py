@@ -87,11 +87,11 @@ def read_run(folder: Path, reference: Path | None) -> "RunRecord":
     if reference is not None:
         truth = read_tum(reference)
         errors = _judge(world, truth, reference, start_ns)
-    command = f"holdfast replay {summary['recording']} -c CONFIG -o {folder}"
     judged = "" if reference is None else f" --reference {reference}"
+    made = summary.get("command") or f"holdfast replay {summary['recording']} -c CONFIG -o {folder}"
     return RunRecord(
         name=Path(summary["recording"]).name,
-        command=f"{command}; holdfast report {folder}{judged}",
+        command=f"{made}; holdfast report {folder}{judged}",
         start_ns=start_ns,
         summary=summary,
         events=events,
@@ -107,6 +107,7 @@ def read_run(folder: Path, reference: Path | None) -> "RunRecord":
         true_biases=true_biases,
         reference=None if truth is None else _of_the_time(truth, world),
         errors=errors,
+        seed=summary.get("simulation", {}).get("seed", ""),
         notes=[*notes, *summary["warnings"]],
     )
 

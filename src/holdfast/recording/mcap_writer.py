@@ -63,6 +63,10 @@ class McapWriter:
             channel, log_time_ns, message, log_time_ns if publish_time_ns is None else publish_time_ns
         )
 
+    def note(self, name: str, data: dict[str, str]) -> None:
+        """Write something about the file itself, as metadata that readers of messages do not see."""
+        self._writer.add_metadata(name, data)
+
     def flush(self) -> None:
         """End the chunk, so that a crash loses nothing written so far."""
         self._writer.flush()  # type: ignore[no-untyped-call]

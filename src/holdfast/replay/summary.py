@@ -10,21 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from holdfast.evaluation.absolute import summarise
+from holdfast.recording.origin import read_origin
 from holdfast.replay.held_out import Judgement
 from holdfast.replay.runner import Replay, Timing
 
 BIN = float(np.log(1.2))
 
 
-def summarise_replay(replay: Replay, recording: str, warnings: Sequence[str], finished: bool) -> dict[str, Any]:
-    """Return the content of summary.json."""
+def summarise_replay(
+    replay: Replay, recording: str, warnings: Sequence[str], finished: bool, command: str = ""
+) -> dict[str, Any]:
+    """Return the content of summary.json; `command` is the one that asked for it, empty for a program that did."""
     estimator = replay.estimator
     counts: dict[str, dict[str, int]] = {}
     for (sensor, outcome), count in sorted(estimator.counts.items()):
         counts.setdefault(sensor, {})[str(outcome)] = count
     silent = {judgement.stamp_ns for judgement in replay.causal.judgements if judgement.imu_silent}
     return {
+        "command": command,
         "recording": recording,
+        "simulation": read_origin(recording),
         "start_ns": replay.first_stamp_ns,
         "finished": finished,
         "initialised": estimator.initialised,

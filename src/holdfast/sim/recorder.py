@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from holdfast.messages import Array
 from holdfast.recording.mcap_writer import McapWriter
+from holdfast.recording.origin import SIMULATION
 from holdfast.recording.tum import write_tum
 from holdfast.sim.datasheets import SimulatedLidar
 from holdfast.sim.ros import RosMessages
@@ -35,6 +36,7 @@ def write_recording(simulation: Simulation, path: Path, scans: bool, progress: P
     """
     counts: dict[str, int] = {}
     with McapWriter(path) as writer:
+        writer.note(SIMULATION, {"seed": str(simulation.seed), "description": simulation.scenario.description})
         messages = RosMessages(writer.types, simulation.world)
         sensors = simulation.scenario.sensors.present()
         streams: list[Iterable[_Row]] = [[_mounts(simulation, messages)]]

@@ -1,0 +1,42 @@
+"""What a command writes about itself can be typed again."""
+
+import shlex
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from holdfast.cli.command_line import command_line
+
+
+@click.group()
+def tool() -> None: ...
+
+
+@tool.command()
+@click.argument("files", nargs=-1)
+@click.option("-o", "--output")
+@click.option("--rate", type=float, default=1.0)
+@click.option("--hold-out", multiple=True)
+@click.option("--quick", is_flag=True)
+def work(**_: object) -> None:
+    click.echo(command_line())
+
+
+@pytest.mark.parametrize(
+    "typed",
+    [
+        "work",
+        "work a.bag b.bag -o out",
+        "work a.bag --rate 2.5 --hold-out gnss=2 --hold-out gnss_right=3 --quick",
+        "work 'my drive.bag' -o 'a folder'",
+    ],
+)
+def test_a_command_comes_back_as_it_was_typed(typed: str):
+    said = CliRunner().invoke(tool, shlex.split(typed), prog_name="tool", catch_exceptions=False).output
+    assert said.strip() == f"tool {typed}"
+    assert said == CliRunner().invoke(tool, shlex.split(said)[1:], prog_name="tool").output
+
+
+def test_what_was_left_at_its_default_is_left_out():
+    assert CliRunner().invoke(tool, ["work"], prog_name="tool").output == "tool work\n"
