@@ -156,7 +156,7 @@ def test_init_where_nothing_can_be_written_is_a_usage_mistake(
     record(IMU)
     code, _, err = run("init", "drive.bag", "-o", tmp_path / "absent" / "machine.yaml")
     assert code == 2
-    assert "cannot be written: No such file or directory" in err
+    assert "cannot be written (No such file or directory)" in err
 
 
 def test_init_of_a_recording_without_an_imu_exits_with_3_and_writes_nothing(

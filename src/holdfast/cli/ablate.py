@@ -4,7 +4,7 @@ import csv
 import json
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass
 from math import isfinite, isnan, nan
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from holdfast.cli.progress import progress_bar
+from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError, EstimatorError
 
 if TYPE_CHECKING:
@@ -89,20 +90,11 @@ def ablate(scenario: str, output: Path, seeds: int, jobs: int, only: tuple[str, 
         raise ConfigError(f"simulating needs {error.name}: pip install 'holdfast[sim]'") from None
     loaded = load_scenario(scenario)
     chosen = [name for name in VARIATIONS if not only or name in only]
-    with _naming_the_output(output):
+    with naming_the_output(output):
         rows = _rows(loaded, output, range(seeds), chosen, jobs)
         write_tables(rows, output)
     _print_table(rows, f"{scenario}, {seeds} seed{'s' * (seeds > 1)}")
     click.echo(f"written to {output}: table.csv, table.json, " + ", ".join(f"seed-{seed}" for seed in range(seeds)))
-
-
-@contextmanager
-def _naming_the_output(output: Path) -> Iterator[None]:
-    """Turn a full disk and its like into one line."""
-    try:
-        yield
-    except OSError as error:
-        raise ConfigError(f"{error.filename or output}: cannot be written ({error.strerror or error})") from None
 
 
 def _rows(scenario: "Scenario", output: Path, seeds: Sequence[int], variations: Sequence[str], jobs: int) -> list[Row]:

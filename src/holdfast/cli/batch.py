@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError, HoldfastError
 
 if TYPE_CHECKING:
@@ -59,10 +60,8 @@ def batch(  # noqa: PLR0917 (click passes the options by name)
     outcomes = {job.name: kept_outcome(job) for job in planned}
     todo = [job for job in planned if outcomes[job.name].state != "done"]
     skipped = len(planned) - len(todo)
-    try:
+    with naming_the_output(output):
         _run(planned, todo, outcomes, output, jobs or 1, scheduler)
-    except OSError as error:
-        raise ConfigError(f"{error.filename or output}: cannot be written ({error.strerror or error})") from None
     failed = [outcome for outcome in outcomes.values() if outcome.state == "failed"]
     done = sum(outcome.state == "done" for outcome in outcomes.values())
     click.echo(f"{done} of {len(planned)} runs done, {skipped} of them before; {len(failed)} failed")

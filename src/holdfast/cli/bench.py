@@ -1,6 +1,5 @@
 """`holdfast bench`: how fast the estimator is on this machine, and whether it has become slower."""
 
-import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +10,7 @@ import click
 from holdfast.cli.bench_realtime import realtime
 from holdfast.cli.progress import progress_bar
 from holdfast.cli.replay import check_window
+from holdfast.cli.writing import check_folder_of, write_json
 from holdfast.errors import ConfigError, HoldfastError
 
 if TYPE_CHECKING:
@@ -56,14 +56,14 @@ def bench(  # noqa: PLR0917 (click passes the options by name)
     config = _configuration(recording, config_path)
     baseline = read_baseline(gate) if gate and not update_baseline else None
     for path in (json_path, (gate or BASELINE) if update_baseline else None):
-        if path is not None and not Path(path).absolute().parent.is_dir():
-            raise ConfigError(f"{path}: cannot be written (its folder does not exist)")
+        if path is not None:
+            check_folder_of(path)
     with open_recording(recording) as opened:
         runs = dict(_run_all(opened, recording, config, nodes or config.graph.nodes, duration_s))
     result = {"recording": recording, "duration_s": duration_s, "machine": describe_machine(), "runs": runs}
     _print(result)
     if json_path is not None:
-        _write(json_path, result)
+        write_json(json_path, result)
     if update_baseline:
         _update(gate or BASELINE, result)
     if baseline is not None:
@@ -159,12 +159,5 @@ def _update(path: str, result: dict[str, Any]) -> None:
     from holdfast.replay.benchmark import MAX_FACTOR, make_baseline, read_baseline
 
     max_factor = float(read_baseline(path)["max_factor"]) if Path(path).exists() else MAX_FACTOR
-    _write(path, make_baseline(result, max_factor))
+    write_json(path, make_baseline(result, max_factor))
     click.echo(f"baseline written to {path}")
-
-
-def _write(path: str, content: dict[str, Any]) -> None:
-    try:
-        Path(path).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from None

@@ -1,6 +1,5 @@
 """`holdfast bench realtime`: how fast the IMU path answers while another process optimises."""
 
-import json
 import sys
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,6 +9,7 @@ import click
 
 from holdfast.cli.progress import progress_bar
 from holdfast.cli.replay import check_window
+from holdfast.cli.writing import check_folder_of, write_json
 from holdfast.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -56,8 +56,8 @@ def realtime(  # noqa: PLR0917 (click passes the options by name)
     check_window(0.0, duration_s)
     if (recording is None) != (config_path is None):
         raise ConfigError("--recording and -c belong together")
-    if json_path is not None and not Path(json_path).absolute().parent.is_dir():
-        raise ConfigError(f"{json_path}: cannot be written (its folder does not exist)")
+    if json_path is not None:
+        check_folder_of(json_path)
     with _material(recording, config_path, duration_s, nodes) as (config, messages):
         pace: Pace = "spin" if spin else "sleep"
         half = messages[: len(messages) // 2]
@@ -83,10 +83,7 @@ def realtime(  # noqa: PLR0917 (click passes the options by name)
     }
     _print(result)
     if json_path is not None:
-        try:
-            Path(json_path).write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(f"{json_path}: cannot be written ({error.strerror})") from None
+        write_json(json_path, result)
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
 
 
@@ -62,8 +63,6 @@ def init(recording: Path, output: Path | None, force: bool) -> None:
     if output is None:
         click.echo(text, nl=False)
         return
-    try:
+    with naming_the_output(output):
         output.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{output}: cannot be written: {error.strerror}") from None
     click.echo(f"{output}: written; measure what is marked TODO, then run `holdfast config check {output}`")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import click
 
+from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError, RecordingError
 
 if TYPE_CHECKING:
@@ -179,10 +180,8 @@ def _write_json(path: Path, verdicts: "list[Accuracy]", estimate: Path, referenc
         "metrics": asdict(metrics),
         "alignments": {verdict.alignment.name: verdict.to_json() for verdict in verdicts},
     }
-    try:
+    with naming_the_output(path):
         path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"cannot write {path}: {error.strerror}") from None
 
 
 def _print(verdicts: "list[Accuracy]", estimate: Path, reference: Path) -> None:

@@ -6,6 +6,7 @@ from time import perf_counter
 import click
 
 from holdfast.cli.progress import progress_bar
+from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
 
 
@@ -77,12 +78,10 @@ def lidar_odometry(  # noqa: PLR0917 (click passes the options by name)
         chosen = choose_topic(opened, options)
         gyroscope = None if config is None else Gyroscope(config, opened)
         begin_ns, end_ns = opened.recording.start_ns, opened.recording.end_ns
-        try:
+        with naming_the_output(output):
             output.parent.mkdir(parents=True, exist_ok=True)
             with McapWriter(output) as writer, progress_bar("registering", begin_ns, end_ns) as progress:
                 summary = run(opened, chosen, writer, options, gyroscope, progress)
-        except OSError as error:
-            raise ConfigError(f"{error.filename or output}: cannot be written ({error.strerror or error})") from None
     for warning in summary.warnings:
         click.echo(f"warning: {warning}", err=True)
     milliseconds = (perf_counter() - began_s) / summary.poses * 1e3

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from holdfast.cli.progress import progress_bar
+from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def paper(output: Path, quick: bool, seeds: int | None, jobs: int) -> None:
         raise ConfigError(f"the paper's evaluation needs {error.name}: pip install 'holdfast[sim]'") from None
     count = seeds or (1 if quick else SEEDS)
     command = f"holdfast paper -o {output.name}" + " --quick" * quick + f" --seeds {count}"
-    with _naming_the_output(output), _bar() as progress:
+    with naming_the_output(output), _bar() as progress:
         results = evaluate(output, count, quick, jobs, lent(), command, progress)
     print_tables(results)
     report = _report(results, output, quick, jobs)
@@ -54,7 +55,7 @@ def _report(results: "Results", output: Path, quick: bool, jobs: int) -> str:
         from holdfast.paper.maps import make_maps
         from holdfast.paper.page import write_report
 
-        with _naming_the_output(output), _bar() as progress:
+        with naming_the_output(output), _bar() as progress:
             try:
                 make_maps(output, quick, jobs, lent(), progress)
             except ConfigError as error:
@@ -80,15 +81,6 @@ def _bar() -> Iterator[Callable[[int, int], None] | None]:
     """Show how many runs are done."""
     with progress_bar("evaluating", 0, 1000) as show:
         yield None if show is None else lambda done, total: show(round(1000 * done / total))
-
-
-@contextmanager
-def _naming_the_output(output: Path) -> Iterator[None]:
-    """Turn a full disk and its like into one line."""
-    try:
-        yield
-    except OSError as error:
-        raise ConfigError(f"{error.filename or output}: cannot be written ({error.strerror or error})") from None
 
 
 def print_tables(results: "Results") -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from holdfast.cli.progress import progress_bar
+from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError, EstimatorError, HoldfastError
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     check_sensors(rules, config)  # before the results of an earlier replay are overwritten
     with open_recording(recording) as opened:
         messages = opened.read(subscriptions(config), start_s, duration_s)
-        with _naming_the_output(output), Outputs(Path(output), config) as outputs, _engine(config, realtime) as engine:
+        with naming_the_output(output), Outputs(Path(output), config) as outputs, _engine(config, realtime) as engine:
             run = Replay(config, outputs, rules, realtime=engine)
             first, last = opened.start_ns, opened.end_ns
             failure: BaseException | None = None
@@ -105,15 +106,6 @@ def check_window(start_s: float, duration_s: float | None) -> None:
         raise ConfigError(f"--start {start_s:g}: must be >= 0")
     if duration_s is not None and not duration_s > 0:
         raise ConfigError(f"--duration {duration_s:g}: must be > 0")
-
-
-@contextmanager
-def _naming_the_output(output: str) -> Iterator[None]:
-    """Turn a full disk and its like into one line."""
-    try:
-        yield
-    except OSError as error:
-        raise ConfigError(f"{error.filename or output}: cannot be written ({error.strerror or error})") from None
 
 
 def write_summary(run: "Replay", recording: str, warnings: list[str], folder: Path, finished: bool) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from holdfast.cli.progress import progress_bar
+from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError, HoldfastError
 
 
@@ -39,7 +40,7 @@ def simulate(scenario: str, output: Path, seed: int, scans: bool, duration_s: fl
     loaded = load_scenario(scenario, {} if duration_s is None else {"duration_s": duration_s})
     name = Path(scenario).stem
     asked = ("" if duration_s is None else f" --duration {duration_s:g}") + " --scans" * scans
-    try:
+    with naming_the_output(output):
         output.mkdir(parents=True, exist_ok=True)
         simulation = run(loaded, seed)
         (output / "scenario.yaml").write_text(resolved_yaml(loaded), encoding="utf-8")
@@ -52,8 +53,6 @@ def simulate(scenario: str, output: Path, seed: int, scans: bool, duration_s: fl
             counts = write_recording(simulation, output / "recording.mcap", scans, progress)
         command = f"holdfast simulate {scenario} -o {output.name} --seed {seed}{asked}"
         (output / "README.md").write_text(account(simulation, name, command, counts), encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{error.filename or output}: cannot be written ({error.strerror or error})") from None
     try:
         from holdfast.sim.plan_view import draw_plan
 

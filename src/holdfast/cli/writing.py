@@ -1,0 +1,42 @@
+"""What a user reads when results cannot be written: one line that names the file."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from holdfast.errors import ConfigError
+
+
+@contextmanager
+def naming_the_output(output: str | Path) -> Iterator[None]:
+    """Turn a full disk and its like into one line.
+
+    Raises:
+        ConfigError: names the file, or where the system does not tell it, the output.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise ConfigError(f"{error.filename or output}: cannot be written ({error.strerror or error})") from None
+
+
+def check_folder_of(path: str | Path) -> None:
+    """Refuse a file in a folder that is not there, before long work.
+
+    Raises:
+        ConfigError: names the file.
+    """
+    if not Path(path).absolute().parent.is_dir():
+        raise ConfigError(f"{path}: cannot be written (its folder does not exist)")
+
+
+def write_json(path: str | Path, content: dict[str, Any]) -> None:
+    """Write a file for machines.
+
+    Raises:
+        ConfigError: it cannot be written.
+    """
+    with naming_the_output(path):
+        Path(path).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
