@@ -21,9 +21,9 @@ from holdfast.messages import ImuSample, Message
 from holdfast.paper.job import Lent
 from holdfast.paper.results import Latency
 from holdfast.paper.systems import SYSTEMS, configured
-from holdfast.paper.verdict import times
 from holdfast.recording.source import open_recording
 from holdfast.replay.published import Localiser
+from holdfast.replay.spread import spread
 from holdfast.sim.configuration import configuration
 from holdfast.sim.recorder import write_recording
 from holdfast.sim.scenario import load_scenario
@@ -92,8 +92,8 @@ def _latency(name: str, watch: Stopwatch) -> Latency:
     quantiles = np.quantile(imu_us, QUANTILES).tolist() if len(imu_us) else []
     return Latency(
         system=name,
-        imu_us=times(imu_us),
-        imu_cpu_us=times(np.frombuffer(watch.imu_cpu_ns, dtype=np.int64) * 1e-3),
-        update_ms=times(np.frombuffer(watch.update_ns, dtype=np.int64) * 1e-6),
+        imu_us=spread(imu_us),
+        imu_cpu_us=spread(np.frombuffer(watch.imu_cpu_ns, dtype=np.int64) * 1e-3),
+        update_ms=spread(np.frombuffer(watch.update_ns, dtype=np.int64) * 1e-6),
         quantiles_us=tuple(zip(QUANTILES, quantiles, strict=False)),
     )

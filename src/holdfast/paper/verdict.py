@@ -22,6 +22,7 @@ from holdfast.paper.stream import OutcomeLog
 from holdfast.replay.published import PublishedRecorder
 from holdfast.replay.ros import quaternion_xyzw
 from holdfast.replay.runner import Timing
+from holdfast.replay.spread import spread
 from holdfast.state import OptimisedState, Trajectory
 
 AFTER_S = (1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 75.0, 90.0, 120.0, 150.0, 180.0)
@@ -50,8 +51,8 @@ def verdict(recorder: PublishedRecorder, truth: Truth, start_ns: int) -> dict[st
         "scores": said.scores,
         "errors": _statistics(errors, parts) | _against_fixes(at_fixes(published.world.poses, truth, good)),
         "corrections_m": None if moved is None else summarise(moved[1]),
-        "imu_us": times(np.frombuffer(timing.imu_ns, dtype=np.int64) * 1e-3),
-        "update_ms": times(np.frombuffer(timing.update_ns, dtype=np.int64) * 1e-6),
+        "imu_us": spread(np.frombuffer(timing.imu_ns, dtype=np.int64) * 1e-3),
+        "update_ms": spread(np.frombuffer(timing.update_ns, dtype=np.int64) * 1e-6),
         "real_time_factor": _real_time_factor(timing),
         "outages": tuple(_outage(outage) for outage in said.outages),
         "growth": _growth(errors, times_s, spans),
@@ -75,22 +76,6 @@ def spans_of(published: Published, truth: Truth) -> tuple[Array, list[Span]]:
     """Return the times (N,) [s] of what was published, and the outages among them."""
     times_s = truth.seconds(published.world.poses.stamps_ns)
     return times_s, outage_spans(truth, Span(float(times_s[0]), float(times_s[-1])))
-
-
-def times(values: NDArray[np.floating[Any]]) -> dict[str, float] | None:
-    """Return count, mean, std, median, p90, p99 and max of values (N,); None if there are none."""
-    if not len(values):
-        return None
-    median, p90, p99 = np.percentile(values, [50.0, 90.0, 99.0])
-    return {
-        "count": len(values),
-        "mean": float(values.mean()),
-        "std": float(values.std()),
-        "median": float(median),
-        "p90": float(p90),
-        "p99": float(p99),
-        "max": float(values.max()),
-    }
 
 
 def _statistics(errors: StateErrors, parts: dict[str, NDArray[np.bool_]]) -> dict[str, Statistics]:

@@ -12,12 +12,12 @@ from typing import Any, Literal
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from holdfast.config.model import Config
 from holdfast.errors import EstimatorError
 from holdfast.messages import ImuSample, Message
 from holdfast.realtime.engine import RealtimeEstimator
+from holdfast.replay.spread import spread
 
 WARM_UP = 50  # estimates that are not counted
 SPIN_S = 0.002  # before an arrival, in which a spinning caller does not sleep
@@ -172,12 +172,3 @@ def summarise_measured(measured: Measured) -> Result:
         },
         "wall_s": measured.wall_s,
     }
-
-
-def spread(values: NDArray[np.floating[Any]]) -> dict[str, float] | None:
-    """Return count, mean, standard deviation, percentiles and maximum of values (N,); None if there are none."""
-    if not len(values):
-        return None
-    median, p90, p99, p999 = np.percentile(values, [50.0, 90.0, 99.0, 99.9])
-    moments = {"count": len(values), "mean": float(values.mean()), "std": float(values.std())}
-    return moments | {"median": median, "p90": p90, "p99": p99, "p99.9": p999, "max": float(values.max())}

@@ -13,6 +13,7 @@ from holdfast.evaluation.absolute import summarise
 from holdfast.recording.origin import read_origin
 from holdfast.replay.held_out import Judgement
 from holdfast.replay.runner import Replay, Timing
+from holdfast.replay.spread import spread
 
 BIN = float(np.log(1.2))
 
@@ -67,19 +68,9 @@ def timing_summary(timing: Timing) -> dict[str, Any]:
 
 
 def percentiles(values: NDArray[np.floating[Any]]) -> dict[str, Any] | None:
-    """Return count, mean, median, p90, p99, max and histogram of values (N,); None if there are none."""
-    if not len(values):
-        return None
-    median, p90, p99 = np.percentile(values, [50.0, 90.0, 99.0])
-    return {
-        "count": len(values),
-        "mean": float(values.mean()),
-        "median": float(median),
-        "p90": float(p90),
-        "p99": float(p99),
-        "max": float(values.max()),
-        "histogram": _histogram(values),
-    }
+    """Return the `spread` of values (N,) and their histogram; None if there are none."""
+    found = spread(values)
+    return None if found is None else {**found, "histogram": _histogram(values)}
 
 
 def _histogram(values: NDArray[np.floating[Any]]) -> dict[str, list[float]]:
