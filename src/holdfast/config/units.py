@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 
-STANDARD_GRAVITY = 9.80665  # m/s^2, by definition of the g in which datasheets speak
+from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2
 
 # name -> (factor to SI, {base dimension: power}); an angle is a dimension, so that rad never passes for a pure number
 NAMES: dict[str, tuple[float, dict[str, int]]] = {
@@ -32,9 +32,9 @@ NAMES: dict[str, tuple[float, dict[str, int]]] = {
     "rad": (1.0, {"rad": 1}),
     "mrad": (1e-3, {"rad": 1}),
     "deg": (math.pi / 180.0, {"rad": 1}),
-    "g": (STANDARD_GRAVITY, {"m": 1, "s": -2}),
-    "mg": (1e-3 * STANDARD_GRAVITY, {"m": 1, "s": -2}),
-    "ug": (1e-6 * STANDARD_GRAVITY, {"m": 1, "s": -2}),
+    "g": (STANDARD_GRAVITY_M_S2, {"m": 1, "s": -2}),
+    "mg": (1e-3 * STANDARD_GRAVITY_M_S2, {"m": 1, "s": -2}),
+    "ug": (1e-6 * STANDARD_GRAVITY_M_S2, {"m": 1, "s": -2}),
 }
 
 # what datasheets and people write; an error message lists those of the right dimension

@@ -14,7 +14,7 @@ from holdfast.estimator.imu_path import Heard
 from holdfast.estimator.initializer import Initializer
 from holdfast.estimator.journal import Journal
 from holdfast.estimator.standstill import StandstillUpdates
-from holdfast.geometry.earth import Geodetic, LocalFrame, gravity
+from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, LocalFrame, gravity
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.scans import Scan
 from holdfast.graph.smoother import OptimiserError, Smoother
@@ -25,7 +25,6 @@ from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lidar import LidarModel
 from holdfast.state import EventKind, Health, OptimisedState, Outcome
 
-STANDARD_GRAVITY = 9.80665
 RECENT = 64  # stamps per sensor among which a duplicate is looked for
 LATE_NS = 10_000_000_000  # by which a measurement that starts the estimator may be late
 FUTURE_NS = 1_000_000_000  # further ahead of the IMU's clock a stamp is an error
@@ -80,7 +79,7 @@ class Optimiser:
         self._node_interval_ns = round(config.graph.max_node_interval_s * 1e9)
         self._start_window_ns = round(config.initialisation.window_s * 1e9) + LATE_NS
         self.graph: DualGraph
-        self.gravity = STANDARD_GRAVITY
+        self.gravity = STANDARD_GRAVITY_M_S2
         self.world: LocalFrame | None = None
         self.monitor = HealthMonitor(config)
         self._hears_imu = True
@@ -96,7 +95,7 @@ class Optimiser:
         if datum is not None:
             self.place(Geodetic(datum.latitude_deg, datum.longitude_deg, datum.altitude_m))
         elif not self._antennas:
-            self._begin(config.frames.gravity or STANDARD_GRAVITY)
+            self._begin(config.frames.gravity or STANDARD_GRAVITY_M_S2)
 
     @property
     def is_due(self) -> bool:

@@ -14,13 +14,12 @@ from holdfast.estimator.estimator import Estimator
 from holdfast.evaluation.evidence import Chassis, Published
 from holdfast.evaluation.smoothness import Inertial
 from holdfast.evaluation.states import States
-from holdfast.geometry.earth import Geodetic, gravity
+from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, gravity
 from holdfast.messages import Array, ImuSample, Message
 from holdfast.replay.ros import quaternion_xyzw
 from holdfast.replay.runner import Timing
 from holdfast.state import BaseState, Estimate, Event, EventKind, OptimisedState, Outcome, Trajectory
 
-STANDARD_GRAVITY = 9.80665
 PROGRESS_EVERY = 1000  # messages
 TRUST = {
     EventKind.INITIALISED: True,
@@ -180,7 +179,7 @@ class PublishedRecorder:
     def _inertial(self, rows: Sequence[int], kept: list[Estimate]) -> Inertial:
         datum = self.estimator.datum
         configured = self.estimator.config.frames.gravity
-        fallback = STANDARD_GRAVITY if datum is None else gravity(datum.latitude_deg, datum.altitude_m)
+        fallback = STANDARD_GRAVITY_M_S2 if datum is None else gravity(datum.latitude_deg, datum.altitude_m)
         down = np.array([0.0, 0.0, -(configured or fallback)])
         forces = [self._forces[row] - e.bias.accelerometer() for row, e in zip(rows, kept, strict=True)]
         in_world = [e.nav.attitude().rotate(force) + down for e, force in zip(kept, forces, strict=True)]
