@@ -17,13 +17,13 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from holdfast.cli.subscriptions import subscriptions
 from holdfast.cli.trial import write_simulation
 from holdfast.config.load import load_config
 from holdfast.config.model import Config
 from holdfast.messages import Message
 from holdfast.realtime.engine import RealtimeEstimator
 from holdfast.recording.source import open_recording
+from holdfast.recording.subscriptions import subscriptions
 from holdfast.sim.scenario import load_scenario
 
 ALLOWED = 1.05

@@ -13,12 +13,12 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from holdfast.cli.subscriptions import subscriptions
 from holdfast.config.load import load_config
 from holdfast.config.model import Config
 from holdfast.geometry.earth import Geodetic
 from holdfast.messages import GnssFix
 from holdfast.recording.source import open_recording
+from holdfast.recording.subscriptions import subscriptions
 from holdfast.recording.tum import read_tum
 from holdfast.replay.held_out import HoldOut
 from holdfast.replay.runner import Replay

@@ -10,8 +10,8 @@ import sys
 import time
 
 import holdfast
-from holdfast.cli.subscriptions import subscriptions
 from holdfast.recording.source import open_recording
+from holdfast.recording.subscriptions import subscriptions
 
 folder = sys.argv[1]
 config = holdfast.load_config(f"{folder}/config.yaml")

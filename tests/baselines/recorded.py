@@ -7,13 +7,14 @@ import numpy as np
 
 from holdfast.config.load import parse_config, resolved_yaml
 from holdfast.messages import GnssFix, Heading, ImuSample, LidarPose
-from holdfast.recording.source import Subscription, open_recording
+from holdfast.recording.source import open_recording
+from holdfast.recording.subscriptions import subscriptions
 from holdfast.sim.configuration import configuration
 from holdfast.sim.recorder import write_recording
 from holdfast.sim.scenario import load_scenario
 from holdfast.sim.simulation import START_NS, simulate
 
-KINDS = {"imu": "imu", "gnss": "gnss", "gnss_right": "gnss", "heading": "heading", "lidar": "lidar"}
+SENSORS = ("imu", "gnss", "gnss_right", "heading", "lidar")
 PERFECT_LIDAR = {
     **dict.fromkeys(("jitter_m", "jitter_rad"), 0.0),
     **dict.fromkeys(("drift_m_per_sqrt_m", "drift_rad_per_sqrt_m", "drift_rad_per_sqrt_rad"), 0.0),
@@ -28,14 +29,8 @@ class Recorded:
         self.simulation = simulate(scenario, seed)
         self.config = parse_config(resolved_yaml(configuration(scenario), given_only=True))
         write_recording(self.simulation, folder / "recording.mcap", False, None)
-        sensors = self.config.sensors
-        wanted = [
-            Subscription(topic=getattr(sensors, name).topic, sensor=name, kind=kind)
-            for name, kind in KINDS.items()
-            if getattr(sensors, name) is not None
-        ]
         with open_recording(folder / "recording.mcap") as recording:
-            self.messages = list(recording.read(wanted))
+            self.messages = [one for one in recording.read(subscriptions(self.config)) if one.sensor in SENSORS]
         self.frame = scenario.sensors.imu.frame
 
     @cache  # noqa: B019 (lives as long as the tests)

@@ -16,9 +16,9 @@ sys.path.append(str(Path(__file__).parents[1] / "replay"))
 
 from small_drive import config_text, holdfast, make_rows, write_config, write_csv
 
-from holdfast.cli.subscriptions import subscriptions
 from holdfast.config.load import load_config, parse_config
 from holdfast.errors import EstimatorError
+from holdfast.recording.subscriptions import subscriptions
 from holdfast.replay import benchmark
 from holdfast.replay.benchmark import RATIOS, Job, compare, make_baseline, measure, measure_floor, read_baseline
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from holdfast.cli import main
-from holdfast.cli.subscriptions import KINDS, subscriptions
 from holdfast.config.load import load_config, parse_config
 from holdfast.config.model import Config
 from holdfast.config.schema import place
 from holdfast.recording import source
 from holdfast.recording.source import Subscription, TopicInfo
+from holdfast.recording.subscriptions import KINDS, subscriptions
 
 MACHINE = """\
 sensors:

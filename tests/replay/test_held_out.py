@@ -21,12 +21,12 @@ from small_drive import (
     write_csv,
 )
 
-from holdfast.cli.subscriptions import subscriptions
 from holdfast.config.load import parse_config
 from holdfast.errors import ConfigError
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.messages import GnssFix
 from holdfast.recording.source import open_recording
+from holdfast.recording.subscriptions import subscriptions
 from holdfast.recording.tum import read_tum
 from holdfast.replay.held_out import HoldOut, HoldOutFilter
 from holdfast.replay.runner import Replay

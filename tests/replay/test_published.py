@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from holdfast.cli.subscriptions import subscriptions
 from holdfast.config.load import parse_config, resolved_yaml
 from holdfast.recording.source import open_recording
+from holdfast.recording.subscriptions import subscriptions
 from holdfast.replay.published import PublishedRecorder
 from holdfast.sim.configuration import configuration
 from holdfast.sim.recorder import write_recording

@@ -92,7 +92,7 @@ def _run_all(
     opened: "Recording", recording: str, config: "Config", nodes: str, duration_s: float | None
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield the kind of nodes and its result; a replay that writes is measured as well."""
-    from holdfast.cli.subscriptions import subscriptions
+    from holdfast.recording.subscriptions import subscriptions
     from holdfast.replay.benchmark import Job, measure
 
     wanted = tuple(subscriptions(config))

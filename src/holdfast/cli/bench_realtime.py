@@ -93,9 +93,9 @@ def _material(
     """Yield the configuration and the messages, simulated where no recording is given."""
     from tempfile import TemporaryDirectory
 
-    from holdfast.cli.subscriptions import subscriptions
     from holdfast.config.load import load_config
     from holdfast.recording.source import open_recording
+    from holdfast.recording.subscriptions import subscriptions
 
     with TemporaryDirectory(prefix="holdfast-bench-") as folder:
         if recording is None:

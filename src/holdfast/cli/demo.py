@@ -36,9 +36,9 @@ def demo(output: str) -> None:
 
     Every second GNSS fix is held back to judge the estimate by it, and GNSS is cut for a minute on the way.
     """
-    from holdfast.cli.subscriptions import subscriptions
     from holdfast.config.load import parse_config
     from holdfast.recording.source import open_recording
+    from holdfast.recording.subscriptions import subscriptions
     from holdfast.replay.held_out import HoldOut
     from holdfast.replay.outputs import Outputs
     from holdfast.replay.runner import Replay

@@ -41,8 +41,8 @@ def live(config_path: str, record_path: str | None, view_target: str | None, dur
     """
     if duration_s is not None and not duration_s > 0:
         raise ConfigError(f"--duration {duration_s:g}: must be > 0")
-    from holdfast.cli.subscriptions import subscriptions
     from holdfast.config.load import load_config
+    from holdfast.recording.subscriptions import subscriptions
 
     config = load_config(config_path)
     with ExitStack() as stack:

@@ -69,9 +69,9 @@ def _report(results: "Results", output: Path, quick: bool, jobs: int) -> str:
 def lent() -> "Lent":
     """Return what the evaluation borrows from the command line."""
     from holdfast.cli.ablate import VARIATIONS, changed
-    from holdfast.cli.subscriptions import subscriptions
     from holdfast.cli.trial import truth
     from holdfast.paper.job import Lent
+    from holdfast.recording.subscriptions import subscriptions
 
     return Lent(subscriptions, truth, changed, VARIATIONS)
 

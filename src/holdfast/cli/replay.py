@@ -50,9 +50,9 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
 
     With --hold-out gnss=2 every second fix is kept from the estimator and the estimate is judged by it.
     """
-    from holdfast.cli.subscriptions import subscriptions
     from holdfast.config.load import load_config
     from holdfast.recording.source import open_recording
+    from holdfast.recording.subscriptions import subscriptions
     from holdfast.replay.held_out import HoldOut, check_sensors
     from holdfast.replay.outputs import Outputs
     from holdfast.replay.runner import Replay

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from holdfast.cli.subscriptions import subscriptions
 from holdfast.config.load import resolved_yaml
 from holdfast.config.model import Config
 from holdfast.evaluation import quaternions
@@ -20,6 +19,7 @@ from holdfast.evaluation.evidence import Chassis, Fixes, Truth
 from holdfast.evaluation.scenario import Verdict, judge
 from holdfast.evaluation.states import States
 from holdfast.recording.source import open_recording
+from holdfast.recording.subscriptions import subscriptions
 from holdfast.replay.published import PublishedRecorder
 from holdfast.sim.configuration import configuration
 from holdfast.sim.gnss import Quality
