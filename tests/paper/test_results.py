@@ -49,7 +49,10 @@ def run(system, seed=0, rms=0.01, scenario="construction", **more):
 
 
 def results(*runs):
-    latency = (Latency("holdfast", TIMES, TIMES, TIMES, ((0.5, 40.0),)), Latency("lidar", None, None, None))
+    latency = (
+        Latency("holdfast", TIMES, TIMES, TIMES, TIMES, ((0.5, 40.0),)),
+        Latency("lidar", None, None, None, None),
+    )
     return Results(
         command="holdfast paper -o here",
         quick=True,
@@ -131,10 +134,15 @@ def test_a_difference_that_the_table_does_not_show_is_no_loss():
 
 def test_the_table_says_which_baseline_answers_sooner():
     def latency(system, mean):
-        return Latency(system, TIMES, TIMES | {"mean": mean}, None)
+        return Latency(system, TIMES, TIMES | {"mean": mean}, None, None)
 
-    found = replace(results(), latency=(latency("holdfast", 40.0), latency("msf", 39.0), latency("tsif", 41.0)))
-    assert faster_baselines(found) == [("msf", 40.0, 39.0)]
+    timed = (latency("holdfast", 40.0), latency("msf", 39.0), latency("tsif", 41.0), latency("realtime", 42.0))
+    found = replace(results(), latency=timed)
+    assert faster_baselines(found) == [
+        ("holdfast", "msf", 40.0, 39.0),
+        ("realtime", "msf", 42.0, 39.0),
+        ("realtime", "tsif", 42.0, 41.0),
+    ]
 
 
 def test_tables_have_a_row_for_everything_and_dashes_for_nothing():

@@ -1,13 +1,12 @@
 """`holdfast paper`: the evaluation of the paper, rebuilt on simulated recordings whose truth is known."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from holdfast.cli.progress import progress_bar
+from holdfast.cli.progress import count_bar
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
 
@@ -42,7 +41,7 @@ def paper(output: Path, quick: bool, seeds: int | None, jobs: int) -> None:
         raise ConfigError(f"the paper's evaluation needs {error.name}: pip install 'holdfast[sim]'") from None
     count = seeds or (1 if quick else SEEDS)
     command = f"holdfast paper -o {output.name}" + " --quick" * quick + f" --seeds {count}"
-    with naming_the_output(output), _bar() as progress:
+    with naming_the_output(output), count_bar("evaluating") as progress:
         results = evaluate(output, count, quick, jobs, lent(), command, progress)
     print_tables(results)
     report = _report(results, output, quick, jobs)
@@ -55,7 +54,7 @@ def _report(results: "Results", output: Path, quick: bool, jobs: int) -> str:
         from holdfast.paper.maps import make_maps
         from holdfast.paper.page import write_report
 
-        with naming_the_output(output), _bar() as progress:
+        with naming_the_output(output), count_bar("evaluating") as progress:
             try:
                 make_maps(output, quick, jobs, lent(), progress)
             except ConfigError as error:
@@ -68,46 +67,29 @@ def _report(results: "Results", output: Path, quick: bool, jobs: int) -> str:
 
 def lent() -> "Lent":
     """Return what the evaluation borrows from the command line."""
-    from holdfast.cli.ablate import VARIATIONS, changed
-    from holdfast.cli.trial import truth
     from holdfast.paper.job import Lent
     from holdfast.recording.subscriptions import subscriptions
+    from holdfast.trial.truth import truth
+    from holdfast.trial.variations import VARIATIONS, changed
 
     return Lent(subscriptions, truth, changed, VARIATIONS)
 
 
-@contextmanager
-def _bar() -> Iterator[Callable[[int, int], None] | None]:
-    """Show how many runs are done."""
-    with progress_bar("evaluating", 0, 1000) as show:
-        yield None if show is None else lambda done, total: show(round(1000 * done / total))
-
-
 def print_tables(results: "Results") -> None:
     """Print Tables I and II, the consistency, and where ours loses."""
+    from holdfast.paper.losses import accuracy_in_words, consistency_in_words, latency_in_words
     from holdfast.paper.study import TASKS
-    from holdfast.paper.tables import (
-        consistency_table,
-        failures,
-        faster_baselines,
-        lost_cells,
-        table_one,
-        table_two,
-    )
+    from holdfast.paper.tables import consistency_table, failures, table_one, table_two
 
     seeds = f"{results.seeds} seed{'s' * (results.seeds > 1)}" + ", short recordings" * results.quick
     for task in TASKS:
         _print(f"Table I, {task}: RMS, mean over {seeds}; against RTK as in the paper", table_one(results, task))
     _print(f"Table II, IMU sample to state: {results.latency_scenario}", table_two(results))
     _print("Fig. 6, |propagated - optimised|, navigation", consistency_table(results))
-    for lost in lost_cells(results):
-        q = lost.quantity
-        click.echo(
-            f"loses: {lost.scenario}, {q.label}, {lost.statistic}: {lost.ours.mean:.{q.digits}f} {q.unit}, "
-            f"{lost.system} {lost.theirs.mean:.{q.digits}f}"
-        )
-    for name, ours, theirs in faster_baselines(results):
-        click.echo(f"loses: latency, mean time of the processor: {ours:.1f} us, {name} {theirs:.1f}")
+    for said in (*(accuracy_in_words(results, task) for task in TASKS), *latency_in_words(results)):
+        click.echo(said)
+    for said in consistency_in_words(results):
+        click.echo(said)
     for line in failures(results):
         click.echo(f"failed: {line}")
 

@@ -8,7 +8,7 @@ import numpy as np
 from holdfast.evaluation.consistency import chi_square_quantile
 from holdfast.messages import Array
 from holdfast.paper.results import Results, Run, by_system
-from holdfast.paper.systems import SYSTEMS
+from holdfast.paper.systems import ENGINE, SYSTEMS, TITLES
 from holdfast.paper.tables import OURS
 from holdfast.report.figures import (
     COLOURS,
@@ -23,7 +23,7 @@ from holdfast.report.figures import (
 )
 from holdfast.report.page import Figure
 
-COLOUR = dict(zip(SYSTEMS, COLOURS, strict=False)) | {"truth": GREY}
+COLOUR = dict(zip((*SYSTEMS, ENGINE), COLOURS, strict=False)) | {"truth": GREY}
 MARGIN_S = 15.0
 PROBABILITY = 0.95
 DOF = 3
@@ -234,7 +234,7 @@ def _curves(results: Results, scenario: str) -> dict[str, Columns]:
 
 
 def _line(system: str, x: Array, y: Array) -> Line:
-    return Line(SYSTEMS[system].title, x, y, COLOUR[system], width=2.0 if system == OURS else 1.2)
+    return Line(TITLES[system], x, y, COLOUR[system], width=2.0 if system == OURS else 1.2, is_on_top=system == OURS)
 
 
 def _bands(results: Results, scenario: str) -> list[Band]:

@@ -14,7 +14,7 @@ from holdfast.evaluation.absolute import Statistics
 from holdfast.messages import Array
 
 RESULTS, CURVES = "results.json", "curves.npz"
-FORMAT = 1
+FORMAT = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +96,7 @@ class Latency:
     Attributes:
         imu_us: from an IMU sample to the propagated state: count, mean, std, median, p99, max. None if there is none.
         imu_cpu_us: the same, but without the time that other programs took meanwhile.
+        every_cpu_us: the same of every IMU sample, also of those on which measurements are taken in.
         update_ms: of a call that takes in measurements as well.
         quantiles_us: (quantile, time per IMU sample) for a figure.
     """
@@ -103,6 +104,7 @@ class Latency:
     system: str
     imu_us: Mapping[str, float] | None
     imu_cpu_us: Mapping[str, float] | None
+    every_cpu_us: Mapping[str, float] | None
     update_ms: Mapping[str, float] | None
     quantiles_us: tuple[tuple[float, float], ...] = ()
 

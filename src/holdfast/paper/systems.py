@@ -7,10 +7,8 @@ from typing import Any
 from holdfast.baselines.lidar_alone import LidarAlone
 from holdfast.baselines.msf import make_msf
 from holdfast.baselines.tsif import make_tsif
-from holdfast.config.document import Document
-from holdfast.config.load import validate
+from holdfast.config.load import config_of
 from holdfast.config.model import Config
-from holdfast.config.presets import with_preset
 from holdfast.estimator.estimator import Estimator
 from holdfast.replay.published import Localiser
 
@@ -40,6 +38,10 @@ SYSTEMS = {
     "lidar": System("Lidar odometry alone", "lidar", LidarAlone),
 }
 
+ENGINE = "realtime"
+TITLES = {name: system.title for name, system in SYSTEMS.items()} | {ENGINE: "Holdfast, optimiser in its own process"}
+"""Of all that have a row in a table; the engine publishes what the estimator does, so it is timed only."""
+
 
 def configured(name: str, given: dict[str, Any]) -> Config:
     """Return the configuration of a system from what the machine's file says, as plain data.
@@ -48,4 +50,4 @@ def configured(name: str, given: dict[str, Any]) -> Config:
         ConfigError: the data is not a configuration.
     """
     data = {"preset": SYSTEMS[name].preset} | given
-    return validate(Document(f"configuration of {name}", with_preset(data)), Config)
+    return config_of(data, f"configuration of {name}")

@@ -22,6 +22,7 @@ from holdfast.report.png import encode_png
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9", "#7a5195", "#5f6b7a")
 GREY, INK, RULE = "#9aa5b1", "#1d2630", "#e6e9ee"
 MAX_POINTS = 2000  # per line: about as many as there are pixels
+MARGIN = 0.04  # of the longer side of a map, about what is drawn
 GAP = 5.0  # times the usual step: a line is broken there
 
 Axis = Literal["linear", "log"]
@@ -37,6 +38,7 @@ class Line:
         colour: None for the next one.
         dash: of the stroke, in plotly's words.
         points: draw points, no stroke.
+        is_on_top: other lines do not hide it.
     """
 
     name: str
@@ -46,6 +48,7 @@ class Line:
     dash: str = "solid"
     width: float = 1.5
     points: bool = False
+    is_on_top: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +121,12 @@ def track_map(tracks: Sequence[Line], marks: Mapping[str, tuple[float, float]] |
             marker={"size": 9, "color": INK, "symbol": "circle-open", "line": {"width": 2}}, showlegend=False,
         )  # fmt: skip
     _square(figure)
+    shown = np.concatenate([np.column_stack([track.x, track.y]) for track in tracks])
+    low, high = np.nanmin(shown, axis=0), np.nanmax(shown, axis=0)
+    margin = MARGIN * max(*(high - low), 1.0)
+    figure.update_layout(
+        xaxis_range=[low[0] - margin, high[0] + margin], yaxis_range=[low[1] - margin, high[1] + margin]
+    )
     return figure
 
 
@@ -274,7 +283,7 @@ def _trace(line: Line, points: tuple[Array, Array], colour: str, is_told: bool, 
         looks = {"mode": "markers", "marker": {"color": colour, "size": 4}}
     return go.Scatter(
         x=x.astype(np.float32), y=y.astype(np.float32), name=line.name, legendgroup=line.name, showlegend=is_told,
-        yaxis=axis, **looks,
+        yaxis=axis, zorder=int(line.is_on_top), **looks,
     )  # fmt: skip
 
 
