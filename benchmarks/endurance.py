@@ -17,7 +17,6 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from holdfast.cli.trial import write_simulation
 from holdfast.config.load import load_config
 from holdfast.config.model import Config
 from holdfast.messages import Message
@@ -25,6 +24,7 @@ from holdfast.realtime.engine import RealtimeEstimator
 from holdfast.recording.source import open_recording
 from holdfast.recording.subscriptions import subscriptions
 from holdfast.sim.scenario import load_scenario
+from holdfast.trial.run import write_simulation
 
 ALLOWED = 1.05
 HEADER = f"{'minutes':>8} {'IMU path MB':>12} {'optimiser MB':>13} {'update ms':>10} {'behind ms':>10} {'IMU us':>7}"

@@ -12,13 +12,13 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from holdfast.cli.trial import estimate, write_simulation
 from holdfast.config.load import parse_config, resolved_yaml
 from holdfast.errors import ConfigError
 from holdfast.evaluation.soundness import violations
 from holdfast.sim.configuration import configuration
 from holdfast.sim.schedules import random_schedule
 from holdfast.sim.simulation import START_NS
+from holdfast.trial.run import estimate, write_simulation
 
 
 def complaints(seed: int, preset: str = "holdfast") -> list[str]:

@@ -15,11 +15,11 @@ from itertools import starmap
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from holdfast.cli.trial import Trial, trials_of
 from holdfast.config.load import parse_config, resolved_yaml
 from holdfast.evaluation.measures import MEASURES, Measure
 from holdfast.sim.configuration import configuration
 from holdfast.sim.scenario import load_scenario
+from holdfast.trial.run import Trial, trials_of
 
 PAGE = Path(__file__).parent.parent / "docs" / "results.md"
 BEGIN, END = "<!-- begin of `make scenarios` -->", "<!-- end of `make scenarios` -->"

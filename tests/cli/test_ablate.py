@@ -8,15 +8,12 @@ import pytest
 from click.testing import CliRunner
 
 from holdfast.cli import holdfast
-from holdfast.cli.ablate import VARIATIONS, changed
-from holdfast.config.document import Document
-from holdfast.config.load import parse_config, validate
-from holdfast.config.model import Config
-from holdfast.config.presets import with_preset
+from holdfast.config.load import config_of, parse_config
 from holdfast.errors import ConfigError
 from holdfast.evaluation.measures import MEASURES
-from holdfast.sim.configuration import configuration
+from holdfast.sim.configuration import configuration, configuration_data
 from holdfast.sim.scenario import load_scenario
+from holdfast.trial.variations import VARIATIONS, changed
 
 SHORT = """\
 machine: excavator_low
@@ -90,22 +87,19 @@ def test_the_recordings_stay_and_can_be_replayed(ablated: tuple[str, Path], tmp_
 
 @pytest.mark.parametrize("name", VARIATIONS)
 def test_every_variation_is_a_valid_configuration_that_differs_from_the_default(name: str):
-    given = configuration(load_scenario("quick")).model_dump(mode="json", exclude_unset=True)
-    default, other = (
-        validate(Document(n, with_preset(changed(given, VARIATIONS[n]))), Config) for n in ("default", name)
-    )
+    given = configuration_data(load_scenario("quick"))
+    default, other = (config_of(changed(given, VARIATIONS[n]), n) for n in ("default", name))
     assert (default == other) == (name == "default")
 
 
 def test_the_default_is_the_configuration_that_goes_with_the_scenario():
-    config = configuration(load_scenario("quick"))
-    given = config.model_dump(mode="json", exclude_unset=True)
-    assert validate(Document("x", with_preset(changed(given, {}))), Config) == config
+    scenario = load_scenario("quick")
+    assert config_of(changed(configuration_data(scenario), {}), "x") == configuration(scenario)
 
 
 def test_the_paper_variation_is_the_preset():
-    given = configuration(load_scenario("quick")).model_dump(mode="json", exclude_unset=True)
-    config = validate(Document("x", with_preset(changed(given, VARIATIONS["paper"]))), Config)
+    given = configuration_data(load_scenario("quick"))
+    config = config_of(changed(given, VARIATIONS["paper"]), "x")
     assert config.graph == parse_config("preset: paper\nsensors: {imu: {topic: /i}}").graph
 
 

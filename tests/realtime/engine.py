@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from holdfast.cli.trial import write_simulation
 from holdfast.config.load import load_config
 from holdfast.config.model import Config
 from holdfast.messages import ImuSample, Message
 from holdfast.recording.source import open_recording
 from holdfast.recording.subscriptions import subscriptions
 from holdfast.sim.scenario import load_scenario
+from holdfast.trial.run import write_simulation
 
 SECONDS = 20.0
 

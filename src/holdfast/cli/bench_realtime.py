@@ -112,8 +112,8 @@ def _material(
 
 def _simulate(folder: Path, duration_s: float) -> None:
     try:
-        from holdfast.cli.trial import write_simulation
         from holdfast.sim.scenario import load_scenario
+        from holdfast.trial.run import write_simulation
     except ModuleNotFoundError as error:
         raise ConfigError(f"simulating needs {error.name}: pip install 'holdfast[sim]', or give --recording") from None
     write_simulation(load_scenario("construction", {"duration_s": duration_s}), 0, folder)

@@ -4,6 +4,8 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+REMEMBERED_S = 600.0  # for the time left: of long runs side by side, minutes may pass until one is done
+
 
 @contextmanager
 def progress_bar(title: str, begin_ns: int | None, end_ns: int | None) -> Iterator[Callable[[int], None] | None]:
@@ -14,6 +16,14 @@ def progress_bar(title: str, begin_ns: int | None, end_ns: int | None) -> Iterat
     from rich.console import Console
     from rich.progress import Progress
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, speed_estimate_period=REMEMBERED_S) as bar:
         task = bar.add_task(title, total=max(end_ns - begin_ns, 1))
         yield lambda arrival_ns: bar.update(task, completed=arrival_ns - begin_ns)
+
+
+@contextmanager
+def count_bar(title: str) -> Iterator[Callable[[int, int], None] | None]:
+    """Show how many of all are done, on a terminal; nothing in a pipe."""
+    with progress_bar(title, 0, 1000) as show:
+        yield None if show is None else lambda done, total: show(round(1000 * done / total))

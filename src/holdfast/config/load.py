@@ -40,6 +40,15 @@ def parse_config(text: str, name: str = "config") -> Config:
     return validate(document, Config)
 
 
+def config_of(data: dict[str, Any], name: str) -> Config:
+    """Return the configuration that plain data make; `name` stands for the file in the messages.
+
+    Raises:
+        ConfigError: the data hold mistakes, one line each.
+    """
+    return validate(Document(name, with_preset(data)), Config)
+
+
 def read_yaml(path: str | PathLike[str], remedy: str) -> str:
     """Return the text of a file; `remedy` is said where there is none.
 

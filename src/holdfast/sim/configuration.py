@@ -37,6 +37,11 @@ def configuration(scenario: Scenario) -> Config:
     )
 
 
+def configuration_data(scenario: Scenario) -> dict[str, Any]:
+    """Return the same as plain data, without what nobody set, so that other defaults can be put below it."""
+    return configuration(scenario).model_dump(mode="json", exclude_unset=True)
+
+
 def _any(sheet: SimulatedSensor) -> dict[str, Any]:
     """Return topic and, where the clock is known to be off, the correction."""
     known = sheet.clock.calibrated and sheet.clock.offset_s != 0.0

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from holdfast.cli.trial import estimate, judged, truth, write_simulation
 from holdfast.config.load import load_config
 from holdfast.evaluation import quaternions
 from holdfast.recording.tum import read_tum
@@ -14,6 +13,8 @@ from holdfast.sim.configuration import configuration
 from holdfast.sim.recorder import write_truth
 from holdfast.sim.scenario import load_scenario
 from holdfast.sim.simulation import START_NS, simulate
+from holdfast.trial.run import estimate, judged, write_simulation
+from holdfast.trial.truth import truth
 
 PERFECT = {
     **dict.fromkeys(("jitter_m", "jitter_rad"), 0.0),

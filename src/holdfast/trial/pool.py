@@ -1,0 +1,65 @@
+"""Long work side by side in processes, which end with the one that started them."""
+
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import active_children, get_context
+from typing import TypeVar
+
+from holdfast.errors import HoldfastError
+
+POLL_S = 0.5
+T = TypeVar("T")
+
+
+@contextmanager
+def processes(jobs: int, if_killed: str) -> Iterator[ProcessPoolExecutor]:
+    """Yield a pool of so many new processes; an exception inside `with` ends them at once.
+
+    Raises:
+        HoldfastError: one of them was killed; its text is `if_killed`.
+    """
+    # one process per core is enough: no threads below it; the processes inherit this
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    others = active_children()
+    pool = ProcessPoolExecutor(jobs, get_context("spawn"))
+    is_done = False
+    try:
+        yield pool
+        is_done = True
+    except BrokenProcessPool:
+        raise HoldfastError(if_killed) from None
+    finally:
+        pool.shutdown(wait=is_done, cancel_futures=True)
+        for process in [] if is_done else set(active_children()).difference(others):
+            process.terminate()
+            process.join()
+
+
+def run_all(pool: ProcessPoolExecutor, calls: Sequence[Callable[[], T]], take: Callable[[list[T]], None]) -> None:
+    """Run calls in a pool of `processes`; the first that raises stops the others.
+
+    Args:
+        pool: where they run.
+        calls: what is run; they can be sent to another process.
+        take: called every now and then with what has come since, in any order.
+    """
+    with _deaf_to_interrupts():
+        waiting: set[Future[T]] = {pool.submit(call) for call in calls}
+    while waiting:
+        done, waiting = wait(waiting, timeout=POLL_S, return_when=FIRST_EXCEPTION)
+        take([future.result() for future in done])
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Start processes that do not hear Ctrl-C: this one answers, and ends them."""
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)  # is inherited
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
