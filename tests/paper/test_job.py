@@ -7,7 +7,6 @@ import sys
 import numpy as np
 import pytest
 
-from holdfast.cli.paper import lent
 from holdfast.errors import ConfigError
 from holdfast.paper.curves import MAX_ROWS, rows_of, worst_since
 from holdfast.paper.evaluation import run_jobs
@@ -26,7 +25,7 @@ JOB = Job("quick", 3, tuple(Task("accuracy", system) for system in SYSTEMS), SHO
 @pytest.fixture(scope="module")
 def done(tmp_path_factory):
     output = tmp_path_factory.mktemp("paper")
-    run_job(JOB, output, lent())
+    run_job(JOB, output)
     return output
 
 
@@ -78,13 +77,13 @@ def test_outcomes_over_time_add_up_to_the_outcomes_of_the_run(done):
 def test_what_is_done_is_not_done_again(done):
     files = [run_file(done, JOB, task) for task in JOB.tasks]
     before = [file.stat().st_mtime_ns for file in files]
-    run_job(JOB, done, lent())
+    run_job(JOB, done)
     assert [file.stat().st_mtime_ns for file in files] == before
 
 
 def test_a_system_that_fails_stops_nobody_and_is_tried_again(tmp_path):
     never = Job("moving-start", 0, (Task("accuracy", "msf"), Task("accuracy", "holdfast")), {"duration_s": 12.0})
-    run_job(never, tmp_path, lent())
+    run_job(never, tmp_path)
     failed, other = (result(tmp_path, task, never) for task in never.tasks)
     assert failed.failure.startswith("never started: the machine has not stood still")
     assert not is_done(tmp_path, never, never.tasks[0])
@@ -97,7 +96,7 @@ def test_jobs_run_side_by_side_in_processes_of_their_own(tmp_path):
     tasks = (Task("sensitivity", "msf", "", Disturbance("gnss", delay_s=0.2)),)
     jobs = [Job("quick", seed, tasks, SHORT) for seed in (0, 1)]
     seen: list[tuple[int, int]] = []
-    run_jobs(jobs, tmp_path, 2, lent(), lambda done, total: seen.append((done, total)))
+    run_jobs(jobs, tmp_path, 2, lambda done, total: seen.append((done, total)))
     assert seen[-1] == (2, 2)
     found = [result(tmp_path, tasks[0], job) for job in jobs]
     assert [(run.seed, run.sensor, run.delay_s) for run in found] == [(0, "gnss", 0.2), (1, "gnss", 0.2)]
@@ -106,7 +105,7 @@ def test_jobs_run_side_by_side_in_processes_of_their_own(tmp_path):
 
 def test_every_run_of_a_plan_has_a_file_of_its_own(tmp_path):
     for quick in (False, True):
-        planned = plan(3, quick, lent().variations)
+        planned = plan(3, quick)
         files = [run_file(tmp_path, job, task) for job in planned for task in job.tasks]
         assert len(set(files)) == len(files)
         assert {job.seed for job in planned if job.keep_curves} == {0}
@@ -136,7 +135,7 @@ def test_a_folder_of_another_kind_of_run_is_refused(tmp_path):
 
     (tmp_path / SETTINGS).write_text(json.dumps({"quick": False, "scenarios": "other", "versions": {}}))
     with pytest.raises(ConfigError, match="other quick and scenarios and code and versions"):
-        evaluate(tmp_path, 1, True, 1, lent(), "test")
+        evaluate(tmp_path, 1, True, 1, "test")
 
 
 def test_a_wrong_option_is_one_line_and_code_2():

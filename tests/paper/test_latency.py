@@ -1,6 +1,5 @@
 """The latencies of all systems come from the same messages, in one process."""
 
-from holdfast.cli.paper import lent
 from holdfast.paper.latency import WARM_UP, measure
 from holdfast.paper.systems import ENGINE, SYSTEMS
 
@@ -8,7 +7,7 @@ SECONDS = 10.0
 
 
 def test_every_system_is_timed_at_every_imu_sample_with_and_without_those_that_have_an_update():
-    found = {one.system: one for one in measure("quick", {"duration_s": SECONDS, "faults": []}, lent())}
+    found = {one.system: one for one in measure("quick", {"duration_s": SECONDS, "faults": []})}
     assert list(found) == [*SYSTEMS, ENGINE]
     assert found["lidar"].imu_us is None  # it has no IMU path
     for name in ("holdfast", "paper", "msf", "tsif", ENGINE):

@@ -266,11 +266,10 @@ def test_scans_for_a_map_are_those_that_would_be_recorded(tmp_path: Path):
 def test_every_system_has_a_map_and_none_is_better_than_that_of_the_true_poses(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    from holdfast.cli.paper import lent
     from holdfast.paper import maps as module
 
     monkeypatch.setitem(module.QUICK, "construction", {"duration_s": 12.0, "faults": []})
-    map_task("construction", tmp_path, True, lent())
+    map_task("construction", tmp_path, True)
     loaded = load_maps(tmp_path)
     assert loaded is not None
     shares = {score.system: score.closeness["all"].share_within for score in loaded}

@@ -11,7 +11,6 @@ from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
 
 if TYPE_CHECKING:
-    from holdfast.paper.job import Lent
     from holdfast.paper.results import Results
 
 SEEDS = 10
@@ -42,7 +41,7 @@ def paper(output: Path, quick: bool, seeds: int | None, jobs: int) -> None:
     count = seeds or (1 if quick else SEEDS)
     command = f"holdfast paper -o {output.name}" + " --quick" * quick + f" --seeds {count}"
     with naming_the_output(output), count_bar("evaluating") as progress:
-        results = evaluate(output, count, quick, jobs, lent(), command, progress)
+        results = evaluate(output, count, quick, jobs, command, progress)
     print_tables(results)
     report = _report(results, output, quick, jobs)
     click.echo(f"written to {output}: results.json, curves.npz{report}")
@@ -56,23 +55,13 @@ def _report(results: "Results", output: Path, quick: bool, jobs: int) -> str:
 
         with naming_the_output(output), count_bar("evaluating") as progress:
             try:
-                make_maps(output, quick, jobs, lent(), progress)
+                make_maps(output, quick, jobs, progress)
             except ConfigError as error:
                 click.echo(f"no maps: {error}", err=True)
             return f", {write_report(results, output).name}, report.json, maps"
     except (ConfigError, ModuleNotFoundError) as error:
         click.echo(f"no report: {error}", err=True)
         return ""
-
-
-def lent() -> "Lent":
-    """Return what the evaluation borrows from the command line."""
-    from holdfast.paper.job import Lent
-    from holdfast.recording.subscriptions import subscriptions
-    from holdfast.trial.truth import truth
-    from holdfast.trial.variations import VARIATIONS, changed
-
-    return Lent(subscriptions, truth, changed, VARIATIONS)
 
 
 def print_tables(results: "Results") -> None:

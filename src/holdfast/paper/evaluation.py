@@ -4,16 +4,11 @@ What is done is kept: a finished run is a file, and an evaluation that was inter
 """
 
 import json
-import os
-import signal
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from hashlib import sha256
 from importlib.metadata import version
-from multiprocessing import active_children, get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -24,9 +19,9 @@ import holdfast
 from holdfast.baselines.msf import MSF_TUNING
 from holdfast.baselines.tsif import TSIF_TUNING
 from holdfast.config.load import resolved_yaml
-from holdfast.errors import ConfigError, HoldfastError
+from holdfast.errors import ConfigError
 from holdfast.messages import Array
-from holdfast.paper.job import Lent, is_done, run_file, run_job
+from holdfast.paper.job import is_done, run_file, run_job
 from holdfast.paper.latency import measure
 from holdfast.paper.results import (
     Latency,
@@ -41,12 +36,15 @@ from holdfast.paper.results import (
 from holdfast.paper.study import QUICK, TASKS, Job, plan
 from holdfast.replay.benchmark import describe_machine
 from holdfast.sim.scenario import load_scenario
+from holdfast.trial.pool import processes, run_all
 
 SETTINGS, LATENCY = "settings.json", "latency.json"
 LATENCY_S, QUICK_LATENCY_S = 120.0, 30.0
-POLL_S = 0.5
 # tables, maps and pages are drawn anew from the runs each time
-ROOMS = ("baselines", "config", "estimator", "evaluation", "geometry", "graph", "recording", "replay", "sensors", "sim")
+ROOMS = (
+    *("baselines", "config", "estimator", "evaluation", "geometry", "graph", "recording", "replay", "sensors", "sim"),
+    "trial",
+)
 FILES = ("curves", "job", "latency", "stream", "study", "systems", "verdict")
 MAKES_RUNS = ("*.py", *(f"{room}/**/*.py" for room in ROOMS), *(f"paper/{name}.py" for name in FILES))
 
@@ -55,7 +53,7 @@ Progress = Callable[[int, int], None]
 
 
 def evaluate(  # noqa: PLR0917 (what the command line asks for)
-    output: Path, seeds: int, quick: bool, jobs: int, lent: Lent, command: str, progress: Progress | None = None
+    output: Path, seeds: int, quick: bool, jobs: int, command: str, progress: Progress | None = None
 ) -> Results:
     """Run what is not done yet, and return and save everything.
 
@@ -64,7 +62,6 @@ def evaluate(  # noqa: PLR0917 (what the command line asks for)
         seeds: simulations of each of the paper's tasks.
         quick: short recordings, few variations.
         jobs: processes at a time.
-        lent: what the command line lends.
         command: that asked for it.
         progress: called every now and then.
 
@@ -72,13 +69,13 @@ def evaluate(  # noqa: PLR0917 (what the command line asks for)
         ConfigError: the folder holds results of another kind or version.
         OSError: a file cannot be written.
     """
-    planned = plan(seeds, quick, lent.variations)
+    planned = plan(seeds, quick)
     scenarios = {
         name: resolved_yaml(load_scenario(name, dict(QUICK[name]) if quick else {})) for name in (*TASKS, "tunnel")
     }
     _claim(output, quick, scenarios)
-    run_jobs(planned, output, jobs, lent, progress)
-    latency = _latency(output, quick, lent)
+    run_jobs(planned, output, jobs, progress)
+    latency = _latency(output, quick)
     runs, curves = _collect(planned, output)
     results = Results(
         command=command,
@@ -97,7 +94,7 @@ def evaluate(  # noqa: PLR0917 (what the command line asks for)
     return results
 
 
-def run_jobs(planned: Sequence[Job], output: Path, jobs: int, lent: Lent, progress: Progress | None = None) -> None:
+def run_jobs(planned: Sequence[Job], output: Path, jobs: int, progress: Progress | None = None) -> None:
     """Run all jobs; the first that raises stops the others.
 
     Raises:
@@ -108,41 +105,15 @@ def run_jobs(planned: Sequence[Job], output: Path, jobs: int, lent: Lent, progre
     open_jobs = [job for job in planned if not all(is_done(output, job, task) for task in job.tasks)]
     if not open_jobs:
         return
-    # one process per core is enough: no threads below it; the processes inherit this
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
-    with TemporaryDirectory(prefix="holdfast-paper-") as scratch:  # of this process: the others may be ended
-        others = active_children()
-        pool = ProcessPoolExecutor(jobs, get_context("spawn"))
-        waiting: set[Future[None]] = set()
-        try:
-            with _deaf_to_interrupts():
-                waiting = {pool.submit(run_job, job, output, lent, Path(scratch)) for job in open_jobs}
-            while waiting:
-                done, waiting = wait(waiting, timeout=POLL_S, return_when=FIRST_EXCEPTION)
-                for future in done:
-                    future.result()
-                if progress is not None:
-                    progress(sum(file.exists() for file in files), len(files))
-        except BrokenProcessPool:
-            raise HoldfastError(
-                f"{output}: a process of the evaluation was killed (out of memory?); what is done is kept: run it again"
-            ) from None
-        finally:
-            pool.shutdown(wait=not waiting, cancel_futures=True)
-            for process in set(active_children()).difference(others) if waiting else ():
-                process.terminate()
-                process.join()
+    lost = f"{output}: a process of the evaluation was killed (out of memory?); what is done is kept: run it again"
 
+    def tell(_: list[None]) -> None:
+        if progress is not None:
+            progress(sum(file.exists() for file in files), len(files))
 
-@contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Start processes that do not hear Ctrl-C: this one answers, and ends them."""
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)  # is inherited
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
+    # the folder is of this process: the others may be ended
+    with TemporaryDirectory(prefix="holdfast-paper-") as scratch, processes(jobs, lost) as pool:
+        run_all(pool, [partial(run_job, job, output, Path(scratch)) for job in open_jobs], tell)
 
 
 def _claim(output: Path, quick: bool, scenarios: Mapping[str, str]) -> None:
@@ -177,12 +148,12 @@ def _versions() -> dict[str, str]:
     return {name: version(name) for name in ("holdfast", "gtsam", "numpy", "scipy")}
 
 
-def _latency(output: Path, quick: bool, lent: Lent) -> tuple[Latency, ...]:
+def _latency(output: Path, quick: bool) -> tuple[Latency, ...]:
     """Return what was measured before, or measure it now, while nothing else runs here."""
     path = output / LATENCY
     if path.exists():
         return tuple(latency_from_json(one) for one in json.loads(path.read_text(encoding="utf-8")))
-    measured = measure("navigation", {"duration_s": QUICK_LATENCY_S if quick else LATENCY_S, "faults": []}, lent)
+    measured = measure("navigation", {"duration_s": QUICK_LATENCY_S if quick else LATENCY_S, "faults": []})
     write_whole(path, json.dumps(to_json(measured)).encode())
     return measured
 

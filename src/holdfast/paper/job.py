@@ -1,50 +1,32 @@
 """Runs one job in a process of its own: simulate once, run every task on it, and write each result when it is there."""
 
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from holdfast.config.model import Config
 from holdfast.errors import EstimatorError
-from holdfast.evaluation.evidence import Truth
 from holdfast.paper.curves import Curves
 from holdfast.paper.results import Run, to_json, write_whole
 from holdfast.paper.stream import OutcomeLog, disturbed
-from holdfast.paper.study import Job, Task, Variations
+from holdfast.paper.study import Job, Task
 from holdfast.paper.systems import SYSTEMS, configured
 from holdfast.paper.verdict import all_curves, verdict
-from holdfast.recording.source import Subscription, open_recording
+from holdfast.recording.source import open_recording
+from holdfast.recording.subscriptions import subscriptions
 from holdfast.replay.published import PublishedRecorder
-from holdfast.sim.configuration import configuration
+from holdfast.sim.configuration import configuration_data
 from holdfast.sim.recorder import write_recording
 from holdfast.sim.scenario import load_scenario
 from holdfast.sim.simulation import START_NS, Simulation, simulate
+from holdfast.trial.truth import truth
+from holdfast.trial.variations import VARIATIONS, changed
 
 RUNS = "runs"
-
-
-@dataclass(frozen=True, slots=True)
-class Lent:
-    """What the command line lends, because it lives there; functions of modules, so that a process can be told them.
-
-    Attributes:
-        subscriptions: which topics feed which sensors.
-        truth: what is true about a simulation at the stamps of an estimate.
-        changed: configuration data in which those of a variation replace those given.
-        variations: of the configuration, by name.
-    """
-
-    subscriptions: Callable[[Config], list[Subscription]]
-    truth: Callable[[Simulation, Config, NDArray[np.int64]], Truth]
-    changed: Callable[[dict[str, Any], dict[str, Any]], dict[str, Any]]
-    variations: Variations
 
 
 def run_file(output: Path, job: Job, task: Task) -> Path:
@@ -60,13 +42,12 @@ def is_done(output: Path, job: Job, task: Task) -> bool:
         return False
 
 
-def run_job(job: Job, output: Path, lent: Lent, scratch: Path | None = None) -> None:
+def run_job(job: Job, output: Path, scratch: Path | None = None) -> None:
     """Simulate, and run those tasks that are not done.
 
     Args:
         job: what is run.
         output: folder of the results.
-        lent: what the command line lends.
         scratch: folder for the recording, which whoever started this process removes; by default one of its own.
 
     Raises:
@@ -78,13 +59,13 @@ def run_job(job: Job, output: Path, lent: Lent, scratch: Path | None = None) -> 
         return
     scenario = load_scenario(job.scenario, dict(job.overrides))
     simulation = simulate(scenario, job.seed)
-    given = configuration(scenario).model_dump(mode="json", exclude_unset=True)
+    given = configuration_data(scenario)
     with TemporaryDirectory(prefix="holdfast-paper-", dir=scratch) as folder:
         recording = Path(folder) / "recording.mcap"
         write_recording(simulation, recording, False, None)
         for task in tasks:
-            config = configured(task.system, lent.changed(given, dict(lent.variations.get(task.variation, {}))))
-            result, found = _run(job, task, config, simulation, recording, lent)
+            config = configured(task.system, changed(given, VARIATIONS.get(task.variation, {})))
+            result, found = _run(job, task, config, simulation, recording)
             path = run_file(output, job, task)
             if found:
                 packed = BytesIO()
@@ -93,9 +74,7 @@ def run_job(job: Job, output: Path, lent: Lent, scratch: Path | None = None) -> 
             write_whole(path, json.dumps(to_json(result)).encode())
 
 
-def _run(  # noqa: PLR0917 (what a run is made of)
-    job: Job, task: Task, config: Config, simulation: Simulation, recording: Path, lent: Lent
-) -> tuple[Run, Curves]:
+def _run(job: Job, task: Task, config: Config, simulation: Simulation, recording: Path) -> tuple[Run, Curves]:
     """Run one system; a system that fails, in whatever way, has failed and does not stop the others."""
     about: dict[str, Any] = {
         "study": task.study,
@@ -112,14 +91,14 @@ def _run(  # noqa: PLR0917 (what a run is made of)
         recorder = PublishedRecorder(config, SYSTEMS[task.system].make(config))
         log = OutcomeLog(recorder.estimator)
         with open_recording(recording) as opened:
-            messages = disturbed(opened.read(lent.subscriptions(config)), task.disturbance)
+            messages = disturbed(opened.read(subscriptions(config)), task.disturbance)
             recorder.run(log.watch(messages))
         stamps = recorder.published().world.poses.stamps_ns
         if not len(stamps):
             raise EstimatorError(f"never started: {recorder.estimator.waiting_for}")
-        truth = lent.truth(simulation, config, stamps)
-        found = all_curves(recorder, truth, log) if job.keep_curves else {}
-        return Run(**about, **verdict(recorder, truth, START_NS)), found
+        true = truth(simulation, config, stamps)
+        found = all_curves(recorder, true, log) if job.keep_curves else {}
+        return Run(**about, **verdict(recorder, true, START_NS)), found
     except Exception as error:
         kind = "" if isinstance(error, EstimatorError) else f"{type(error).__name__}: "
         return Run(**about, failure=f"{kind}{error}" or type(error).__name__), {}

@@ -22,17 +22,18 @@ from typing import Any
 import numpy as np
 
 from holdfast.messages import ImuSample, Message
-from holdfast.paper.job import Lent
 from holdfast.paper.results import Latency
 from holdfast.paper.systems import ENGINE, SYSTEMS, configured
 from holdfast.realtime.engine import RealtimeEstimator
 from holdfast.recording.source import open_recording
+from holdfast.recording.subscriptions import subscriptions
 from holdfast.replay.published import Localiser
 from holdfast.replay.spread import spread
-from holdfast.sim.configuration import configuration
+from holdfast.sim.configuration import configuration_data
 from holdfast.sim.recorder import write_recording
 from holdfast.sim.scenario import load_scenario
 from holdfast.sim.simulation import simulate
+from holdfast.trial.variations import changed
 
 QUANTILES = (0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99, 0.995, 0.999, 1.0)
 # only ours says where the chassis is; that would be compared with nothing
@@ -78,7 +79,7 @@ class Stopwatch:
                 self.imu_cpu_ns.append(took_cpu_ns)
 
 
-def measure(scenario: str, overrides: Mapping[str, Any], lent: Lent) -> tuple[Latency, ...]:
+def measure(scenario: str, overrides: Mapping[str, Any]) -> tuple[Latency, ...]:
     """Return the latencies of all systems on a scenario, seed 0, those of the realtime engine after the others.
 
     Raises:
@@ -86,7 +87,7 @@ def measure(scenario: str, overrides: Mapping[str, Any], lent: Lent) -> tuple[La
         EstimatorError: the optimiser process of the realtime engine does not answer.
     """
     loaded = load_scenario(scenario, dict(overrides))
-    given = lent.changed(configuration(loaded).model_dump(mode="json", exclude_unset=True), WITHOUT_CHASSIS)
+    given = changed(configuration_data(loaded), WITHOUT_CHASSIS)
     configs = {name: configured(name, given) for name in SYSTEMS}
     watches = {name: Stopwatch(SYSTEMS[name].make(config)) for name, config in configs.items()}
     with (
@@ -97,7 +98,7 @@ def measure(scenario: str, overrides: Mapping[str, Any], lent: Lent) -> tuple[La
         recording = Path(folder) / "recording.mcap"
         write_recording(simulate(loaded, 0), recording, False, None)
         with open_recording(recording) as opened:
-            messages = list(opened.read(lent.subscriptions(configs["holdfast"])))
+            messages = list(opened.read(subscriptions(configs["holdfast"])))
         engine.wait_until_ready()
         _interleave(list(watches.values()), messages)
         engine.flush()

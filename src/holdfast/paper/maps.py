@@ -5,11 +5,9 @@ done is kept, task by task: a map is a PLY file, a view from above and a row of 
 """
 
 import json
-import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
 from dataclasses import asdict, dataclass
-from multiprocessing import active_children, get_context
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -22,23 +20,24 @@ from holdfast.errors import ConfigError, RecordingError
 from holdfast.evaluation.mapping import WHOLE, Closeness, MapOptions, MapScan, View, map_quality, write_map
 from holdfast.evaluation.mesh import SurfaceIndex, read_mesh
 from holdfast.messages import Array
-from holdfast.paper.job import Lent
 from holdfast.paper.results import write_whole
 from holdfast.paper.study import QUICK, TASKS
 from holdfast.paper.systems import SYSTEMS, configured
 from holdfast.recording.source import open_recording
+from holdfast.recording.subscriptions import subscriptions
 from holdfast.replay.published import PublishedRecorder
 from holdfast.report.page import Figure
-from holdfast.sim.configuration import configuration
+from holdfast.sim.configuration import configuration_data
 from holdfast.sim.readings import generator
 from holdfast.sim.recorder import write_recording
 from holdfast.sim.scenario import load_scenario
 from holdfast.sim.simulation import START_NS, Simulation, simulate
 from holdfast.state import Trajectory
+from holdfast.trial.pool import processes, run_all
+from holdfast.trial.truth import true_states
 
 FOLDER, SCORES, TRUE_POSES = "maps", "maps.json", "truth"
 QUICK_EVERY = 3  # of the scans of a quick look one in so many is used
-POLL_S = 0.5
 COLOUR_LIMIT_M = 0.2
 SCALE = ((0.0, (24, 90, 70)), (0.25, (60, 160, 110)), (0.5, (240, 220, 110)), (1.0, (200, 60, 40)))
 """From the surface to `COLOUR_LIMIT_M` beside it: share of the limit -> red, green, blue."""
@@ -67,35 +66,27 @@ class MapScore:
 Maps = tuple[MapScore, ...]
 
 
-def make_maps(
-    output: Path, quick: bool, jobs: int, lent: Lent, progress: Callable[[int, int], None] | None = None
-) -> None:
+def make_maps(output: Path, quick: bool, jobs: int, progress: Callable[[int, int], None] | None = None) -> None:
     """Make the maps that are not there yet, each task in a process of its own.
 
     Raises:
         ConfigError: embreex, trimesh or scipy are not installed.
         OSError: a file cannot be written.
+        HoldfastError: a process was killed.
     """
     tasks = [scenario for scenario in TASKS[: 1 if quick else 2] if not _folder(output, scenario, SCORES).exists()]
     if not tasks:
         return
     files = [_folder(output, scenario, f"{system}.ply") for scenario in tasks for system in (TRUE_POSES, *SYSTEMS)]
-    quiet = (signal.SIGINT, signal.SIG_IGN)  # at Ctrl-C the process that started them speaks, and ends them
-    pool = ProcessPoolExecutor(min(jobs, len(tasks)), get_context("spawn"), signal.signal, quiet)
-    try:
-        waiting = {pool.submit(map_task, scenario, output, quick, lent) for scenario in tasks}
-        while waiting:
-            done, waiting = wait(waiting, timeout=POLL_S, return_when=FIRST_EXCEPTION)
-            for future in done:
-                future.result()
-            if progress is not None:
-                progress(sum(file.exists() for file in files), len(files))
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in active_children():
-            process.terminate()
-        raise
-    pool.shutdown()
+
+    def tell(_: list[None]) -> None:
+        if progress is not None:
+            progress(sum(file.exists() for file in files), len(files))
+
+    lost = f"{output}: a process that made maps was killed (out of memory?)"
+    # the folder is of this process: the others may be ended
+    with TemporaryDirectory(prefix="holdfast-maps-") as scratch, processes(min(jobs, len(tasks)), lost) as pool:
+        run_all(pool, [partial(map_task, scenario, output, quick, Path(scratch)) for scenario in tasks], tell)
 
 
 def load_maps(output: Path) -> Maps | None:
@@ -162,19 +153,19 @@ def cast_scans(simulation: Simulation, every: int, options: MapOptions) -> list[
     return scans
 
 
-def map_task(scenario_name: str, output: Path, quick: bool, lent: Lent) -> None:
-    """Make all maps of one task."""
+def map_task(scenario_name: str, output: Path, quick: bool, scratch: Path | None = None) -> None:
+    """Make all maps of one task; whoever started this process removes the folder `scratch`."""
     scenario = load_scenario(scenario_name, dict(QUICK[scenario_name]) if quick else {})
     simulation, options = simulate(scenario, 0), MapOptions()
     scans = cast_scans(simulation, QUICK_EVERY if quick else 1, options)
-    given = configuration(scenario).model_dump(mode="json", exclude_unset=True)
+    given = configuration_data(scenario)
     scanner = scenario.sensors.scanner
     assert scanner is not None
     folder = _folder(output, scenario_name)
     folder.mkdir(parents=True, exist_ok=True)
     rows = []
-    with TemporaryDirectory(prefix="holdfast-maps-") as scratch:
-        recording, site = Path(scratch) / "recording.mcap", Path(scratch) / "site.ply"
+    with TemporaryDirectory(prefix="holdfast-maps-", dir=scratch) as made:
+        recording, site = Path(made) / "recording.mcap", Path(made) / "site.ply"
         write_recording(simulation, recording, False, None)
         simulation.site.write_ply(site)
         surface = SurfaceIndex(read_mesh(site))
@@ -183,7 +174,7 @@ def map_task(scenario_name: str, output: Path, quick: bool, lent: Lent) -> None:
             T_I_L = config.T_I(scanner.frame)
             about: dict[str, Any] = {"scenario": scenario_name, "system": system, "failure": ""}
             try:
-                poses = _true_poses(simulation) if system == TRUE_POSES else _poses(system, config, recording, lent)
+                poses = _true_poses(simulation) if system == TRUE_POSES else _poses(system, config, recording)
                 quality = map_quality(scans, poses, surface, T_I_L, options)
             except Exception as error:  # a system that fails, in whatever way, does not stop the others
                 kind = "" if isinstance(error, RecordingError) else f"{type(error).__name__}: "
@@ -203,20 +194,15 @@ def map_task(scenario_name: str, output: Path, quick: bool, lent: Lent) -> None:
     write_whole(folder / SCORES, json.dumps(rows, indent=1).encode())
 
 
-def _poses(system: str, config: Config, recording: Path, lent: Lent) -> Trajectory:
+def _poses(system: str, config: Config, recording: Path) -> Trajectory:
     recorder = PublishedRecorder(config, SYSTEMS[system].make(config))
     with open_recording(recording) as opened:
-        recorder.run(opened.read(lent.subscriptions(config)))
+        recorder.run(opened.read(subscriptions(config)))
     return recorder.published().world.poses
 
 
 def _true_poses(simulation: Simulation) -> Trajectory:
-    from scipy.spatial.transform import Rotation
-
-    times_s = simulation.imu_times_s()
-    moving = simulation.motion.frame(simulation.scenario.sensors.imu.frame, times_s)
-    stamps_ns = START_NS + np.rint(times_s * 1e9).astype(np.int64)
-    return Trajectory(stamps_ns, moving.p_W, np.asarray(Rotation.from_matrix(moving.R_W_F).as_quat()))
+    return true_states(simulation, START_NS + np.rint(simulation.imu_times_s() * 1e9).astype(np.int64))[0]
 
 
 def _load(folder: Path) -> Iterator[MapScore]:

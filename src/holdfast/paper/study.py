@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from holdfast.paper.systems import SYSTEMS
+from holdfast.trial.variations import VARIATIONS
 
 Study = Literal["accuracy", "ablation", "sensitivity", "growth"]
-Variations = Mapping[str, Mapping[str, Any]]
 TASKS = ("construction", "navigation")  # of the paper
 
 
@@ -114,13 +114,12 @@ SENSITIVITY_S = 180.0
 GROWTH_SEEDS = 5
 
 
-def plan(seeds: int, quick: bool, variations: Variations) -> list[Job]:
+def plan(seeds: int, quick: bool) -> list[Job]:
     """Return the jobs, those first whose results matter most.
 
     Args:
         seeds: simulations of each of the paper's two tasks.
         quick: short recordings, few variations.
-        variations: changes of the configuration by name, for the ablation.
     """
     jobs = [
         Job(scenario, seed, _accuracy(), QUICK[scenario] if quick else {}, keep_curves=seed == 0)
@@ -128,7 +127,7 @@ def plan(seeds: int, quick: bool, variations: Variations) -> list[Job]:
         for scenario in TASKS
     ]
     # the preset is among the systems, and the default is what they all are compared with
-    names = QUICK_ABLATIONS if quick else [name for name in variations if name not in ("default", "paper")]
+    names = QUICK_ABLATIONS if quick else [name for name in VARIATIONS if name not in ("default", "paper")]
     ablation = tuple(Task("ablation", "holdfast", name) for name in names)
     jobs += [
         Job(scenario, 0, ablation, QUICK[scenario] if quick else {}, label=f"{scenario}-ablation")

@@ -1,0 +1,79 @@
+"""Work in processes: everything comes back, a failure or Ctrl-C ends the others, a killed process is told."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+from multiprocessing import active_children
+
+import pytest
+
+from holdfast.errors import ConfigError, HoldfastError
+from holdfast.trial.pool import processes, run_all
+
+SLEEPERS = """
+import time
+from functools import partial
+from holdfast.trial.pool import processes, run_all
+
+def main():
+    with processes(2, "lost") as pool:
+        print("ready", flush=True)
+        run_all(pool, [partial(time.sleep, 60.0)] * 2, lambda came: print("polled", flush=True))
+
+if __name__ == "__main__":
+    main()
+"""
+
+
+def refuse(text: str) -> None:
+    raise ConfigError(text)
+
+
+def die() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_every_result_comes_once():
+    came: list[int] = []
+    with processes(2, "lost") as pool:
+        run_all(pool, [partial(abs, -number) for number in range(5)], came.extend)
+        run_all(pool, [partial(abs, -5)], came.extend)
+    assert sorted(came) == [0, 1, 2, 3, 4, 5]
+
+
+def test_the_first_that_raises_ends_the_others():
+    began = time.monotonic()
+    with pytest.raises(ConfigError, match="no such thing"), processes(2, "lost") as pool:
+        run_all(pool, [partial(time.sleep, 60.0), partial(refuse, "no such thing")], lambda _: None)
+    assert time.monotonic() - began < 30.0
+    assert active_children() == []
+
+
+def test_a_killed_process_is_told_in_the_words_of_the_caller():
+    with pytest.raises(HoldfastError, match="what is done is kept"), processes(1, "what is done is kept") as pool:
+        run_all(pool, [die], lambda _: None)
+    assert active_children() == []
+
+
+def test_ctrl_c_ends_all_without_words_of_the_workers(tmp_path):
+    script = tmp_path / "sleepers.py"
+    script.write_text(SLEEPERS, encoding="utf-8")
+    started = subprocess.Popen(
+        [sys.executable, str(script)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        assert started.stdout is not None
+        assert [started.stdout.readline() for _ in range(2)] == ["ready\n", "polled\n"]
+        os.killpg(started.pid, signal.SIGINT)  # as a terminal does: to the whole group
+        _, said = started.communicate(timeout=30.0)
+    finally:
+        started.kill()
+    assert said.count("Traceback") == 1  # of the one that answers
+    assert said.rstrip().endswith("KeyboardInterrupt")
