@@ -185,7 +185,10 @@ def in_order(*streams):
 def machine(lidar=True, gnss=True, right=False, heading=False, heading_deg=HEADING_DEG, **sections):
     """Configuration of the machine; keyword arguments are sections, or `imu_`, `gnss_`, `lidar_` settings."""
     rotation = tuple(tuple(row) for row in T_I_L.rotation().matrix())
-    sensors = {"imu": {"topic": "/imu", "motion_error_ratio": 0.0} | sections.pop("imu_", {})}
+    sensors = {
+        "imu": {"topic": "/imu", "accelerometer_error_ratio": 0.0, "gyroscope_error_ratio": 0.0}
+        | sections.pop("imu_", {})
+    }
     if gnss:
         sensors["gnss"] = {"topic": "/gnss", "correlation_s": 0.0} | sections.pop("gnss_", {})
     if right:

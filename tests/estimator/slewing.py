@@ -41,7 +41,7 @@ def mount(parent, child, T):
 
 def machine(base_imu=True, imu=None, joint=None):
     """Configuration of the machine askew; keyword arguments change its sections."""
-    sensors = {"imu": {"topic": "/imu", "motion_error_ratio": 0.0, **(imu or {})}}
+    sensors = {"imu": {"topic": "/imu", "accelerometer_error_ratio": 0.0, "gyroscope_error_ratio": 0.0, **(imu or {})}}
     sensors["joint"] = {"topic": "/joint", "noise_deg": 1e-3, **(joint or {})}
     if base_imu:
         sensors["base_imu"] = {"topic": "/base_imu"}

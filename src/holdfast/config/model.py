@@ -33,8 +33,11 @@ class ImuConfig(Section):
     gyroscope_noise_density: float = quantity("rad/s/sqrt(Hz)", 2e-4, gt=0, le=1, doc="white noise")
     accelerometer_random_walk: float = quantity("m/s^3/sqrt(Hz)", 1e-4, gt=0, le=1, doc="drift of the bias")
     gyroscope_random_walk: float = quantity("rad/s^2/sqrt(Hz)", 1e-5, gt=0, le=1, doc="drift of the bias")
-    motion_error_ratio: float = quantity(
-        "1", 0.005, ge=0, le=0.2, doc="error in proportion to the motion: scale factor, misalignment, sampling"
+    accelerometer_error_ratio: float = quantity(
+        "1", 0.005, ge=0, le=0.2, doc="error in proportion to the acceleration: scale, misalignment, missed vibration"
+    )
+    gyroscope_error_ratio: float = quantity(
+        "1", 0.003, ge=0, le=0.2, doc="error in proportion to the turning: scale factor, misalignment"
     )
     accelerometer_bias_sigma: float = quantity("m/s^2", 0.1, gt=0, le=5, doc="bias at power-on, from the datasheet")
     gyroscope_bias_sigma: float = quantity("rad/s", 0.01, gt=0, le=1, doc="bias at power-on, from the datasheet")

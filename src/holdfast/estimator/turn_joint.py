@@ -62,7 +62,7 @@ class TurnJoint:
         self._model, self._gyro, self._count = encoder, gyro, count
         imu = config.sensors.imu
         self._cabin_density2 = imu.gyroscope_noise_density**2
-        self._motion_ratio2 = imu.motion_error_ratio**2 * CORRECTED_S
+        self._motion_ratio2 = imu.gyroscope_error_ratio**2 * CORRECTED_S
         self._silent_density2 = config.motion_model.angular_rate_density**2
         self.restart()
 

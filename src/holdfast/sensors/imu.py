@@ -54,18 +54,19 @@ class ImuNoise:
         self._integration_sigma = integration_sigma
         self._up = np.array([0.0, 0.0, gravity])
         self._gravity = gravity
-        self._error = config.motion_error_ratio * sqrt(MOTION_CORRELATION_S)
+        self._force_error = config.accelerometer_error_ratio * sqrt(MOTION_CORRELATION_S)
+        self._rate_error = config.gyroscope_error_ratio * sqrt(MOTION_CORRELATION_S)
 
     def params(self, specific_force: Array, rate: Array, attitude: gtsam.Rot3) -> gtsam.PreintegrationParams:
         """Return the parameters while the machine, at attitude R_W_I, senses (3,) [m/s^2] and (3,) [rad/s]."""
-        config, error = self._config, self._error
+        config = self._config
         fx, fy, fz = specific_force.tolist()
         ux, uy, uz = attitude.unrotate(self._up).tolist()
         ax, ay, az = fx - ux, fy - uy, fz - uz
         wx, wy, wz = rate.tolist()
         return preintegration_params(
-            hypot(config.accelerometer_noise_density, error * sqrt(ax * ax + ay * ay + az * az)),
-            hypot(config.gyroscope_noise_density, error * sqrt(wx * wx + wy * wy + wz * wz)),
+            hypot(config.accelerometer_noise_density, self._force_error * sqrt(ax * ax + ay * ay + az * az)),
+            hypot(config.gyroscope_noise_density, self._rate_error * sqrt(wx * wx + wy * wy + wz * wz)),
             self._integration_sigma,
             self._gravity,
         )
