@@ -11,10 +11,11 @@ from chromium import DESKTOP, PHONE, check_page, needs_chromium
 from click.testing import CliRunner
 
 from holdfast.cli import holdfast
-from holdfast.cli.report import BIAS_KEYS, read_run
 from holdfast.errors import ConfigError, HoldfastError, RecordingError
 from holdfast.recording.mcap_writer import McapWriter
 from holdfast.recording.tum import read_tum
+from holdfast.replay.results import read_run
+from holdfast.replay.ros_messages import BIAS_KEYS
 from holdfast.report.single_run import single_run_page
 from holdfast.report.timeline import antenna_stretches, health_stretches, lost_stretches
 from holdfast.report.words import in_words

@@ -1,6 +1,5 @@
 """`holdfast replay`: a recording in, trajectories, ROS messages, events and a summary out."""
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from holdfast.cli.progress import progress_bar
-from holdfast.cli.writing import naming_the_output
+from holdfast.cli.writing import naming_the_output, write_json
 from holdfast.errors import ConfigError, EstimatorError, HoldfastError
 
 if TYPE_CHECKING:
@@ -111,10 +110,11 @@ def check_window(start_s: float, duration_s: float | None) -> None:
 def write_summary(run: "Replay", recording: str, warnings: list[str], folder: Path, finished: bool) -> dict[str, Any]:
     """Write summary.json and return its content."""
     from holdfast.cli.command_line import command_line
+    from holdfast.replay.outputs import SUMMARY
     from holdfast.replay.summary import summarise_replay
 
     summary = summarise_replay(run, recording, warnings, finished, command_line())
-    (folder / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    write_json(folder / SUMMARY, summary)
     return summary
 
 

@@ -1,13 +1,13 @@
 """The results of a batch in one table: a row per job, from the summaries of the replays."""
 
 import csv
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
+from holdfast.errors import HoldfastError
 from holdfast.fleet.plan import Job
 from holdfast.fleet.run import Outcome
+from holdfast.replay.results import read_summary
 
 TABLE = "results.csv"
 TIMES = ("median", "p99")
@@ -52,14 +52,14 @@ def _row(job: Job, outcome: Outcome) -> Row:
     if outcome.state == "done":
         row["wall_s"] = outcome.wall_s
         row |= {f"{name}_rms": rms for name, rms in outcome.errors.items()}
-        row |= _of_summary(job.folder / "summary.json")
+        row |= _of_summary(job.folder)
     return row
 
 
-def _of_summary(file: Path) -> Row:
+def _of_summary(folder: Path) -> Row:
     try:
-        summary: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        summary = read_summary(folder)
+    except HoldfastError:
         return {}
     timing, health = summary["timing"], summary["health"]
     row: Row = {"recorded_s": timing["recorded_s"], "real_time_factor": timing["real_time_factor"] or 0.0}

@@ -25,6 +25,8 @@ from holdfast.replay.ros_messages import (
 )
 from holdfast.state import BaseState, Estimate, Event, Output
 
+ESTIMATES, EVENTS, SUMMARY = "estimates.mcap", "events.jsonl", "summary.json"
+
 
 class Outputs:
     """Writes into a folder what the estimator says; a context manager."""
@@ -40,8 +42,8 @@ class Outputs:
         with ExitStack() as stack:
             try:
                 self._tracks = {name: stack.enter_context(TumWriter(folder / f"{name}.tum")) for name in names}
-                self._mcap = stack.enter_context(McapWriter(folder / "estimates.mcap"))
-                self._events = stack.enter_context((folder / "events.jsonl").open("w", encoding="utf-8"))
+                self._mcap = stack.enter_context(McapWriter(folder / ESTIMATES))
+                self._events = stack.enter_context((folder / EVENTS).open("w", encoding="utf-8"))
             except OSError as error:
                 raise ConfigError(f"{error.filename or folder}: cannot be written ({error.strerror})") from None
             self._stack = stack.pop_all()

@@ -14,6 +14,9 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 DIAGNOSTICS_PERIOD_NS = 1_000_000_000
+BIAS_KEYS = tuple(
+    f"bias_{sensor}_{axis}_{unit}" for sensor, unit in (("gyro", "rad_s"), ("accel", "m_s2")) for axis in "xyz"
+)
 OK, WARN = 0, 1
 
 
@@ -113,12 +116,8 @@ def estimator_status(estimator: Observed) -> Status:
 
 def bias_status(estimate: Estimate) -> Status:
     """Return the biases of the IMU, as they are estimated."""
-    bias = {"gyro": (estimate.bias.gyroscope(), "rad_s"), "accel": (estimate.bias.accelerometer(), "m_s2")}
-    values = [
-        (f"bias_{sensor}_{axis}_{unit}", f"{value:.9g}")
-        for sensor, (vector, unit) in bias.items()
-        for axis, value in zip("xyz", vector, strict=True)
-    ]
+    biases = (*estimate.bias.gyroscope(), *estimate.bias.accelerometer())
+    values = [(key, f"{value:.9g}") for key, value in zip(BIAS_KEYS, biases, strict=True)]
     return Status(OK, "holdfast: biases of the IMU", "", values)
 
 

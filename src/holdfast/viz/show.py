@@ -1,6 +1,5 @@
 """Where a scene is shown, and what is drawn into it: a recording, the results of a replay, or a live stream."""
 
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
@@ -11,6 +10,8 @@ from holdfast.errors import ConfigError
 from holdfast.geometry.earth import Geodetic
 from holdfast.recording.bag_file import Codec
 from holdfast.recording.raw import RawBag, RawChannel
+from holdfast.replay.outputs import ESTIMATES, EVENTS, SUMMARY
+from holdfast.replay.results import read_events, read_summary
 from holdfast.viz.scene import DATUM, FIX, Scene
 
 APPLICATION = "holdfast"
@@ -53,8 +54,8 @@ def draw_recording(path: Path, recording: rr.RecordingStream, progress: Callable
     Raises:
         RecordingError: it cannot be read.
     """
-    is_replay = (path / "estimates.mcap").is_file()
-    with RawBag(path / "estimates.mcap" if is_replay else path) as bag:
+    is_replay = (path / ESTIMATES).is_file()
+    with RawBag(path / ESTIMATES if is_replay else path) as bag:
         codecs = {channel: channel.codec() for channel in bag.channels}
         scene = Scene(recording, _datum_of_replay(path) if is_replay else _first_datum(bag, codecs))
         for count, (time_ns, channel, raw) in enumerate(bag.messages()):
@@ -65,14 +66,13 @@ def draw_recording(path: Path, recording: rr.RecordingStream, progress: Callable
                 if progress is not None:
                     progress(time_ns)
         if is_replay:
-            _add_events(path / "events.jsonl", scene)
+            _add_events(path, scene)
         scene.flush()
     recording.flush()
 
 
 def _datum_of_replay(folder: Path) -> Geodetic | None:
-    summary = folder / "summary.json"
-    datum = json.loads(summary.read_text(encoding="utf-8")).get("datum") if summary.is_file() else None
+    datum = read_summary(folder).get("datum") if (folder / SUMMARY).is_file() else None
     return Geodetic(datum["latitude_deg"], datum["longitude_deg"], datum["altitude_m"]) if datum else None
 
 
@@ -86,12 +86,10 @@ def _first_datum(bag: RawBag, codecs: Mapping[RawChannel, Codec]) -> Geodetic | 
     return None
 
 
-def _add_events(file: Path, scene: Scene) -> None:
-    if file.is_file():
-        for line in file.read_text(encoding="utf-8").splitlines():
-            event = json.loads(line)
-            sensor = f"{event['sensor']}: " if event["sensor"] else ""
-            scene.say("log/events", f"{sensor}{event['kind']}: {event['reason']}", "INFO", event["stamp_ns"])
+def _add_events(folder: Path, scene: Scene) -> None:
+    for event in read_events(folder) if (folder / EVENTS).is_file() else []:
+        sensor = f"{event['sensor']}: " if event["sensor"] else ""
+        scene.say("log/events", f"{sensor}{event['kind']}: {event['reason']}", "INFO", event["stamp_ns"])
 
 
 class LiveRecord(Protocol):

@@ -1,0 +1,195 @@
+"""What a replay has written, read again: the other end of `Outputs`."""
+
+import csv
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from holdfast.errors import ConfigError, RecordingError
+from holdfast.evaluation import quaternions
+from holdfast.evaluation.absolute import ape
+from holdfast.evaluation.association import associate
+from holdfast.messages import Array
+from holdfast.recording.raw import RawBag
+from holdfast.recording.tum import read_tum
+from holdfast.replay.outputs import ESTIMATES, EVENTS, SUMMARY
+from holdfast.replay.ros_messages import BIAS_KEYS
+from holdfast.report.run_record import Errors, RunRecord
+from holdfast.state import Trajectory
+
+TRUTH, TRUE_BIASES = "imu_in_world.tum", "imu_bias.csv"
+TRUE_SENSORS = (("gyroscope", "rad_s"), ("accelerometer", "m_s2"))
+EVERY = 10  # of the estimates in estimates.mcap one is decoded: covariances change slowly
+SHOWN = {"horizontal_m": "horizontal [m]", "vertical_m": "vertical [m]", "yaw_deg": "yaw [deg]"}
+
+
+class Claims(NamedTuple):
+    """What estimates.mcap says beside the tracks: sigmas (M,) by name, and biases (B, 6), at stamps [ns]."""
+
+    stamps_ns: Array
+    sigmas: dict[str, Array]
+    bias_stamps_ns: Array
+    biases: Array
+
+
+def read_run(folder: Path, reference: Path | None) -> RunRecord:
+    """Read what a replay wrote, and judge it by a reference.
+
+    Raises:
+        ConfigError: the folder holds no results of a replay.
+        RecordingError: a file in it cannot be read, or the reference shares no time with the estimate.
+    """
+    summary, events = read_summary(folder), read_events(folder)
+    world, odometry = (read_tum(folder / f"imu_in_{name}.tum") for name in ("world", "odom"))
+    start_ns = int(summary.get("start_ns") or min(int(world.stamps_ns[0]), *(e["stamp_ns"] for e in events)))
+    claims, notes = _read_claims(folder / ESTIMATES)
+    truth, errors, true_bias_ns, true_biases = None, None, None, None
+    if reference is not None and reference.is_dir():
+        true_bias_ns, true_biases = _read_true_biases(reference / TRUE_BIASES)
+        reference /= TRUTH
+    if reference is not None:
+        truth = read_tum(reference)
+        errors = _judge(world, truth, reference, start_ns)
+    judged = "" if reference is None else f" --reference {reference}"
+    made = summary.get("command") or f"holdfast replay {summary['recording']} -c CONFIG -o {folder}"
+    return RunRecord(
+        name=Path(summary["recording"]).name,
+        command=f"{made}; holdfast report {folder}{judged}",
+        start_ns=start_ns,
+        summary=summary,
+        events=events,
+        times_s=(world.stamps_ns - start_ns) * np.float64(1e-9),
+        world=world.positions,
+        odometry=odometry.positions,
+        correction=_correction(world, odometry),
+        sigma_times_s=(claims.stamps_ns - start_ns) * 1e-9,
+        sigmas=claims.sigmas,
+        bias_times_s=(claims.bias_stamps_ns - start_ns) * 1e-9,
+        biases=claims.biases,
+        true_bias_times_s=None if true_bias_ns is None else (true_bias_ns - start_ns) * np.float64(1e-9),
+        true_biases=true_biases,
+        reference=None if truth is None else _of_the_time(truth, world),
+        errors=errors,
+        seed=summary.get("simulation", {}).get("seed", ""),
+        notes=[*notes, *summary["warnings"]],
+    )
+
+
+def read_summary(folder: Path) -> dict[str, Any]:
+    """Read summary.json.
+
+    Raises:
+        ConfigError: there is none.
+        RecordingError: it is none.
+    """
+    file = folder / SUMMARY
+    try:
+        summary: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        missing = [
+            key for key in ("recording", "counts", "timing", "held_out", "versions", "config") if key not in summary
+        ]
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise ConfigError(f"{file}: {reason} (allowed: a folder that `holdfast replay` has written)") from None
+    except (json.JSONDecodeError, TypeError, UnicodeDecodeError):
+        raise RecordingError(f"{file}: is no summary of a replay") from None
+    if missing:
+        raise RecordingError(f"{file}: is no summary of a replay: it has no {missing[0]!r}")
+    return summary
+
+
+def read_events(folder: Path) -> list[dict[str, Any]]:
+    """Read events.jsonl; a line that a killed run left unfinished is left out.
+
+    Raises:
+        RecordingError: there is none, or it holds something else.
+    """
+    file = folder / EVENTS
+    events: list[dict[str, Any]] = []
+    try:
+        lines = file.read_text(encoding="utf-8").splitlines()
+    except OSError as error:
+        raise RecordingError(f"{file}: {(error.strerror or str(error)).lower()}") from None
+    for number, line in enumerate(lines, start=1):
+        try:
+            event = json.loads(line)
+            _ = event["stamp_ns"] + 0, event["kind"], event["sensor"], event["reason"]
+        except (json.JSONDecodeError, TypeError, KeyError):
+            if number == len(lines):
+                break
+            raise RecordingError(f"{file}:{number}: is no event") from None
+        events.append(event)
+    return events
+
+
+def _read_claims(file: Path) -> tuple[Claims, list[str]]:
+    """Read covariances and biases; without the file they are left out, and a note says so."""
+    stamps: list[int] = []
+    rows: list[list[float]] = []
+    bias_stamps: list[int] = []
+    biases: list[list[float]] = []
+    notes: list[str] = []
+    try:
+        with RawBag(file) as bag:
+            codecs = {channel: channel.codec() for channel in bag.channels}
+            seen = 0
+            for arrival_ns, channel, raw in bag.messages():
+                if channel.topic.endswith("/odometry/world"):
+                    seen += 1
+                    if seen % EVERY == 1:
+                        covariance = np.diag(codecs[channel].deserialize(raw).pose.covariance.reshape(6, 6))
+                        stamps.append(arrival_ns)
+                        rows.append([*np.sqrt([covariance[0] + covariance[1], covariance[2], covariance[5]])])
+                elif channel.topic == "/diagnostics":
+                    told = codecs[channel].deserialize(raw).status
+                    values = {pair.key: pair.value for status in told for pair in status.values}
+                    if all(key in values for key in BIAS_KEYS):
+                        bias_stamps.append(arrival_ns)
+                        biases.append([float(values[key]) for key in BIAS_KEYS])
+    except RecordingError as error:
+        notes.append(f"Claimed deviations and biases are left out: {error}.")
+    table = np.array(rows).reshape(-1, 3)
+    sigmas = {"horizontal [m]": table[:, 0], "vertical [m]": table[:, 1], "yaw [deg]": np.degrees(table[:, 2])}
+    return Claims(np.array(stamps), sigmas, np.array(bias_stamps), np.array(biases).reshape(-1, 6)), notes
+
+
+def _read_true_biases(file: Path) -> tuple[NDArray[np.int64], Array]:
+    """Read stamps (T,) [ns] and true biases (T, 6) of the gyroscope, then the accelerometer."""
+    axes = [f"{sensor}_{axis}_{unit}" for sensor, unit in TRUE_SENSORS for axis in "xyz"]
+    try:
+        with file.open(encoding="utf-8") as stream:
+            rows = list(csv.DictReader(stream))
+        stamps = np.array([int(row["stamp_ns"]) for row in rows], dtype=np.int64)
+        return stamps, np.array([[float(row[axis]) for axis in axes] for row in rows]).reshape(-1, 6)
+    except OSError as error:
+        raise RecordingError(f"{file}: {(error.strerror or str(error)).lower()}") from None
+    except (KeyError, TypeError, ValueError):
+        raise RecordingError(f"{file}: is no table of biases (allowed: that of `holdfast simulate`)") from None
+
+
+def _judge(world: Trajectory, truth: Trajectory, source: Path, start_ns: int) -> Errors:
+    try:
+        pairs = associate(world, truth)
+    except RecordingError as error:
+        raise RecordingError(f"{source}: {error}") from None
+    values = ape(pairs)
+    shown = {label: values[name] for name, label in SHOWN.items() if name in values}
+    return Errors(str(source), (pairs.reference.stamps_ns - start_ns) * np.float64(1e-9), shown)
+
+
+def _correction(world: Trajectory, odometry: Trajectory) -> Array:
+    """Return east, north, up [m] and yaw [deg] (N, 4) of T_W_O = T_W_I T_O_I^-1."""
+    q = quaternions.multiply(world.quaternions, quaternions.conjugate(odometry.quaternions))
+    moved = world.positions - quaternions.rotate(q, odometry.positions)
+    yaw = np.degrees(np.unwrap(quaternions.roll_pitch_yaw_rad(q)[:, 2]))
+    return np.column_stack([moved, yaw])
+
+
+def _of_the_time(truth: Trajectory, world: Trajectory) -> Array:
+    """Return the positions of a reference within the time of the estimate."""
+    inside = (truth.stamps_ns >= world.stamps_ns[0]) & (truth.stamps_ns <= world.stamps_ns[-1])
+    positions: Array = truth.positions[inside]
+    return positions
