@@ -7,7 +7,7 @@ from holdfast.baselines.intake import AntennaFix, Measurement
 from holdfast.baselines.propagation import Propagation, Tuning
 from holdfast.config.load import parse_config
 from holdfast.sensors.gnss import AntennaPosition
-from holdfast.sensors.imu import Step
+from holdfast.sensors.preintegration import Step
 
 G = 9.81
 DT = 0.01

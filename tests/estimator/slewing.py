@@ -80,12 +80,11 @@ class Machine:
         at_joint = T_B_P * gtsam.Pose3(gtsam.Rot3(), T_P_C0.translation())
         return self.T_W_B(t) * at_joint * turned * gtsam.Pose3(T_P_C0.rotation(), np.zeros(3)) * T_C_I
 
-    def estimate(self, t, period_s=0.0):
-        """The truth about I, by differences of poses; the angular velocity is the mean over the period before."""
+    def estimate(self, t):
+        """The truth about I, by differences of poses."""
         T, h = self.T_W_I(t), 1e-5
         v_W = (self.T_W_I(t + h).translation() - self.T_W_I(t - h).translation()) / (2.0 * h)
-        a, b, width = (t - period_s, t, period_s) if period_s else (t - h, t + h, 2.0 * h)
-        rate = gtsam.Rot3.Logmap(self.T_W_I(a).rotation().between(self.T_W_I(b).rotation())) / width
+        rate = gtsam.Rot3.Logmap(self.T_W_I(t - h).rotation().between(self.T_W_I(t + h).rotation())) / (2.0 * h)
         nav = gtsam.NavState(T.rotation(), T.translation(), v_W)
         return Estimate(ns(t), nav, T_W_O, NO_BIAS, NO_COVARIANCE, rate, True)
 
@@ -104,7 +103,7 @@ MAX_ATTITUDE_DEG, MAX_POSITION_M, MAX_YAW_RATE_RAD_S = 0.1, 0.015, 0.005
 
 
 def estimates(motion, times=TIMES):
-    return [motion.estimate(t, 0.01) for t in times]
+    return [motion.estimate(t) for t in times]
 
 
 def spoken(motion, times=TIMES, joint_s=0.004, base_s=0.001, bias=0.0):
@@ -217,11 +216,10 @@ def run_simulated(simulation, config=None, names=("base_imu", "joint")):
     cabin, chassis = _motion(simulation)
     imu = simulation.delivered["imu"]
     rates = imu.readings.values["angular_velocity"] - simulation.biases["imu"].gyroscope
-    means = np.vstack([rates[:1], 0.5 * (rates[1:] + rates[:-1])])
     estimates = []
     for row, stamp in enumerate(imu.stamps_ns.tolist()):
         nav = gtsam.NavState(gtsam.Rot3(cabin.R_W_F[row]), cabin.p_W[row], cabin.v_W[row])
-        estimates.append(Estimate(stamp, nav, T_W_O, NO_BIAS, NO_COVARIANCE, means[row], True))
+        estimates.append(Estimate(stamp, nav, T_W_O, NO_BIAS, NO_COVARIANCE, rates[row], True))
     listener = Listener(config or calibrated(simulation))
     states = listener.run(estimates, messages_of(simulation, *names))
     known = [row for row, state in enumerate(states) if state is not None]

@@ -165,8 +165,8 @@ def test_the_encoder_leads_across_a_gap_of_the_cabins_imu():
         if 0.0 < gap_s < 0.995:
             continue  # then one estimate with the rate of before: the cabin turned by 0.4 rad less than it says
         is_first = 0.0 < gap_s < 1.005
-        estimate = DRIVING.estimate(t, 0.01)
-        stale = DRIVING.estimate(3.0, 0.01).angular_velocity * -1.0
+        estimate = DRIVING.estimate(t)
+        stale = DRIVING.estimate(3.0).angular_velocity * -1.0
         given.append(estimate._replace(angular_velocity=stale, from_imu=False) if is_first else estimate)
     listener = Listener(machine())
     states = listener.run(given, messages)

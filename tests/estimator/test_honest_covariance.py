@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from motion import Drive, error, estimates, fixes, imu, in_order, machine, ns, run, scans
 
+from holdfast.estimator.estimator import Estimator
 from holdfast.evaluation.consistency import consistency
 
 IMU = {"accelerometer_noise_density": 2e-3, "gyroscope_noise_density": 2e-4, "accelerometer_bias_sigma": 0.05}
@@ -75,3 +76,17 @@ def test_uncertainty_grows_while_only_the_imu_speaks_and_never_loses_its_shape()
     for e in outage:
         np.testing.assert_allclose(e.covariance, e.covariance.T, atol=1e-9 * abs(e.covariance).max())
         assert np.linalg.eigvalsh(e.covariance).min() > 0.0
+
+
+def test_a_covariance_that_is_asked_for_later_is_the_one_of_its_time():
+    drive = Drive()
+    messages = in_order(imu(drive, 0.0, 9.0, 50.0), fixes(drive, 0.0, 6.0, 5.0))
+    estimator, at_once = Estimator(machine()), []
+    for message in messages:
+        estimate = estimator.process(message).estimate
+        if estimate is not None:
+            at_once.append(estimate.covariance)
+    later = [estimate.covariance for estimate in estimates(run(machine(), messages)[1])]
+    assert len(later) > 200
+    for one, other in zip(at_once, later, strict=True):
+        np.testing.assert_array_equal(one, other)

@@ -11,7 +11,8 @@ from motion import Drive, G, apart, imu, machine, ns, tilted_circle
 from numeric import assert_jacobians, residual
 
 from holdfast.config.model import MotionModelConfig
-from holdfast.sensors.imu import ImuBuffer, ImuNoise, MotionModel, preintegrate
+from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.preintegration import ImuNoise, MotionModel, preintegrate
 
 CONFIG = machine().sensors.imu
 NO_BIAS = gtsam.imuBias.ConstantBias()

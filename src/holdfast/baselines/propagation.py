@@ -11,7 +11,7 @@ import numpy as np
 
 from holdfast.config.model import Config, ImuConfig
 from holdfast.messages import Array
-from holdfast.sensors.imu import ImuNoise, MotionModel, Step, integrate, preintegration_params
+from holdfast.sensors.preintegration import ImuNoise, MotionModel, Step, integrate, preintegration_params
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,8 @@ import gtsam
 from holdfast.baselines.intake import Measurement
 from holdfast.baselines.propagation import Propagation
 from holdfast.messages import Array
-from holdfast.sensors.imu import ImuBuffer, Step
+from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.preintegration import Step
 from holdfast.state import Outcome
 
 

@@ -132,6 +132,7 @@ class BaseKinematics:
         self.geometry = BaseGeometry(config)
         self._tell, self._count = tell, count
         self._joint: TurnJoint | None = None
+        self._turning_rad_s = 0.0  # of the cabin about the joint's axis, at the estimate before
         turn_joint, encoder, base_imu = config.turn_joint, config.sensors.joint, config.sensors.base_imu
         if turn_joint is not None and encoder is not None:
             gyro = None
@@ -165,10 +166,12 @@ class BaseKinematics:
         """Return the state of the chassis at an estimate; None as long as the encoder has never spoken."""
         geometry, stamp, joint = self.geometry, estimate.stamp_ns, self._joint
         rates_A = geometry.cabin_rates(estimate)
+        before_rad_s, self._turning_rad_s = self._turning_rad_s, rates_A[2]
         angle, rate, angle_sigma, rate_sigma, encoder = 0.0, rates_A[2], 0.0, 0.0, None
         if joint is not None:
             before = joint.state
-            motion = joint.advance(stamp, rates_A[2], from_imu=estimate.from_imu)
+            mean_rad_s = 0.5 * (before_rad_s + rates_A[2]) if estimate.from_imu else rates_A[2]
+            motion = joint.advance(stamp, mean_rad_s, from_imu=estimate.from_imu)
             encoder = joint.state
             if encoder is not before:
                 self._tell(EventKind.ENCODER, stamp, "joint", encoder)

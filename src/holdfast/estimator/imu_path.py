@@ -5,7 +5,8 @@ from holdfast.estimator.base import BaseKinematics
 from holdfast.estimator.journal import Journal
 from holdfast.estimator.predictor import Predictor
 from holdfast.messages import ImuSample, JointAngle
-from holdfast.sensors.imu import ImuBuffer, Step
+from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.preintegration import Step
 from holdfast.state import BaseState, Estimate, OptimisedState, Outcome
 
 
@@ -45,6 +46,7 @@ class ImuPath:
         self._base = BaseKinematics(config, journal.tell, journal.count) if config.has_base() else None
         self.predictor: Predictor | None = None
         self.hears_imu = True
+        self._was_ahead = False  # the state, of the sample before
 
     def hear(self, sample: ImuSample) -> Heard | None:
         """Take in a sample; None if it cannot be believed."""
@@ -61,10 +63,16 @@ class ImuPath:
     def propagate(self, heard: Heard) -> Estimate | None:
         """Carry the state to the sample that was just heard; None before the start, or where the state is ahead."""
         predictor, stamp = self.predictor, self._buffer.latest_ns
-        if predictor is None or stamp <= predictor.stamp_ns:
-            return None  # ahead: a measurement in a silent stretch has led the state past this sample
+        if predictor is None:
+            return None
+        if stamp <= predictor.stamp_ns:
+            self._was_ahead = True  # a measurement in a silent stretch has led the state past this sample
+            return None
         self.hears_imu = heard.step is not None
-        return predictor.add(stamp, heard.step)
+        estimate = predictor.add(stamp, heard.step)
+        if self._was_ahead:
+            self._was_ahead, estimate = False, estimate._replace(from_imu=False)
+        return estimate
 
     def chassis(self, estimate: Estimate) -> BaseState | None:
         """Return the state of the chassis at an estimate, if it is known."""

@@ -17,8 +17,9 @@ from holdfast.graph.alignment import BatchAligner, level_attitude
 from holdfast.messages import Array
 from holdfast.sensors.gnss import AntennaPosition, GnssModel
 from holdfast.sensors.heading import AxisYaw, HeadingModel, yaw_of
-from holdfast.sensors.imu import ImuBuffer, ImuNoise
+from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lidar import LidarModel
+from holdfast.sensors.preintegration import ImuNoise
 from holdfast.state import OptimisedState
 
 PLAUSIBLE_FORCE = (7.0, 13.0)  # [m/s^2] mean specific force of a machine on the ground

@@ -9,8 +9,7 @@ velocity, also where the IMU was silent in between.
 """
 
 from collections.abc import Callable
-from typing import Any
-from weakref import ref
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
@@ -18,42 +17,52 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.estimator.odometry_frame import OdometryFrame
 from holdfast.messages import Array
-from holdfast.sensors.imu import ImuBuffer, ImuNoise, MotionModel, Step, integrate
+from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.preintegration import ImuNoise, MotionModel, Step, integrate, preintegrate_with
 from holdfast.state import Estimate, OptimisedState
 
 FOLD_S = 1.0  # the walk of the biases enters the covariance this often
 
 
+class Start(NamedTuple):
+    """Where a preintegration begins.
+
+    Attributes:
+        nav: the state.
+        bias: at which what follows is predicted.
+        covariance: (15, 15) of state and biases.
+        params: the noise of what follows.
+    """
+
+    nav: gtsam.NavState
+    bias: gtsam.imuBias.ConstantBias
+    covariance: Array
+    params: gtsam.PreintegrationParams
+
+
 class Spread:
     """The covariance (9, 9) after preintegrated samples, computed when it is asked for: (8) in docs/math.md.
 
-    Whoever adds a sample to `pim` asks for it before, if somebody still holds this.
-
     Args:
-        pim: the samples.
-        nav: the state before them.
-        bias: the biases at which the state after them is predicted.
-        covariance: (15, 15) of state and biases.
+        start: where they begin.
+        pim: the samples, to which others may be added later.
+        steps: all that `pim` is made of; the list grows with it.
     """
 
-    __slots__ = ("__weakref__", "_made_of", "_value")
+    __slots__ = ("_made_of", "_value")
 
-    def __init__(
-        self,
-        pim: gtsam.PreintegratedImuMeasurements,
-        nav: gtsam.NavState,
-        bias: gtsam.imuBias.ConstantBias,
-        covariance: Array,
-    ) -> None:
-        self._made_of: tuple[Any, ...] | None = pim, nav, bias, covariance
+    def __init__(self, start: Start, pim: gtsam.PreintegratedImuMeasurements, steps: list[Step]) -> None:
+        self._made_of: tuple[Any, ...] | None = start, pim, steps, len(steps)
         self._value: Array
 
     def __call__(self) -> Array:
         """Return the covariance."""
         if self._made_of is not None:
-            pim, nav, bias, covariance = self._made_of
-            F = transition(pim, nav, bias)
-            self._value = F @ covariance @ F.T
+            start, pim, steps, count = self._made_of
+            if len(steps) > count:  # asked after more was added
+                pim = preintegrate_with(start.params, steps[:count], start.bias)
+            F = transition(pim, start)
+            self._value = F @ start.covariance @ F.T
             self._value += pim.residualCovariance()
             self._made_of = None
         return self._value
@@ -62,10 +71,10 @@ class Spread:
         return np.asarray, (self(),)
 
 
-def transition(pim: gtsam.PreintegratedImuMeasurements, nav: gtsam.NavState, bias: gtsam.imuBias.ConstantBias) -> Array:
+def transition(pim: gtsam.PreintegratedImuMeasurements, start: Start) -> Array:
     """Return F (9, 15), how the state after preintegrated samples depends on the state before and on the biases."""
     by_nav, by_bias = np.empty((9, 9), order="F"), np.empty((9, 6), order="F")
-    pim.predict(nav, bias, by_nav, by_bias)
+    pim.predict(start.nav, start.bias, by_nav, by_bias)
     F = np.empty((9, 15))
     F[:, :9], F[:, 9:] = by_nav, by_bias
     return F
@@ -85,9 +94,9 @@ class Propagation:
         self.stamp_ns: int
         self.rate: Array
         self.from_imu: bool
+        self._start: Start
         self._pim: gtsam.PreintegratedImuMeasurements
-        self._base: gtsam.NavState
-        self._given: Callable[[], Spread | None] = lambda: None  # what `predict` has given, while somebody holds it
+        self._steps: list[Step]  # that it is made of
 
     def start(self, state: OptimisedState) -> None:
         """Begin with a state and carry it to the newest sample."""
@@ -101,7 +110,7 @@ class Propagation:
                 continue
             for step in self._buffer.steps(piece.start_ns, piece.end_ns):
                 self._integrate(step)
-            self.stamp_ns = piece.end_ns
+            self.stamp_ns, self.rate = piece.end_ns, self._buffer.angular_velocity(piece.end_ns) - self._bias_gyro
 
     def advance(self, stamp_ns: int, step: Step | None) -> None:
         """Carry the state to a later sample; `step` is None where the IMU was silent before it."""
@@ -114,59 +123,56 @@ class Propagation:
         elif missing_ns < 0:  # a measurement led the state into this step while the IMU was silent
             step = step._replace(dt_s=(stamp_ns - self.stamp_ns) * 1e-9)
         self._integrate(step)
-        self.stamp_ns = stamp_ns
+        self.stamp_ns, self.rate = stamp_ns, self._buffer.latest_rate() - self._bias_gyro
         if self._pim.deltaTij() > FOLD_S:
             self._fold(self._pim)
 
     def settle(self) -> OptimisedState:
         """Let the state now, with its covariance, take the place of the optimised one."""
         self._fold(self._pim)
-        self.state = OptimisedState(self.stamp_ns, self._base, self.state.bias, self._base_covariance, self.rate)
+        start = self._start
+        self.state = OptimisedState(self.stamp_ns, start.nav, start.bias, start.covariance, self.rate)
         return self.state
 
     def nav(self) -> gtsam.NavState:
         """Return the state now."""
-        return self._pim.predict(self._base, self._bias)
+        return self._pim.predict(self._start.nav, self._start.bias)
 
     def predict(self) -> tuple[gtsam.NavState, Spread]:
         """Return the state now and its covariance."""
-        spread = self._spread(self._pim)
-        self._given = ref(spread)
-        return self.nav(), spread
+        return self.nav(), Spread(self._start, self._pim, self._steps)
 
     def _integrate(self, step: Step) -> None:
-        given = self._given()
-        if given is not None:
-            given()
-        self.rate = integrate(self._pim, step, self._bias_accel, self._bias_gyro)
+        self._steps.append(step)
+        integrate(self._pim, step, self._bias_accel, self._bias_gyro)
         self.from_imu = True
 
     def _begin(self, stamp_ns: int, nav: gtsam.NavState, covariance: Array) -> None:
-        """Make a state the base of what follows; the noise is that of the motion at the newest sample."""
-        bias = self._bias = self.state.bias
-        self.stamp_ns, self._base, self._base_covariance = stamp_ns, nav, covariance
+        """Let something follow a state, with the noise of the motion at the newest sample."""
+        bias = self.state.bias
+        self.stamp_ns = stamp_ns
         self._bias_accel, self._bias_gyro = bias.accelerometer(), bias.gyroscope()
         force = self._buffer.latest_force() - self._bias_accel
-        self._pim = gtsam.PreintegratedImuMeasurements(self._noise.params(force, self.rate, nav.attitude()), bias)
-
-    def _spread(self, pim: gtsam.PreintegratedImuMeasurements) -> Spread:
-        return Spread(pim, self._base, self._bias, self._base_covariance)
+        self._start = Start(nav, bias, covariance, self._noise.params(force, self.rate, nav.attitude()))
+        self._pim, self._steps = gtsam.PreintegratedImuMeasurements(self._start.params, bias), []
 
     def _fold(self, pim: gtsam.PreintegratedImuMeasurements) -> None:
-        """Make the state after `pim` the new base, so that other noise and the walk of the biases can be added."""
-        nav, spread = pim.predict(self._base, self._bias), self._spread(pim)
-        covariance = self._base_covariance + self._bias_walk * pim.deltaTij()
-        covariance[:9, 9:] = transition(pim, self._base, self._bias) @ self._base_covariance[:, 9:]
+        """Begin anew after `pim`, so that other noise and the walk of the biases can be added."""
+        start = self._start
+        F = transition(pim, start)
+        covariance = start.covariance + self._bias_walk * pim.deltaTij()
+        covariance[:9, :9] = F @ start.covariance @ F.T + pim.residualCovariance()
+        covariance[:9, 9:] = F @ start.covariance[:, 9:]
         covariance[9:, :9] = covariance[:9, 9:].T
-        covariance[:9, :9] = spread()
-        self._begin(self.stamp_ns, nav, covariance)
+        self._begin(self.stamp_ns, pim.predict(start.nav, start.bias), covariance)
 
     def _coast(self, stamp_ns: int) -> None:
         """Cross a stretch in which the IMU was silent with the motion model."""
         self._fold(self._pim)
         duration_s = (stamp_ns - self.stamp_ns) * 1e-9
         if duration_s > 0.0:
-            self._fold(self._motion_model.preintegrate(duration_s, self._base, self.rate, self.state.bias))
+            start = self._start
+            self._fold(self._motion_model.preintegrate(duration_s, start.nav, self.rate, start.bias))
         self.stamp_ns, self.from_imu = stamp_ns, False
 
 

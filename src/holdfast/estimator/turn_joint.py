@@ -1,7 +1,7 @@
-"""The turn joint over time: readings of the encoder and of the base IMU wait for their stamp and enter the filter.
+"""The turn joint over time: readings of the encoder and of the base IMU enter the filter.
 
-They wait until the cabin's estimate has reached their stamp and are then taken in by the order of these, so that it
-does not matter in which order they arrive.
+A reading that is ahead of the cabin's estimate waits until that has reached its stamp; the others are taken in as they
+come, so that the cabin's next sample need not wait for them.
 """
 
 from bisect import insort
@@ -76,6 +76,7 @@ class TurnJoint:
         self._recent: dict[str, deque[int]] = {}
         self._gyro_ns = self._angle_ns = self._used_ns = 0  # newest readings, and the newest of the encoder in use
         self._gyro_period_s = USUAL_PERIOD_S
+        self._corrected_rad = 0.0  # by the readings since the last estimate
         self._held_rad = 0.0  # of the correction of the angle, what is not let out yet
         self.state = EncoderState.ABSENT
 
@@ -85,7 +86,7 @@ class TurnJoint:
         return self._filter.lag_s
 
     def add(self, message: ImuSample | JointAngle, imu_arrival_ns: int) -> None:
-        """Let a reading wait for its stamp, or count why not; what waits is counted when it is taken.
+        """Take in a reading, let it wait for its stamp, or count why not; what waits is counted when it is taken.
 
         Args:
             message: in the order of arrival.
@@ -103,7 +104,12 @@ class TurnJoint:
         if outcome is not Outcome.USED:
             self._count(message.sensor, outcome, 1)
             return
-        insort(self._waiting, (stamp, message.sensor, value, isinstance(message, JointAngle)))
+        reading = stamp, message.sensor, value, isinstance(message, JointAngle)
+        reached_ns = self._filter.stamp_ns
+        if reached_ns is not None and stamp <= reached_ns:
+            self._take(*reading)
+            return
+        insort(self._waiting, reading)
         if len(self._waiting) > MAX_WAITING:
             self._count(self._waiting.pop(0)[1], Outcome.LATE, 1)
 
@@ -140,25 +146,30 @@ class TurnJoint:
         at_once, had_encoder = step_ns <= AT_ONCE_NS, self.state is EncoderState.OK
         if at_once:
             joint.predict(stamp_ns, cabin_rate_rad_s, density2)
-        was_known, corrected_rad = joint.is_known, 0.0
         while waiting and waiting[0][0] <= stamp_ns:
-            stamp, sensor, value, is_angle = waiting.pop(0)
+            reading = waiting.pop(0)
             if not at_once:
-                joint.predict(stamp, cabin_rate_rad_s, density2)
-            before_rad = joint.angle_rad
-            outcome = self._take_angle(stamp, value) if is_angle else self._take_rate(stamp, value)
-            corrected_rad += joint.angle_rad - before_rad
-            self._count(sensor, outcome, 1)
+                joint.predict(reading[0], cabin_rate_rad_s, density2)
+            self._take(*reading)
         if not at_once:
             joint.predict(stamp_ns, cabin_rate_rad_s, density2)
         self.state = self._judge_encoder(stamp_ns)
         if not joint.is_known:
             return None
-        if was_known and (self._gyro is not None or not had_encoder) and abs(corrected_rad) > MAX_STEP_RAD:
+        corrected_rad, self._corrected_rad = self._corrected_rad, 0.0
+        if abs(corrected_rad) > MAX_STEP_RAD and (self._gyro is not None or not had_encoder):
             self._held_rad += corrected_rad - copysign(MAX_STEP_RAD, corrected_rad)
         held_rad = self._held_rad = self._held_rad * max(0.0, 1.0 - step_ns * 1e-9 / SETTLE_S)
         angle_sigma = sqrt(joint.angle_variance + self._model.zero_variance + held_rad**2)
         return JointMotion(joint.angle_rad - held_rad, angle_sigma, joint.rate_rad_s, sqrt(joint.rate_variance))
+
+    def _take(self, stamp_ns: int, sensor: str, value: float, is_angle: bool) -> None:
+        joint = self._filter
+        before_rad = joint.angle_rad if joint.is_known else None
+        outcome = self._take_angle(stamp_ns, value) if is_angle else self._take_rate(stamp_ns, value)
+        if before_rad is not None:
+            self._corrected_rad += joint.angle_rad - before_rad
+        self._count(sensor, outcome, 1)
 
     def _take_rate(self, stamp_ns: int, rate_rad_s: float) -> Outcome:
         assert self._gyro is not None

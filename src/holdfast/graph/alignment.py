@@ -12,7 +12,8 @@ import numpy as np
 from holdfast.graph.nodes import to_grid
 from holdfast.messages import Array
 from holdfast.sensors.gnss import AntennaPosition, GnssModel
-from holdfast.sensors.imu import ImuBuffer, ImuNoise, preintegrate
+from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.preintegration import ImuNoise, preintegrate
 from holdfast.state import OptimisedState
 
 HEADINGS = 8

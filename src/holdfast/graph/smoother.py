@@ -15,7 +15,8 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.graph.nodes import FRAME, NODE, NODE_RESOLUTION_NS, Link, Placed, Timeline, to_grid
 from holdfast.messages import Array
-from holdfast.sensors.imu import ImuBuffer, ImuNoise, MotionModel, preintegrate
+from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.preintegration import ImuNoise, MotionModel, preintegrate
 from holdfast.state import OptimisedState
 
 BIAS_EPOCH_NS = 1_000_000_000

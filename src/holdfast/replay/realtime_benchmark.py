@@ -92,10 +92,9 @@ def measure_realtime(
         gc.freeze()  # what is there now is not looked through again
         try:
             began_s, cpu_s = perf_counter(), process_time()
-            for count, (message, is_floor) in enumerate(_paced(messages, pace)):
+            for count, (message, is_floor) in enumerate(_paced(messages, pace, engine)):
                 if is_floor and isinstance(message, ImuSample):
                     measured.floor_ns.append(floor.measure(message))
-                    engine.refresh()  # as a live program does between two samples
                 elif isinstance(message, ImuSample) or not (is_idle and engine.initialised):
                     _step(engine, message, measured)
                     if pace == "none" and not engine.initialised:
@@ -126,7 +125,7 @@ def _step(engine: RealtimeEstimator, message: Message, measured: Measured) -> No
             measured.fresh_ns.append(took_ns)
 
 
-def _paced(messages: Sequence[Message], pace: Pace) -> Iterator[tuple[Message, bool]]:
+def _paced(messages: Sequence[Message], pace: Pace, engine: RealtimeEstimator) -> Iterator[tuple[Message, bool]]:
     """Yield each message when it arrives, and half way to the next sample once more for the floor."""
     schedule: list[tuple[int, int, Message, bool]] = []
     last_ns: int | None = None
@@ -141,6 +140,10 @@ def _paced(messages: Sequence[Message], pace: Pace) -> Iterator[tuple[Message, b
     for arrival_ns, _, message, is_floor in schedule:
         due = began + (arrival_ns - first_ns) * 1e-9
         if pace != "none":
+            refresh_in_s = engine.refresh_in_s
+            if refresh_in_s is not None and refresh_in_s < due - perf_counter():
+                _wait_until(perf_counter() + refresh_in_s, 0.0)
+                engine.refresh()  # as a live program does between two samples
             _wait_until(due, SPIN_S if pace == "spin" else 0.0)
         yield message, is_floor
 

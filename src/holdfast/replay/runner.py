@@ -100,9 +100,12 @@ class Replay:
 
     def _wait(self, duration_s: float, now_ns: int) -> None:
         if self._realtime is not None:  # as a live program does while it waits
-            sleep(0.5 * duration_s)
-            self._take(self._realtime.refresh(), now_ns)
-            duration_s *= 0.5
+            until_s = perf_counter() + duration_s
+            refresh_in_s = self._realtime.refresh_in_s
+            if refresh_in_s is not None and refresh_in_s < duration_s:
+                sleep(refresh_in_s)
+                self._take(self._realtime.refresh(), now_ns)
+            duration_s = max(0.0, until_s - perf_counter())
         sleep(duration_s)
 
     def _process(self, message: Message) -> None:

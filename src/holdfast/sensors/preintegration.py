@@ -1,0 +1,153 @@
+"""How samples of the IMU become preintegrated measurements, and with what noise.
+
+A drop-out of the IMU is crossed by a constant-twist motion model in the form of such a measurement.
+"""
+
+from math import hypot, sin, sqrt
+from typing import NamedTuple
+
+import gtsam
+import numpy as np
+
+from holdfast.config.model import ImuConfig, MotionModelConfig
+from holdfast.messages import Array
+
+MOTION_STEP_S = 0.02
+MOTION_CORRELATION_S = 1.0  # how long an error that is proportional to the motion keeps its sign
+EYE = np.eye(3)
+
+
+def preintegration_params(
+    accelerometer_density: float, gyroscope_density: float, integration_sigma: float, gravity: float
+) -> gtsam.PreintegrationParams:
+    """Return GTSAM's parameters from continuous-time densities; W is east, north, up.
+
+    The small integration covariance gives a one-sample factor full rank: (9) in docs/math.md.
+    """
+    params = gtsam.PreintegrationParams.MakeSharedU(gravity)
+    params.setAccelerometerCovariance(EYE * accelerometer_density**2)
+    params.setGyroscopeCovariance(EYE * gyroscope_density**2)
+    params.setIntegrationCovariance(EYE * integration_sigma**2)
+    return params
+
+
+class ImuNoise:
+    """The noise of preintegrated measurements: the datasheet's densities, and an error that grows with the motion.
+
+    Scale factor, misalignment and sampling make a reading wrong in proportion to itself; over `MOTION_CORRELATION_S`
+    that is like white noise: (10) in docs/math.md. At rest the densities alone remain.
+    """
+
+    def __init__(self, config: ImuConfig, integration_sigma: float, gravity: float) -> None:
+        self._config = config
+        self._integration_sigma = integration_sigma
+        self._up = np.array([0.0, 0.0, gravity])
+        self._gravity = gravity
+        self._force_error = config.accelerometer_error_ratio * sqrt(MOTION_CORRELATION_S)
+        self._rate_error = config.gyroscope_error_ratio * sqrt(MOTION_CORRELATION_S)
+
+    def params(self, specific_force: Array, rate: Array, attitude: gtsam.Rot3) -> gtsam.PreintegrationParams:
+        """Return the parameters while the machine, at attitude R_W_I, senses (3,) [m/s^2] and (3,) [rad/s]."""
+        config = self._config
+        fx, fy, fz = specific_force.tolist()
+        ux, uy, uz = attitude.unrotate(self._up).tolist()
+        ax, ay, az = fx - ux, fy - uy, fz - uz
+        wx, wy, wz = rate.tolist()
+        return preintegration_params(
+            hypot(config.accelerometer_noise_density, self._force_error * sqrt(ax * ax + ay * ay + az * az)),
+            hypot(config.gyroscope_noise_density, self._rate_error * sqrt(wx * wx + wy * wy + wz * wz)),
+            self._integration_sigma,
+            self._gravity,
+        )
+
+
+class Step(NamedTuple):
+    """A stretch of IMU data with its mean readings, specific force (3,) [m/s^2] and angular velocity (3,) [rad/s]."""
+
+    dt_s: float
+    specific_force: Array
+    angular_velocity: Array
+
+
+def integrate(pim: gtsam.PreintegratedImuMeasurements, step: Step, bias_accel: Array, bias_gyro: Array) -> None:
+    """Add a step to a preintegrated measurement, the specific force turned to the middle of the step.
+
+    GTSAM rotates a reading by the attitude at the start of its step, which is wrong by half a step of turning (1.7 m
+    after 10 s at 1 rad/s, tilted, and 100 Hz): (4) in docs/math.md. The biases are (3,) [m/s^2] and [rad/s].
+    """
+    # floats: after a pause in which all caches went cold, each other function of numpy or GTSAM costs microseconds
+    dt_s, force, sensed = step
+    (bx, by, bz), (ux, uy, uz) = bias_accel.tolist(), bias_gyro.tolist()
+    fx, fy, fz = force.tolist()
+    wx, wy, wz = sensed.tolist()
+    fx, fy, fz, wx, wy, wz = fx - bx, fy - by, fz - bz, wx - ux, wy - uy, wz - uz
+    half_s = 0.5 * dt_s
+    first, second = _rodrigues(half_s * sqrt(wx * wx + wy * wy + wz * wz))
+    first, second = first * half_s, second * half_s * half_s
+    cx, cy, cz = wy * fz - wz * fy, wz * fx - wx * fz, wx * fy - wy * fx
+    turned = (
+        fx + first * cx + second * (wy * cz - wz * cy) + bx,
+        fy + first * cy + second * (wz * cx - wx * cz) + by,
+        fz + first * cz + second * (wx * cy - wy * cx) + bz,
+    )
+    pim.integrateMeasurement(np.array(turned), sensed, dt_s)
+
+
+def _rodrigues(angle_rad: float) -> tuple[float, float]:
+    """Return sin(a) / a and (1 - cos(a)) / a^2."""
+    if angle_rad < 1e-4:  # the next terms are below the last bit
+        square = angle_rad * angle_rad
+        return 1.0 - square / 6.0, 0.5 - square / 24.0
+    half = sin(0.5 * angle_rad)
+    return sin(angle_rad) / angle_rad, 2.0 * half * half / (angle_rad * angle_rad)
+
+
+def preintegrate(
+    steps: list[Step], noise: ImuNoise, attitude: gtsam.Rot3, bias: gtsam.imuBias.ConstantBias
+) -> gtsam.PreintegratedImuMeasurements:
+    """Preintegrate consecutive steps (Forster et al. 2017, Eqs. 35-38 and 63); `attitude` is R_W_I at their start."""
+    bias_accel, bias_gyro = bias.accelerometer(), bias.gyroscope()
+    middle = steps[len(steps) // 2]
+    params = noise.params(middle.specific_force - bias_accel, middle.angular_velocity - bias_gyro, attitude)
+    return preintegrate_with(params, steps, bias)
+
+
+def preintegrate_with(
+    params: gtsam.PreintegrationParams, steps: list[Step], bias: gtsam.imuBias.ConstantBias
+) -> gtsam.PreintegratedImuMeasurements:
+    """Preintegrate consecutive steps with given parameters."""
+    bias_accel, bias_gyro = bias.accelerometer(), bias.gyroscope()
+    pim = gtsam.PreintegratedImuMeasurements(params, bias)
+    for step in steps:
+        integrate(pim, step, bias_accel, bias_gyro)
+    return pim
+
+
+class MotionModel:
+    """Constant twist in place of a silent IMU, as a preintegrated pseudo-measurement with loose noise.
+
+    Body velocity and angular rate stay what they were; the departure from that is white acceleration and white angular
+    rate: (12) in docs/math.md. It has the form of an IMU factor, so that position and velocity stay correlated.
+    """
+
+    def __init__(self, config: MotionModelConfig, gravity: float) -> None:
+        self._gravity = gravity
+        self._params = preintegration_params(config.acceleration_density, config.angular_rate_density, 0.1, gravity)
+
+    def preintegrate(
+        self, duration_s: float, nav: gtsam.NavState, rate: Array, bias: gtsam.imuBias.ConstantBias
+    ) -> gtsam.PreintegratedImuMeasurements:
+        """Return the pseudo-measurement from state `nav` on, with angular velocity `rate` (3,) [rad/s] of I."""
+        pim = gtsam.PreintegratedImuMeasurements(self._params, bias)
+        n = max(1, round(duration_s / MOTION_STEP_S))
+        dt_s = duration_s / n
+        centripetal = np.cross(rate, nav.bodyVelocity())
+        up = np.array([0.0, 0.0, self._gravity])
+        attitude = nav.attitude().compose(gtsam.Rot3.Expmap(0.5 * dt_s * rate))
+        turn = gtsam.Rot3.Expmap(dt_s * rate)
+        bias_accel, bias_gyro = bias.accelerometer(), bias.gyroscope()
+        for _ in range(n):
+            force = centripetal + attitude.unrotate(up)
+            integrate(pim, Step(dt_s, force + bias_accel, rate + bias_gyro), bias_accel, bias_gyro)
+            attitude = attitude.compose(turn)
+        return pim
