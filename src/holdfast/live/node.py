@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import isfinite
 from time import monotonic_ns, time_ns
-from typing import Any, Protocol
+from typing import Any
 
 from holdfast.config.model import Config
 from holdfast.geometry.earth import Geodetic
@@ -14,36 +14,16 @@ from holdfast.live.idl import STORE
 from holdfast.live.inputs import Inputs
 from holdfast.live.outputs import Level, Outputs
 from holdfast.live.watch import MALFORMED, Finding, Watch
-from holdfast.messages import Message
+from holdfast.realtime.engine import RealtimeEstimator
 from holdfast.recording.source import Subscription
-from holdfast.replay.ros_messages import OK, WARN, Observed, Status, estimator_status
-from holdfast.state import Event, EventKind, Output
+from holdfast.replay.ros_messages import OK, WARN, Status, estimator_status
+from holdfast.state import Event, EventKind
 
 REVIEW_NS = 1_000_000_000
 WAIT_S = 0.1  # the longest that a wish to stop goes unheard
 REPEAT_NS = 10_000_000_000  # an event of the same kind is said again only after so long
 GRAVE = {EventKind.OPTIMISER_FAULT, EventKind.CLOCK_STEP, EventKind.GNSS_LOST, EventKind.IMU_GAP}
 EMPTY, FIX = "std_msgs/msg/Empty", "sensor_msgs/msg/NavSatFix"
-
-
-class Engine(Observed, Protocol):
-    """What the node asks of an estimator: that of `holdfast.realtime`, or the synchronous one."""
-
-    @property
-    def datum(self) -> Geodetic | None:
-        """Return the origin of the world, or None until it is known."""
-
-    def process(self, message: Message) -> Output:
-        """Take in one message."""
-
-    def take_events(self) -> list[Event]:
-        """Return the events since the last call."""
-
-    def reset(self) -> None:
-        """Begin anew."""
-
-    def set_datum(self, datum: Geodetic) -> None:
-        """Put the origin of the world somewhere else."""
 
 
 class LiveNode:
@@ -62,7 +42,7 @@ class LiveNode:
         self,
         config: Config,
         subscriptions: Sequence[Subscription],
-        engine: Engine,
+        engine: RealtimeEstimator,
         network: Network,
         *,
         feeds: Sequence[Feed],
@@ -100,7 +80,10 @@ class LiveNode:
         """Work until `keep_on` says no; it is asked ten times a second at least."""
         next_review_ns = self._clock.now_ns() + REVIEW_NS
         while keep_on():
-            samples = self._network.wait(WAIT_S)
+            refresh_in_s = self._engine.refresh_in_s
+            samples = self._network.wait(WAIT_S if refresh_in_s is None else min(WAIT_S, refresh_in_s))
+            if not samples and refresh_in_s is not None:
+                self._engine.refresh()
             now_ns = self._clock.now_ns()
             incoming = [Record(*sample, now_ns) for sample in samples] if self._feeds else []
             for sample in samples:

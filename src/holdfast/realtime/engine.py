@@ -241,7 +241,7 @@ class RealtimeEstimator:
         messages that are not samples of the IMU, or else by the third sample.
         """
         output = self._take_new()
-        if self._rehearsal is not None and self._newest is not None:
+        if self._rehearsal is not None:
             self._rehearsal.run(self._newest)
         return output
 

@@ -53,21 +53,21 @@ class Rehearsal:
             return None
         return max(0.0, self._heard_s + self._period_s - LEAD_S - monotonic())
 
-    def run(self, newest: Published) -> None:
+    def run(self, newest: Published | None) -> None:
         """Walk the path with the sample before the next one, if that has not been done yet.
 
         Args:
-            newest: what the optimiser published last.
+            newest: what the optimiser published last; None before the start, when there is no path to walk.
         """
-        sample, self._sample, state = self._sample, None, newest.state
-        if sample is None or state is None:
+        sample, self._sample = self._sample, None
+        if sample is None or newest is None or newest.state is None:
             return
         self._period_s += FOLLOWED * (self._heard_s - self._heard_before_s - self._period_s)
         heard = self._path.hear(sample)
         if heard is None:
             return
         if self._path.predictor is None or self._buffer.latest_ns - self._anchor_ns > ANCHOR_NS:
-            self._path.start(state, newest.gravity)
+            self._path.start(newest.state, newest.gravity)
             self._anchor_ns = self._buffer.latest_ns
         estimate = self._path.propagate(heard)
         if estimate is not None:
