@@ -134,7 +134,7 @@ def test_a_difference_that_the_table_does_not_show_is_no_loss():
 
 def test_the_table_says_which_baseline_answers_sooner():
     def latency(system, mean):
-        return Latency(system, TIMES, TIMES | {"mean": mean}, None, None)
+        return Latency(system, TIMES, TIMES | {"mean": mean}, TIMES | {"mean": 100.0 - mean}, None)
 
     timed = (latency("holdfast", 40.0), latency("msf", 39.0), latency("tsif", 41.0), latency("realtime", 42.0))
     found = replace(results(), latency=timed)
@@ -143,6 +143,7 @@ def test_the_table_says_which_baseline_answers_sooner():
         ("realtime", "msf", 42.0, 39.0),
         ("realtime", "tsif", 42.0, 41.0),
     ]
+    assert faster_baselines(found, "every_cpu_us") == [("holdfast", "tsif", 60.0, 59.0)]
 
 
 def test_tables_have_a_row_for_everything_and_dashes_for_nothing():

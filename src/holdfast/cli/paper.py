@@ -1,6 +1,6 @@
 """`holdfast paper`: the evaluation of the paper, rebuilt on simulated recordings whose truth is known."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,9 +30,9 @@ def paper(output: Path, quick: bool, seeds: int | None, jobs: int) -> None:
     the data of Figs. 3, 4 and 6, ablations, the sensitivity to delays and clock offsets, and the growth of errors in
     outages.
 
-    Writes results.json, curves.npz, the maps of the sites, and report.html, which needs no network. What has been run
-    is kept in the folder: the same command goes on where it was interrupted, and more --seeds add to those that there
-    are.
+    Writes results.json, curves.npz, the maps of the sites, outage.png and report.html, which needs no network. What has
+    been run is kept in the folder: the same command goes on where it was interrupted, and more --seeds add to those
+    that there are. --quick takes two to five minutes on two cores, the whole more than an hour.
     """
     try:
         from holdfast.paper.evaluation import evaluate
@@ -43,25 +43,50 @@ def paper(output: Path, quick: bool, seeds: int | None, jobs: int) -> None:
     with naming_the_output(output), count_bar("evaluating") as progress:
         results = evaluate(output, count, quick, jobs, command, progress)
     print_tables(results)
-    report = _report(results, output, quick, jobs)
-    click.echo(f"written to {output}: results.json, curves.npz{report}")
+    made, failures = _report(results, output, quick, jobs)
+    click.echo(f"written to {output}: {', '.join(['results.json', 'curves.npz', *made])}")
+    if failures:
+        raise ConfigError("\n".join(failures))
 
 
-def _report(results: "Results", output: Path, quick: bool, jobs: int) -> str:
-    """Make the maps and the page, and return their names; what stands against it is said, the numbers are there."""
-    try:
-        from holdfast.paper.maps import make_maps
-        from holdfast.paper.page import write_report
+def _report(results: "Results", output: Path, quick: bool, jobs: int) -> tuple[list[str], list[str]]:
+    """Make the maps, the page and the picture; return the names of what was made, and what stood against the others."""
+    steps: dict[str, Callable[[Results, Path, bool, int], list[str]]] = {
+        "maps": _make_maps,
+        "report": _write_report,
+        "picture": _draw_picture,
+    }
+    made, failures = [], []
+    for name, step in steps.items():
+        try:
+            with naming_the_output(output):
+                made += step(results, output, quick, jobs)
+        except ConfigError as error:
+            failures.append(f"no {name}: {error}")
+        except ModuleNotFoundError as error:
+            failures.append(f"no {name}: it needs {error.name}: pip install 'holdfast[sim,report,plot]'")
+    return made, failures
 
-        with naming_the_output(output), count_bar("evaluating") as progress:
-            try:
-                make_maps(output, quick, jobs, progress)
-            except ConfigError as error:
-                click.echo(f"no maps: {error}", err=True)
-            return f", {write_report(results, output).name}, report.json, maps"
-    except (ConfigError, ModuleNotFoundError) as error:
-        click.echo(f"no report: {error}", err=True)
-        return ""
+
+def _make_maps(_: "Results", output: Path, quick: bool, jobs: int) -> list[str]:
+    from holdfast.paper.maps import make_maps
+
+    with count_bar("mapping") as progress:
+        make_maps(output, quick, jobs, progress)
+    return ["maps"]
+
+
+def _write_report(results: "Results", output: Path, *_: object) -> list[str]:
+    from holdfast.paper.page import write_report
+
+    page = write_report(results, output)
+    return [page.name, page.with_suffix(".json").name]
+
+
+def _draw_picture(results: "Results", output: Path, *_: object) -> list[str]:
+    from holdfast.paper.picture import draw_picture
+
+    return [draw_picture(results, output).name]
 
 
 def print_tables(results: "Results") -> None:

@@ -74,8 +74,11 @@ def evaluate(  # noqa: PLR0917 (what the command line asks for)
         name: resolved_yaml(load_scenario(name, dict(QUICK[name]) if quick else {})) for name in (*TASKS, "tunnel")
     }
     _claim(output, quick, scenarios)
-    run_jobs(planned, output, jobs, progress)
-    latency = _latency(output, quick)
+    count = sum(len(job.tasks) for job in planned)
+    run_jobs(planned, output, jobs, None if progress is None else lambda done, _: progress(done, count + 1))
+    latency = _latency(output, quick)  # the one more
+    if progress is not None:
+        progress(count + 1, count + 1)
     runs, curves = _collect(planned, output)
     results = Results(
         command=command,

@@ -129,12 +129,17 @@ def table_two(results: Results) -> list[list[str]]:
     return rows
 
 
-def faster_baselines(results: Results) -> list[tuple[str, str, float, float]]:
+def faster_baselines(results: Results, times: str = "imu_cpu_us") -> list[tuple[str, str, float, float]]:
     """Return ours (the estimator, the engine) and each baseline that answers sooner than it.
 
     After both names stand our and their mean time of the processor per IMU sample [us].
+
+    Args:
+        results: of the evaluation.
+        times: `imu_cpu_us` of a `Latency`, or `every_cpu_us`, which has the samples with an update as well.
     """
-    means = {one.system: one.imu_cpu_us["mean"] for one in results.latency if one.imu_cpu_us is not None}
+    found = {one.system: getattr(one, times) for one in results.latency}
+    means: dict[str, float] = {name: of["mean"] for name, of in found.items() if of is not None}
     theirs = {name: mean for name, mean in means.items() if name not in (OURS, "paper", ENGINE)}
     return [
         (ours, name, means[ours], mean)

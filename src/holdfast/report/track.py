@@ -69,7 +69,7 @@ def _draw_above(axes: "Axes", track: JudgedTrack, outages_s: Sequence[tuple[floa
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("east [m]")
     axes.set_ylabel("north [m]")
-    axes.legend(loc="upper left", fontsize=8, frameon=False)
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, fontsize=8, frameon=False)
     _tidy(axes)
 
 
@@ -85,7 +85,7 @@ def _draw_over_time(axes: "Axes", track: JudgedTrack, outages_s: Sequence[tuple[
         )
     axes.set_xlabel("time since the start of the estimate [s]")
     axes.set_ylabel("horizontal [m]")
-    axes.legend(loc="upper left", fontsize=8, frameon=False)
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, fontsize=8, frameon=False)
     _tidy(axes)
 
 
