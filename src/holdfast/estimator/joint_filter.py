@@ -187,11 +187,8 @@ class JointFilter:
             self.lag_s = min(max(self.lag_s + e * share, -MAX_LAG_S), MAX_LAG_S)
             ll -= e * e / S
         A, C, D = a / S, c / S, d / S
-        self._P = (
-            *(qq - a * A, qw - c * A, qb - d * A, ql - e * A),
-            *(ww - c * C, wb - d * C, wl - e * C),
-            *(bb - d * D, bl - e * D, ll),
-        )
+        row_q, row_w = (qq - a * A, qw - c * A, qb - d * A, ql - e * A), (ww - c * C, wb - d * C, wl - e * C)
+        self._P = row_q + row_w + (bb - d * D, bl - e * D, ll)
 
     def _hears_gyro(self, stamp_ns: int) -> bool:
         """Whether the base gyroscope says how the chassis turns; else a lag of the encoder looks like a turn."""
