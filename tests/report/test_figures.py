@@ -91,3 +91,21 @@ def test_a_png_holds_its_pixels(channels: int, tmp_path):
 def test_what_is_no_image_is_refused():
     with pytest.raises(ValueError, match=r"\(4, 4\)"):
         encode_png(np.zeros((4, 4), dtype=np.uint8))
+
+
+def test_a_map_shows_the_whole_of_every_track_and_the_names_of_its_marks_stay_inside():
+    tracks = [Line("a", np.array([0.0, 10.0]), np.array([0.0, 1.0])), Line("b", np.array([-4.0, np.nan]), np.zeros(2))]
+    figure = track_map(tracks, {"start": (-4.0, 0.0), "end": (10.0, 1.0)})
+    (west, east), (south, north) = figure.layout.xaxis.range, figure.layout.yaxis.range
+    assert west < -4.0
+    assert east > 10.0
+    assert south < 0.0
+    assert north > 1.0
+    sides = {trace.name: trace.textposition for trace in figure.data if trace.mode == "markers+text"}
+    assert sides == {"start": "top right", "end": "top left"}
+
+
+def test_a_line_on_top_is_hidden_by_no_other():
+    lines = [Line("ours", np.arange(9.0), np.arange(9.0), is_on_top=True), Line("theirs", np.arange(9.0), np.ones(9))]
+    ours, theirs = over_time([Panel("a [m]", lines)]).data
+    assert ours.zorder > (theirs.zorder or 0)

@@ -140,6 +140,24 @@ def test_a_browser_draws_every_figure_without_errors_or_requests(file: Path, tmp
 
 
 @needs_chromium
+def test_a_wide_table_scrolls_on_a_phone_and_keeps_its_first_column(tmp_path: Path):
+    columns = ["quantity", *(f"column {k} [m]" for k in range(12))]
+    table = Table("wide", "Wide", columns, [["horizontal", *(1.25 * k for k in range(12))]] * 3)
+    file = tmp_path / "report.html"
+    write_page(Page("", "", MADE, [Section("", [table])]), file)
+    with BrowserPage(file, tmp_path, PHONE) as opened:
+        box = "document.querySelector('.scroll')"
+        assert opened.value_of(f"{box}.scrollWidth - {box}.clientWidth") > 100
+        assert opened.value_of("document.documentElement.scrollWidth") <= PHONE[0]
+        opened.value_of(f"{box}.scrollLeft = 100")
+        left = "getBoundingClientRect().left"
+        for cell in ("th", "td"):
+            first, second = (f"document.querySelectorAll('{cell}')[{k}].{left}" for k in (0, 1))
+            assert opened.value_of(f"{first} - {box}.{left}") == 0
+            assert opened.value_of(f"{second} - {box}.{left}") < 100
+
+
+@needs_chromium
 def test_what_a_page_asks_for_outside_and_its_errors_would_be_seen(tmp_path: Path):
     file = tmp_path / "bad.html"
     file.write_text("<img src='http://127.0.0.1:9/x.png'><script>nothing.there</script>", encoding="utf-8")

@@ -115,11 +115,6 @@ def track_map(tracks: Sequence[Line], marks: Mapping[str, tuple[float, float]] |
     for track in tracks:
         thin = slice(None, None, -(-len(track.x) // (2 * MAX_POINTS)) or 1)  # strokes so short hide nothing
         figure.add_trace(_trace(track, (track.x[thin], track.y[thin]), colours[track.name], True))
-    for name, (east, north) in (marks or {}).items():
-        figure.add_scatter(
-            x=[east], y=[north], mode="markers+text", text=[name], textposition="top center", name=name,
-            marker={"size": 9, "color": INK, "symbol": "circle-open", "line": {"width": 2}}, showlegend=False,
-        )  # fmt: skip
     _square(figure)
     shown = np.concatenate([np.column_stack([track.x, track.y]) for track in tracks])
     low, high = np.nanmin(shown, axis=0), np.nanmax(shown, axis=0)
@@ -127,6 +122,12 @@ def track_map(tracks: Sequence[Line], marks: Mapping[str, tuple[float, float]] |
     figure.update_layout(
         xaxis_range=[low[0] - margin, high[0] + margin], yaxis_range=[low[1] - margin, high[1] + margin]
     )
+    for name, (east, north) in (marks or {}).items():
+        side = "right" if east < (low[0] + high[0]) / 2.0 else "left"  # its text stays within the axes
+        figure.add_scatter(
+            x=[east], y=[north], mode="markers+text", text=[name], textposition=f"top {side}", name=name,
+            marker={"size": 9, "color": INK, "symbol": "circle-open", "line": {"width": 2}}, showlegend=False,
+        )  # fmt: skip
     return figure
 
 
