@@ -84,6 +84,17 @@ def test_two_frame_ids_on_one_topic_are_a_problem(tmp_path: Path) -> None:
     assert any("2 frame_ids ('a', 'b')" in problem for problem in problems)
 
 
+def test_an_imu_message_without_rates_and_forces_is_judged_as_a_heading(tmp_path: Path) -> None:
+    stamps = [START_NS + k * 50 * MS for k in range(100) if not 40 <= k < 80]
+    nothing = {"rate": (0.0, 0.0, 0.0), "force": (0.0, 0.0, 0.0)}
+    rows = imu_rows(START_NS + k * 10 * MS for k in range(500))
+    rows += [("/gnss/heading", stamp + 60 * MS, imu(HUMBLE, stamp, **nothing)) for stamp in stamps]
+    topics, problems, _ = look(tmp_path, rows)
+    assert topics["/gnss/heading"].imu is None
+    assert len(problems) == 1
+    assert problems[0].endswith("the gyroscope carries the heading meanwhile")
+
+
 def test_interleaved_streams_are_told_from_jitter_drop_outs_and_one_jump() -> None:
     even = START_NS + np.arange(500, dtype=np.int64) * 10 * MS
     jitter = np.random.default_rng(1).integers(-MS, MS, 500)

@@ -180,7 +180,7 @@ def _find(topic: str, type_name: str, log: _TopicLog, start_ns: int) -> TopicFin
         publishers=tuple(sorted(log.publishers)),
         frame_ids=tuple(sorted(log.frame_ids)),
         interleaved=are_interleaved(stamps),
-        imu=_find_imu(log, start_ns) if log.imu else None,
+        imu=_find_imu(log, start_ns) if any(log.imu) else None,  # all zero: the message holds an orientation alone
         gnss=_find_gnss(log) if log.statuses else None,
     )
 

@@ -6,7 +6,7 @@ from holdfast.recording.decode import DECODERS
 from holdfast.recording.inspection import GnssFindings, ImuFindings, Inspection, TopicFindings
 
 USABLE_TYPES = {type_name: kind for kind, allowed in DECODERS.items() for type_name in allowed}
-USABLE_TYPES["sensor_msgs/msg/Imu"] = "imu"  # a heading too, but an IMU first
+IMU = "sensor_msgs/msg/Imu"
 LATE_S = 1.0
 UNSTEADY_S = 0.05
 REPEATS = 0.01
@@ -31,7 +31,8 @@ def list_problems(inspection: Inspection) -> list[str]:
         )
     for topic in inspection.topics:
         if topic.type in USABLE_TYPES and topic.count:
-            problems += [f"{topic.topic}: {problem}" for problem in _topic_problems(topic, USABLE_TYPES[topic.type])]
+            kind = USABLE_TYPES[topic.type] if topic.type != IMU else "heading" if topic.imu is None else "imu"
+            problems += [f"{topic.topic}: {problem}" for problem in _topic_problems(topic, kind)]
     return problems
 
 
