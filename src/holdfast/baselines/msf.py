@@ -16,7 +16,7 @@ import numpy as np
 from holdfast.baselines.filtering import FilterEstimator
 from holdfast.baselines.intake import AntennaFix, Intake, Measurement, TrackPose
 from holdfast.baselines.propagation import Propagation, Tuning
-from holdfast.baselines.start import Start, cross_matrix
+from holdfast.baselines.start import Start
 from holdfast.config.model import Config
 from holdfast.messages import Array
 from holdfast.sensors.lidar import LidarModel
@@ -90,7 +90,7 @@ class MsfFilter:
         R = belief.nav.attitude().matrix()
         innovation = fix.position.p_W_G - belief.nav.position() - R @ fix.p_I_G
         H = np.zeros((3, 21))
-        H[:, :3], H[:, 3:6] = -R @ cross_matrix(fix.p_I_G), R
+        H[:, :3], H[:, 3:6] = -R @ gtsam.SO3.Hat(fix.p_I_G), R
         noise = fix.position.covariance
         return correct(belief, innovation, H, noise, self._inflation, self._limits[0])
 

@@ -12,19 +12,15 @@ import numpy as np
 
 from holdfast.baselines.intake import AntennaFix, Intake
 from holdfast.config.model import Config
+from holdfast.graph.alignment import level_attitude
 from holdfast.messages import Array
-from holdfast.sensors.heading import AxisYaw, yaw_of
+from holdfast.sensors.heading import AxisYaw
 from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.standstill import ENGINE, fixes_stand, quiet_window, standstill_covariance
 
-MAX_MEAN_RATE_RAD_S = 0.05  # turning evenly is not standing
-BATCHES = 10  # parts of the window whose means are compared
-CHANGE_SHARE = 0.1  # of the allowed spread, by which the mean may change within the window
-ENGINE = 10.0  # an idling engine shakes so many times as much as a motion may
 KEPT_FIXES = 200
+FIXES_S = 3.0  # over which they have to stand
 SIMULTANEOUS_NS = 20_000_000
-STANDSTILL_VELOCITY_SIGMA = 0.05  # [m/s]
-GRAVITY_SIGMA = 1e-3  # [m/s^2]
-STANDING_SPEED_M_S = 0.1
 
 
 class Start(NamedTuple):
@@ -56,18 +52,15 @@ class StandstillStart:
         self._fixes.append(fix)
         now = self._buffer.latest_ns
         start = self._config.initialisation
-        readings = self._buffer.window(now - round(start.standstill_s * 1e9), now)
-        if readings is None:
+        if self._buffer.window(now - round(start.standstill_s * 1e9), now) is None:
             self.reason = f"the IMU has not been heard without a gap for {start.standstill_s:g} s"
             return None
-        force, rate = readings[0].mean(axis=0), readings[1].mean(axis=0)
-        still = self._config.standstill
-        quiet = _is_quiet(readings[0], still.max_acceleration) and _is_quiet(readings[1], still.max_angular_rate_rad_s)
-        if not (quiet and np.linalg.norm(rate) <= MAX_MEAN_RATE_RAD_S and self._fixes_stand(now)):
+        quiet = quiet_window(self._config.standstill, self._buffer, now, start.standstill_s, ENGINE)
+        if quiet is None or not fixes_stand([one.position for one in self._recent(now, FIXES_S)]):
             self.reason = "the machine has not stood still: the baselines cannot start in motion"
             return None
-        g = self._intake.gravity
-        level = gtsam.Rot3.RzRyRx(np.arctan2(force[1], force[2]), np.arctan2(-force[0], np.hypot(*force[1:])), 0.0)
+        force, rate = quiet
+        level, g = level_attitude(force), self._intake.gravity
         heading = self._yaw(now, level)
         if heading is None:
             self.reason = "standing still without a heading: give initialisation.heading_deg or a heading topic"
@@ -80,8 +73,10 @@ class StandstillStart:
         mean: Array = np.mean([one.position.p_W_G for one in fixes], axis=0)
         nav = gtsam.NavState(R_W_I, mean - R_W_I.rotate(fixes[-1].p_I_G), np.zeros(3))
         R = R_W_I.matrix()
-        position_covariance = R.T @ fixes[-1].position.covariance @ R
-        return Start(now, nav, bias, self._covariance(up, heading[1], position_covariance, fixes[-1].p_I_G))
+        in_imu, arm = R.T @ fixes[-1].position.covariance @ R, fixes[-1].p_I_G
+        imu = self._config.sensors.imu
+        covariance = standstill_covariance(imu, start.standstill_s, g, up, heading[1], in_imu, arm)
+        return Start(now, nav, bias, covariance)
 
     def _recent(self, now_ns: int, window_s: float) -> list[AntennaFix]:
         """Return the fixes of the first antenna within a window before now, or its newest one."""
@@ -90,22 +85,13 @@ class StandstillStart:
         recent = [fix for fix in of_first if fix.position.stamp_ns >= now_ns - round(window_s * 1e9)]
         return recent or of_first[-1:]
 
-    def _fixes_stand(self, now_ns: int) -> bool:
-        """Whether the fixes stand, too: even motion is as quiet as standstill."""
-        fixes = [fix.position for fix in self._recent(now_ns, 3.0)]
-        if len(fixes) < 2 or fixes[-1].stamp_ns - fixes[0].stamp_ns < 200_000_000:
-            return False
-        moved = np.linalg.norm(fixes[-1].p_W_G[:2] - fixes[0].p_W_G[:2])
-        noise = 3.0 * np.sqrt(fixes[0].covariance[:2, :2].trace() + fixes[-1].covariance[:2, :2].trace())
-        return bool(moved < noise + STANDING_SPEED_M_S * (fixes[-1].stamp_ns - fixes[0].stamp_ns) * 1e-9)
-
     def _yaw(self, now_ns: int, level: gtsam.Rot3) -> tuple[float, float] | None:
         """Return the heading of the IMU's x axis and its sigma [rad], from the first source that there is."""
         start, model = self._config.initialisation, self._intake.heading
         if self._heading is not None and model is not None:
-            axis_yaw = yaw_of(level.rotate(model.axis))
-            if axis_yaw is not None:
-                return self._heading.yaw_rad - axis_yaw, self._heading.sigma_rad
+            measured = model.of_imu(self._heading, level)
+            if measured is not None:
+                return measured
         if len(self._intake.antennas) == 2:
             between = self._yaw_of_antennas(now_ns, level)
             if between is not None:
@@ -132,48 +118,3 @@ class StandstillStart:
         variance = np.trace(pairs[-1][0].covariance[:2, :2] + pairs[-1][1].covariance[:2, :2]) / 2.0
         yaw = float(np.arctan2(between[1], between[0]) - np.arctan2(arm[1], arm[0]))
         return yaw, max(float(np.sqrt(variance)) / length, 1e-3)
-
-    def _covariance(self, up: Array, yaw_sigma: float, position_covariance: Array, arm: Array) -> Array:
-        """Return the covariance (15, 15) of the state: (22) in docs/math.md."""
-        imu, standstill_s = self._config.sensors.imu, self._config.initialisation.standstill_s
-        g = self._intake.gravity
-        noise = imu.accelerometer_noise_density / np.sqrt(standstill_s)
-        gyro_sigma = 2.0 * imu.gyroscope_noise_density / np.sqrt(standstill_s) + 1e-5
-        along = np.outer(up, up)
-        across = np.eye(3) - along
-        # columns: what is uncertain, independently; rows: how it shows in the state
-        J = np.zeros((15, 18))
-        J[:3, :3] = cross_matrix(up) / g  # accelerometer's bias across gravity is taken for tilt
-        J[:3, 3:6] = cross_matrix(up) / g
-        J[:3, 6:9] = along
-        J[3:6, :9] = cross_matrix(arm) @ J[:3, :9]
-        J[3:6, 9:12] = np.eye(3)
-        J[6:9, 12:15] = np.eye(3)
-        J[9:12, :3] = across
-        J[9:12, 3:6] = along
-        J[12:, 15:] = np.eye(3)
-        S = np.zeros((18, 18))
-        S[:3, :3] = np.eye(3) * imu.accelerometer_bias_sigma**2
-        S[3:6, 3:6] = np.eye(3) * (noise**2 + GRAVITY_SIGMA**2)
-        S[6:9, 6:9] = np.eye(3) * yaw_sigma**2
-        S[9:12, 9:12] = position_covariance
-        S[12:15, 12:15] = np.eye(3) * STANDSTILL_VELOCITY_SIGMA**2
-        S[15:, 15:] = np.eye(3) * gyro_sigma**2
-        covariance: Array = J @ S @ J.T
-        return covariance
-
-
-def _is_quiet(readings: Array, bound: float) -> bool:
-    """Whether readings (N, 3) spread as at standstill: an engine may shake them, but moves no mean of a tenth."""
-    means = np.array([part.mean(axis=0) for part in np.array_split(readings, min(BATCHES, len(readings)))])
-    half = len(readings) // 2
-    change = abs(readings[half:].mean(axis=0) - readings[:half].mean(axis=0))
-    spread = means.std(axis=0, ddof=1)
-    allowed = CHANGE_SHARE * bound + 3.0 * spread * np.sqrt(4.0 / len(means))
-    return bool(spread.max() <= bound and readings.std(axis=0).max() <= ENGINE * bound and (change <= allowed).all())
-
-
-def cross_matrix(v: Array) -> Array:
-    """Return the matrix (3, 3) of the cross product with v (3,)."""
-    x, y, z = v.tolist()
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

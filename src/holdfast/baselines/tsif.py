@@ -16,7 +16,7 @@ import numpy as np
 from holdfast.baselines.filtering import FilterEstimator
 from holdfast.baselines.intake import AntennaFix, Intake, Measurement
 from holdfast.baselines.propagation import Propagation, Tuning
-from holdfast.baselines.start import Start, cross_matrix
+from holdfast.baselines.start import Start
 from holdfast.config.model import Config
 from holdfast.messages import Array
 from holdfast.state import Outcome
@@ -121,7 +121,7 @@ def _position_residual(nav: gtsam.NavState, fix: AntennaFix) -> tuple[Array, Arr
     """Return p_W_G - (p_W_I + R_W_I p_I_G) (3,), and the derivative (3, 15) of the predicted position."""
     R = nav.attitude().matrix()
     H = np.zeros((3, 15))
-    H[:, :3], H[:, 3:6] = -R @ cross_matrix(fix.p_I_G), R
+    H[:, :3], H[:, 3:6] = -R @ gtsam.SO3.Hat(fix.p_I_G), R
     return fix.position.p_W_G - nav.position() - R @ fix.p_I_G, H
 
 

@@ -97,22 +97,22 @@ class BaseGeometry:
         R_B_I = T_I_B.rotation().matrix().T
         axis = self._R_B_J[:, 2]  # of the joint, in B; and where B's origin is from it
         arm = self._R_B_J @ self._T_J_B.translation()
-        by_angle = np.concatenate([-axis, _skew(arm) @ axis])
+        by_angle = np.concatenate([-axis, gtsam.SO3.Hat(arm) @ axis])
         angle_variance, turn_variance = base.joint_angle_sigma_rad**2, base.turn_rate_sigma_rad_s**2
         pose = to_B @ estimate.covariance[:6, :6] @ to_B.T + angle_variance * np.outer(by_angle, by_angle)
         across = np.eye(3) - np.outer(axis, axis)
         # sources: velocity of I in I, angular velocity of I in I, angle of the joint, rate of the chassis
         G = np.zeros((6, 8))
         G[:3, 3:6] = across @ R_B_I
-        G[:3, 6] = _skew(axis) @ base.angular_velocity
+        G[:3, 6] = gtsam.SO3.Hat(axis) @ base.angular_velocity
         G[:3, 7] = axis
-        velocity_J = base.velocity - _skew(base.angular_velocity) @ arm
+        velocity_J = base.velocity - gtsam.SO3.Hat(base.angular_velocity) @ arm
         G[3:, :3] = R_B_I
-        G[3:, 3:6] = -R_B_I @ _skew(self._T_I_A.translation())
-        G[3:, 6] = _skew(axis) @ velocity_J
-        G[3:] -= _skew(arm) @ G[:3]
+        G[3:, 3:6] = -R_B_I @ gtsam.SO3.Hat(self._T_I_A.translation())
+        G[3:, 6] = gtsam.SO3.Hat(axis) @ velocity_J
+        G[3:] -= gtsam.SO3.Hat(arm) @ G[:3]
         J = np.zeros((3, 9))
-        J[:, :3], J[:, 6:] = _skew(estimate.nav.bodyVelocity()), np.eye(3)
+        J[:, :3], J[:, 6:] = gtsam.SO3.Hat(estimate.nav.bodyVelocity()), np.eye(3)
         sources = np.zeros((8, 8))
         sources[:3, :3] = J @ estimate.covariance @ J.T
         sources[range(3, 8), range(3, 8)] = [rate_variance] * 3 + [angle_variance, turn_variance]
@@ -190,9 +190,3 @@ class BaseKinematics:
             rate_sigma,
             encoder,
         )
-
-
-def _skew(v: Array) -> Array:
-    """Return the matrix (3, 3) of the cross product with a vector (3,)."""
-    x, y, z = v
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

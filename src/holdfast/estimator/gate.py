@@ -64,7 +64,7 @@ def predict(nav: gtsam.NavState, covariance: Array, p_I_G: Array, fix: AntennaPo
     """Return what a state with covariance (9, 9) expects of a fix of the antenna at p_I_G (3,) [m]."""
     R_W_I = nav.attitude().matrix()
     H = np.zeros((3, 9))
-    H[:, :3] = -R_W_I @ skew(p_I_G)
+    H[:, :3] = -R_W_I @ gtsam.SO3.Hat(p_I_G)
     H[:, 3:6] = R_W_I
     innovation = fix.p_W_G - nav.position() - R_W_I @ p_I_G
     of_velocity = R_W_I @ covariance[6:, 6:] @ R_W_I.T
@@ -229,9 +229,3 @@ def _agree(held: list[Waiting], waiting: Waiting) -> bool:
     since_s = float(np.mean([waiting.fix.stamp_ns - one.fix.stamp_ns for one in held])) * 1e-9
     spread = waiting.fix.covariance * (1.0 + 1.0 / len(held)) + waiting.prediction.of_velocity * since_s**2
     return float(miss @ np.linalg.solve(spread, miss)) <= AGREEMENT_SIGMA**2
-
-
-def skew(v: Array) -> Array:
-    """Return the matrix (3, 3) of the cross product with v (3,)."""
-    x, y, z = v
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

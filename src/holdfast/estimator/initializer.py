@@ -11,25 +11,26 @@ import gtsam
 import numpy as np
 
 from holdfast.config.model import Config
-from holdfast.estimator.gate import skew
-from holdfast.estimator.standstill import quiet_window
 from holdfast.graph.alignment import BatchAligner, level_attitude
 from holdfast.messages import Array
 from holdfast.sensors.gnss import AntennaPosition, GnssModel
-from holdfast.sensors.heading import AxisYaw, HeadingModel, yaw_of
+from holdfast.sensors.heading import AxisYaw, HeadingModel
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lidar import LidarModel
 from holdfast.sensors.preintegration import ImuNoise
+from holdfast.sensors.standstill import (
+    ENGINE,
+    fixes_stand,
+    gyro_bias_sigma_rad_s,
+    quiet_window,
+    standstill_covariance,
+)
 from holdfast.state import OptimisedState
 
 PLAUSIBLE_FORCE = (7.0, 13.0)  # [m/s^2] mean specific force of a machine on the ground
 MIN_TRAVEL_M = 2.0
 RETRY_NS = 1_000_000_000
-STANDING_SPEED_M_S = 0.1
-STANDSTILL_VELOCITY_SIGMA = 0.05  # [m/s]
-GRAVITY_SIGMA = 1e-3  # [m/s^2] between WGS84's normal gravity and the real one
 SIMULTANEOUS_NS = 20_000_000
-ENGINE = 10.0  # it may shake the machine so much more than a zero-velocity update allows: GNSS is asked as well
 
 
 class Initializer:
@@ -109,21 +110,18 @@ class Initializer:
         sensor = next(iter(self._antennas))
         since = now_ns - round(max(3.0, 2 * self._config.initialisation.standstill_s) * 1e9)
         fixes = [p for p in self._positions if p.sensor == sensor and p.stamp_ns >= since]
-        if len(fixes) < 2 or fixes[-1].stamp_ns - fixes[0].stamp_ns < 200_000_000:
+        stand = fixes_stand(fixes)
+        if stand is None:
             self.reason = "waiting for two GNSS fixes at standstill"
-            return False
-        moved = float(np.linalg.norm(fixes[-1].p_W_G[:2] - fixes[0].p_W_G[:2]))
-        noise = 3.0 * np.sqrt(fixes[0].covariance[:2, :2].trace() + fixes[-1].covariance[:2, :2].trace())
-        return bool(moved < noise + STANDING_SPEED_M_S * (fixes[-1].stamp_ns - fixes[0].stamp_ns) * 1e-9)
+        return bool(stand)
 
     def _at_standstill(self, now_ns: int, force: Array, rate: Array) -> OptimisedState | None:
-        imu = self._config.sensors.imu
+        imu, standstill_s = self._config.sensors.imu, self._config.initialisation.standstill_s
         level = level_attitude(force)
         excess = (np.linalg.norm(force) - self._gravity) * force / np.linalg.norm(force)
         bias = gtsam.imuBias.ConstantBias(excess, rate)
-        gyro_sigma = 2.0 * imu.gyroscope_noise_density / np.sqrt(self._config.initialisation.standstill_s) + 1e-5
-        sigmas = np.repeat([imu.accelerometer_bias_sigma, gyro_sigma], 3)
-        self._bias, self._bias_sigmas = bias, sigmas
+        gyro_sigma = gyro_bias_sigma_rad_s(imu, standstill_s)
+        self._bias, self._bias_sigmas = bias, np.repeat([imu.accelerometer_bias_sigma, gyro_sigma], 3)
         self.reason = "standing still without a heading: give initialisation.heading_deg, a heading topic, or move"
         heading = self._heading(now_ns, level)
         if heading is None:
@@ -131,11 +129,8 @@ class Initializer:
         yaw, yaw_sigma = heading
         R_W_I = gtsam.Rot3.Yaw(yaw).compose(level)
         position, position_covariance, arm = self._position(now_ns, R_W_I)
-        covariance = standstill_covariance(
-            force / np.linalg.norm(force), self._gravity, imu.accelerometer_bias_sigma, gyro_sigma, yaw_sigma,
-            imu.accelerometer_noise_density / self._config.initialisation.standstill_s**0.5,
-            R_W_I.matrix().T @ position_covariance @ R_W_I.matrix(), arm,
-        )  # fmt: skip
+        up, in_imu = force / np.linalg.norm(force), R_W_I.matrix().T @ position_covariance @ R_W_I.matrix()
+        covariance = standstill_covariance(imu, standstill_s, self._gravity, up, yaw_sigma, in_imu, arm)
         self.reason = "standstill"
         nav = gtsam.NavState(R_W_I, position, np.zeros(3))
         return OptimisedState(now_ns, nav, bias, covariance, np.zeros(3))
@@ -172,9 +167,7 @@ class Initializer:
         """Heading from the newest heading message, against its axis in the levelled IMU frame."""
         if not self._headings or self._heading_model is None:
             return None
-        axis_yaw = yaw_of(level.rotate(self._heading_model.axis))
-        newest = self._headings[-1]
-        return None if axis_yaw is None else (newest.yaw_rad - axis_yaw, newest.sigma_rad)
+        return self._heading_model.of_imu(self._headings[-1], level)
 
     def _baseline_heading(self, now_ns: int, level: gtsam.Rot3) -> tuple[float, float] | None:
         """Heading from the vector between two antennas, against the same vector in the levelled IMU frame."""
@@ -255,45 +248,3 @@ class Initializer:
 def _travel_m(fixes: list[AntennaPosition]) -> float:
     """Return how far one antenna has been from its first fix [m]."""
     return max((float(np.linalg.norm(fix.p_W_G - fixes[0].p_W_G)) for fix in fixes), default=0.0)
-
-
-def standstill_covariance(  # noqa: PLR0917 (one number per source of doubt)
-    up: Array,
-    gravity: float,
-    accel_bias_sigma: float,
-    gyro_bias_sigma: float,
-    yaw_sigma: float,
-    accel_noise: float,
-    position_covariance: Array,
-    arm: Array,
-) -> Array:
-    """Return the covariance (15, 15) of a state found at standstill: (22) in docs/math.md.
-
-    Tilt is known as well as the accelerometer's bias across gravity, and is wrong together with it; position is wrong
-    together with attitude through the lever arm.
-
-    Args:
-        up: (3,) unit vector of the specific force in I.
-        gravity: [m/s^2].
-        accel_bias_sigma: [m/s^2].
-        gyro_bias_sigma: [rad/s] after the mean was taken.
-        yaw_sigma: [rad].
-        accel_noise: [m/s^2] of the mean specific force.
-        position_covariance: (3, 3) of the antenna, in I [m^2].
-        arm: (3,) lever arm p_I_G [m].
-    """
-    along = np.outer(up, up)
-    across = np.eye(3) - along
-    up_cross, arm_cross = skew(up), skew(arm)
-    tilt_noise = (accel_noise / gravity) ** 2
-    P = np.zeros((15, 15))
-    P[:3, :3] = ((accel_bias_sigma / gravity) ** 2 + tilt_noise) * across + yaw_sigma**2 * along
-    P[9:12, 9:12] = accel_bias_sigma**2 * across + (accel_noise**2 + GRAVITY_SIGMA**2) * along
-    P[:3, 9:12] = accel_bias_sigma**2 / gravity * up_cross
-    P[3:6, 3:6] = position_covariance + arm_cross @ P[:3, :3] @ arm_cross.T
-    P[3:6, :3] = arm_cross @ P[:3, :3]
-    P[3:6, 9:12] = arm_cross @ P[:3, 9:12]
-    P[6:9, 6:9] = np.eye(3) * STANDSTILL_VELOCITY_SIGMA**2
-    P[12:, 12:] = np.eye(3) * gyro_bias_sigma**2
-    P[:3, 3:6], P[9:12, 3:6], P[9:12, :3] = P[3:6, :3].T, P[3:6, 9:12].T, P[:3, 9:12].T
-    return P

@@ -1,4 +1,4 @@
-"""Standstill: detected from the spread of the IMU readings, never assumed."""
+"""Zero-velocity updates: where the IMU was quiet and the speed agrees, never assumed."""
 
 from collections.abc import Iterable
 
@@ -6,42 +6,10 @@ import numpy as np
 
 from holdfast.config.model import StandstillConfig
 from holdfast.graph.smoother import Smoother
-from holdfast.messages import Array
 from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.standstill import quiet_window
 
-MAX_MEAN_RATE_RAD_S = 0.05  # turning evenly is not standing; a bias is smaller
 MIN_PERIOD_NS = 100_000_000
-CHANGE_SHARE = 0.1  # of the allowed spread, by which the mean may change within the window
-BATCHES = 10  # parts of the window whose means are compared: an engine averages out in each, a motion does not
-
-
-def quiet_window(
-    config: StandstillConfig, buffer: ImuBuffer, end_ns: int, length_s: float, vibration: float = 1.0
-) -> tuple[Array, Array] | None:
-    """Return mean specific force [m/s^2] and angular velocity [rad/s] over the window if the IMU was quiet, else None.
-
-    Quiet is a standard deviation below the bounds on every axis, and the same mean in both halves of the window: engine
-    vibration may be stronger than the acceleration with which a machine creeps away. It cannot tell standstill from
-    even motion: ask for the speed as well. An engine may shake `vibration` times as much as the bounds allow, as long
-    as the means of parts of the window stay within them.
-    """
-    window = buffer.window(end_ns - round(length_s * 1e9), end_ns)
-    if window is None:
-        return None
-    means: list[Array] = []
-    for readings, spread in zip(window, (config.max_acceleration, config.max_angular_rate_rad_s), strict=True):
-        half = len(readings) // 2
-        change = abs(readings[half:].mean(axis=0) - readings[:half].mean(axis=0))
-        batches = np.array([part.mean(axis=0) for part in np.array_split(readings, min(BATCHES, len(readings)))])
-        deviation = batches.std(axis=0, ddof=1)
-        # the means of two halves differ by so much where nothing but noise and vibration differs
-        allowed = spread * CHANGE_SHARE + 3.0 * deviation * np.sqrt(4.0 / len(batches))
-        if deviation.max() > spread or readings.std(axis=0).max() > vibration * spread or (change > allowed).any():
-            return None
-        means.append(readings.mean(axis=0))
-    if float(np.linalg.norm(means[1])) > MAX_MEAN_RATE_RAD_S:
-        return None
-    return means[0], means[1]
 
 
 class StandstillUpdates:

@@ -60,6 +60,11 @@ class HeadingModel:
     def _claim(self, heading: Heading) -> float:
         return radians(self._config.default_sigma_deg) if heading.sigma_rad is None else heading.sigma_rad
 
+    def of_imu(self, measured: AxisYaw, level: gtsam.Rot3) -> tuple[float, float] | None:
+        """Return the heading of the IMU's x axis and its sigma [rad], given the IMU's attitude with zero heading."""
+        axis_yaw = yaw_of(level.rotate(self.axis))
+        return None if axis_yaw is None else (measured.yaw_rad - axis_yaw, measured.sigma_rad)
+
     def innovation(self, nav: gtsam.NavState, yaw_rad: float) -> float | None:
         """Return measured minus predicted yaw of the axis [rad], within +-pi; None if the axis is near vertical."""
         predicted = yaw_of(nav.attitude().rotate(self.axis))
