@@ -9,9 +9,9 @@ from holdfast.config.model import Config
 from holdfast.errors import ConfigError
 from holdfast.geometry.earth import Geodetic, LocalFrame, gravity
 from holdfast.messages import Array, GnssFix, Heading, LidarPose
-from holdfast.sensors.gnss import AntennaPosition, GnssModel
-from holdfast.sensors.heading import AxisYaw, HeadingModel
-from holdfast.sensors.lidar import LidarModel
+from holdfast.sensors.gnss import AntennaPosition
+from holdfast.sensors.heading import AxisYaw
+from holdfast.sensors.suite import suite_of
 from holdfast.state import Event, EventKind, Outcome
 
 RECENT = 64  # stamps per sensor among which a duplicate is looked for
@@ -48,19 +48,11 @@ class Intake:
     """
 
     def __init__(self, config: Config) -> None:
-        sensors = config.sensors
-        if not sensors.antennas():
+        if not config.sensors.antennas():
             raise ConfigError("sensors.gnss: the baselines need GNSS to know where they start")
         self.counts: Counter[tuple[str, Outcome]] = Counter()
         self.events: list[Event] = []
-        self.antennas = {
-            name: GnssModel(gnss, config.T_I(gnss.frame)[:3, 3]) for name, gnss in sensors.antennas().items()
-        }
-        arms = [model.p_I_G for model in self.antennas.values()]
-        baseline = arms[1] - arms[0] if len(arms) == 2 else None
-        self.heading = None if sensors.heading is None else HeadingModel(sensors.heading, baseline)
-        lidar = sensors.lidar
-        self.lidar = None if lidar is None else LidarModel(lidar, gtsam.Pose3(config.T_I(lidar.frame)))
+        self.antennas, self.heading, self.lidar = suite_of(config)
         self.world: LocalFrame | None = None
         self.gravity = 0.0
         self._configured_gravity = config.frames.gravity

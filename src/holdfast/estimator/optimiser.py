@@ -19,10 +19,10 @@ from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.scans import Scan
 from holdfast.graph.smoother import OptimiserError, Smoother
 from holdfast.messages import GnssFix, Heading, LidarPose
-from holdfast.sensors.gnss import AntennaPosition, GnssModel
-from holdfast.sensors.heading import AxisYaw, HeadingModel
+from holdfast.sensors.gnss import AntennaPosition
+from holdfast.sensors.heading import AxisYaw
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.sensors.lidar import LidarModel
+from holdfast.sensors.suite import suite_of
 from holdfast.state import EventKind, Health, OptimisedState, Outcome
 
 RECENT = 64  # stamps per sensor among which a duplicate is looked for
@@ -66,15 +66,7 @@ class Optimiser:
         self._buffer = buffer
         self._journal = journal
         self._tell = journal.tell
-        sensors = config.sensors
-        self._antennas = {
-            name: GnssModel(gnss, config.T_I(gnss.frame)[:3, 3]) for name, gnss in sensors.antennas().items()
-        }
-        arms = [model.p_I_G for model in self._antennas.values()]
-        baseline = arms[1] - arms[0] if len(arms) == 2 else None
-        self._heading = None if sensors.heading is None else HeadingModel(sensors.heading, baseline)
-        lidar = sensors.lidar
-        self._lidar = None if lidar is None else LidarModel(lidar, gtsam.Pose3(config.T_I(lidar.frame)))
+        self._antennas, self._heading, self._lidar = suite_of(config)
         self._gnss = GnssFusion(config, self._antennas, self._lidar, journal.tell, journal.count)
         self._node_interval_ns = round(config.graph.max_node_interval_s * 1e9)
         self._start_window_ns = round(config.initialisation.window_s * 1e9) + LATE_NS
