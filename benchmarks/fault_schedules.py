@@ -12,10 +12,10 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from holdfast.config.load import parse_config, resolved_yaml
+from holdfast.config.load import config_of
 from holdfast.errors import ConfigError
 from holdfast.evaluation.soundness import violations
-from holdfast.sim.configuration import configuration
+from holdfast.sim.configuration import configuration_data
 from holdfast.sim.schedules import random_schedule
 from holdfast.sim.simulation import START_NS
 from holdfast.trial.run import estimate, write_simulation
@@ -24,8 +24,7 @@ from holdfast.trial.run import estimate, write_simulation
 def complaints(seed: int, preset: str = "holdfast") -> list[str]:
     """Return what the schedule of a seed broke, one line each."""
     scenario = random_schedule(seed)
-    given = resolved_yaml(configuration(scenario), given_only=True)
-    config = parse_config(f"preset: {preset}\n{given}")
+    config = config_of({"preset": preset} | configuration_data(scenario), f"schedule {seed}")
     with TemporaryDirectory() as folder:
         try:
             write_simulation(scenario, seed, Path(folder))

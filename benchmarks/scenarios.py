@@ -15,9 +15,9 @@ from itertools import starmap
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from holdfast.config.load import parse_config, resolved_yaml
+from holdfast.config.load import config_of
 from holdfast.evaluation.measures import MEASURES, Measure
-from holdfast.sim.configuration import configuration
+from holdfast.sim.configuration import configuration_data
 from holdfast.sim.scenario import load_scenario
 from holdfast.trial.run import Trial, trials_of
 
@@ -57,8 +57,8 @@ def trials(scenario: str, seed: int, presets: Sequence[str], keep: Path | None =
     missing = [preset for preset in presets if preset not in found]
     if missing:
         loaded = load_scenario(scenario)
-        given = resolved_yaml(configuration(loaded), given_only=True)
-        configs = [parse_config(f"preset: {preset}\n{given}") for preset in missing]
+        given = configuration_data(loaded)
+        configs = [config_of({"preset": preset} | given, scenario) for preset in missing]
         with TemporaryDirectory() as folder:
             found |= zip(missing, trials_of(loaded, seed, Path(folder), configs), strict=True)
         for preset in missing if keep else ():
@@ -86,26 +86,25 @@ def run(
 def scenario_table(runs: Sequence[Runs]) -> Iterator[str]:
     """Yield one table in Markdown: a scenario, its measures, mean and worst under each preset."""
     seeds = len(runs[0].trials)
-    yield f"### `{runs[0].scenario}`, {seeds} seed{'s' * (seeds > 1)}"
-    yield ""
-    presets = [f"{one.preset}: mean | worst" for one in runs]
-    yield f"| Measure | Unit | Target | {' | '.join(presets)} |"
-    yield "|---|---|---|" + "---:|---:|" * len(runs)
-    for measure in MEASURES:
-        cells = " | ".join(one.cell(measure, " | ") for one in runs)
-        yield f"| {measure.label} | {measure.unit} | {measure.target} | {cells} |"
-    yield ""
+    heads = [f"{one.preset}: mean | worst" for one in runs]
+    yield from _table(f"`{runs[0].scenario}`, {seeds} seed{'s' * (seeds > 1)}", heads, " | ", runs)
 
 
 def overview_table(runs: Sequence[Runs]) -> Iterator[str]:
     """Yield one table in Markdown: measures, and mean and worst of many scenarios."""
-    heads = [f"`{one.scenario}`" for one in runs]
-    yield f"### Other scenarios, {len(runs[0].trials)} seeds each, preset {runs[0].preset}: mean / worst"
+    title = f"Other scenarios, {len(runs[0].trials)} seeds each, preset {runs[0].preset}: mean / worst"
+    yield from _table(title, [f"`{one.scenario}`" for one in runs], " / ", runs)
+
+
+def _table(title: str, heads: Sequence[str], sign: str, runs: Sequence[Runs]) -> Iterator[str]:
+    """Yield a row per measure; `sign` stands between mean and worst."""
+    head = " | ".join(heads)
+    yield f"### {title}"
     yield ""
-    yield f"| Measure | Unit | Target | {' | '.join(heads)} |"
-    yield "|---|---|---|" + "---:|" * len(runs)
+    yield f"| Measure | Unit | Target | {head} |"
+    yield "|---|---|---|" + "---:|" * (head.count("|") + 1)
     for measure in MEASURES:
-        cells = " | ".join(one.cell(measure, " / ") for one in runs)
+        cells = " | ".join(one.cell(measure, sign) for one in runs)
         yield f"| {measure.label} | {measure.unit} | {measure.target} | {cells} |"
     yield ""
 
