@@ -208,6 +208,55 @@ def test_a_heading_from_the_wrong_side_is_refused():
     assert miss(drive, estimates(outputs)[-1])[1] < np.radians(1.0)
 
 
+def with_headings(yaw_offset_rad=lambda t: 0.0):
+    """An outage without lidar under a gyroscope that may be 2 % off, and a heading ten times a second."""
+    drive, streams = recorded()
+    del streams["lidar"]
+    headings = []
+    for t in np.arange(0.05, END_S, 0.1):
+        axis = drive.nav(t).attitude().rotate(np.array([1.0, 0.0, 0.0]))
+        yaw = float(np.arctan2(axis[1], axis[0])) + yaw_offset_rad(t)
+        headings.append(Heading(ns(t), ns(t), "heading", yaw, 0.005))
+    return drive, streams | {"heading": headings}
+
+
+UNSURE = {"lidar": False, "heading": True, "imu_": {"gyroscope_error_ratio": 0.02}}
+
+
+def test_position_and_heading_of_a_recovery_are_corrected_in_one_step():
+    drive, streams = with_headings()
+    estimator, outputs = run(machine(**UNSURE), in_order(*streams.values()))
+    (lost,) = [e.stamp_ns for e in estimator.events if e.kind is EventKind.GNSS_LOST]
+    (regained,) = [e.stamp_ns for e in estimator.events if e.kind is EventKind.GNSS_REGAINED]
+    before, after = estimates_around(outputs, regained)
+    # 2 % of 1 rad/s, its sign kept for 1 s, over the 6 s of the outage; then over 0.4 s of headings
+    assert np.sqrt(before.covariance[2, 2]) > 0.8 * 0.02 * np.sqrt(6.0)
+    assert np.sqrt(after.covariance[2, 2]) < np.hypot(0.005, 0.02 * np.sqrt(0.4))
+    assert miss(drive, after)[0] < 0.05
+    first_fix = min(f.stamp_ns for f in streams["gnss"] if f.stamp_ns > ns(OUTAGE[1]))
+    alone = [h for h in streams["heading"] if lost < h.stamp_ns < first_fix]
+    assert abs(estimator.counts["heading", Outcome.QUARANTINED] - len(alone)) <= 1  # one may come with the loss
+    counted = sum(n for (sensor, _), n in estimator.counts.items() if sensor == "heading")
+    waiting = sum(pending.sensor == "heading" for pending in estimator._optimiser.pending)
+    assert counted + waiting == len(streams["heading"])
+
+
+def test_a_heading_that_the_fixes_of_its_recovery_contradict_stays_out():
+    drive, streams = with_headings(lambda t: 1.0 if OUTAGE[0] < t < OUTAGE[1] + 2.0 else 0.0)
+    estimator, outputs = run(machine(**UNSURE), in_order(*streams.values()))
+    (regained,) = [e.stamp_ns for e in estimator.events if e.kind is EventKind.GNSS_REGAINED]
+    assert estimator.counts["heading", Outcome.INNOVATION] > 15
+    _, after = estimates_around(outputs, regained)
+    assert miss(drive, after)[1] < 0.2
+
+
+def estimates_around(outputs, stamp_ns):
+    """The last estimate made before an update at a time, and the first one after it."""
+    made = estimates(outputs)
+    k = next(k for k, estimate in enumerate(made) if estimate.stamp_ns > stamp_ns)
+    return made[k - 1], made[k]
+
+
 def test_health_names_what_happens():
     _, streams = recorded()
     streams["lidar"] = [s for s in streams["lidar"] if not ns(15.0) < s.stamp_ns]

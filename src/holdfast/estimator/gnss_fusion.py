@@ -1,16 +1,19 @@
-"""Fixes and headings on their way into the dual graph: tested, weighed, taken out again, and switched over."""
+"""Fixes on their way into the dual graph: tested, weighed, taken out again, and switched over; headings with them."""
 
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from math import sqrt
+from itertools import pairwise
+from math import inf, sqrt
 
 import gtsam
 import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.estimator.gate import HOLD_BACK, AntennaGate, Prediction, Trust, Waiting, predict
+from holdfast.estimator.heading_fusion import HeadingFusion
+from holdfast.estimator.journal import Journal
 from holdfast.estimator.witness import LidarWitness
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.nodes import Placed
@@ -19,6 +22,7 @@ from holdfast.messages import Array
 from holdfast.sensors.gnss import AntennaPosition, GnssModel
 from holdfast.sensors.heading import AxisYaw, HeadingModel
 from holdfast.sensors.lidar import LidarModel
+from holdfast.sensors.noise import correlation_inflation, shared_inflation
 from holdfast.state import EventKind, Outcome
 
 NO_DOUBT = np.zeros((9, 9))
@@ -28,9 +32,6 @@ BASELINE_SLACK_M = 0.02  # calibration of the antennas' places
 WALK_FACTOR = 2.0  # fixes that walked must hold still for longer: at first they still look right
 REVIEW_NS = 250_000_000  # used fixes are reviewed this often
 BENIGN = {Outcome.LOW_STATUS, Outcome.LARGE_COVARIANCE, Outcome.NO_COVARIANCE, Outcome.NOT_FINITE}
-
-Tell = Callable[[EventKind, int, str, str], None]
-Count = Callable[[str, Outcome, int], None]
 
 
 @dataclass(slots=True, eq=False)
@@ -45,13 +46,19 @@ class GnssFusion:
     """The antennas of one machine; `graph` is given when the estimator starts."""
 
     def __init__(
-        self, config: Config, antennas: dict[str, GnssModel], lidar: LidarModel | None, tell: Tell, count: Count
+        self,
+        config: Config,
+        antennas: dict[str, GnssModel],
+        heading: HeadingModel | None,
+        lidar: LidarModel | None,
+        journal: Journal,
     ) -> None:
         self._gate = config.gate
         self._antennas = antennas
         self._configs = config.sensors.antennas()
         self._lidar = lidar
-        self._tell, self._count = tell, count
+        self._tell, self._count = journal.tell, journal.count
+        self._headings = None if heading is None else HeadingFusion(heading, journal)
         self._baseline_m = self._expected_baseline_m()
         self.restart()
 
@@ -60,8 +67,9 @@ class GnssFusion:
         self.gates = {name: AntennaGate(self._gate, gnss) for name, gnss in self._configs.items()}
         self._used: deque[Used] = deque()
         self._last_fix: dict[str, tuple[AntennaPosition, float]] = {}  # with its NIS
-        self._last_heading_ns = 0
         self._reviewed_ns = 0
+        if self._headings is not None:
+            self._headings.restart()
         self._witness = None if self._lidar is None or not self._gate.witness else LidarWitness(self._lidar)
 
     @property
@@ -91,6 +99,8 @@ class GnssFusion:
     def forget_window(self) -> None:
         """The graph lost its window, and with it every factor."""
         self._used.clear()
+        if self._headings is not None:
+            self._headings.forget()
         self.forget_track()
 
     def forget_track(self) -> None:
@@ -115,28 +125,10 @@ class GnssFusion:
             self._tell(EventKind.REJECTED, fix.stamp_ns, fix.sensor, outcome)
         return outcome
 
-    def add_heading(self, graph: DualGraph, model: HeadingModel, heading: AxisYaw) -> Outcome:
-        """Judge a heading at its node, and add its factor to the main graph."""
-        smoother = graph.published
-        if smoother.node(heading.stamp_ns) is None:
-            return Outcome.LATE
-        if graph.is_lost:
-            return Outcome.QUARANTINED
-        nav = smoother.nav(heading.stamp_ns)
-        innovation = model.innovation(nav, heading.yaw_rad)
-        if innovation is None:
-            return Outcome.OUT_OF_RANGE
-        covariance = smoother.covariance(heading.stamp_ns)
-        if model.nis(nav, covariance, innovation, heading.sigma_rad) > model.limit:
-            self._tell(EventKind.REJECTED, heading.stamp_ns, heading.sensor, Outcome.INNOVATION)
-            return Outcome.INNOVATION
-        since_s = abs(heading.stamp_ns - self._last_heading_ns) * 1e-9
-        self._last_heading_ns = heading.stamp_ns
-        sigma = heading.sigma_rad * sqrt(correlation_inflation(model.correlation_s, since_s))
-        key = graph.main.node(heading.stamp_ns)
-        assert key is not None
-        graph.main.add(model.factor(key, nav, innovation, sigma))
-        return Outcome.USED
+    def add_heading(self, graph: DualGraph, heading: AxisYaw) -> Outcome:
+        """Judge a heading at its node, and add its factor to the main graph if it may enter."""
+        assert self._headings is not None
+        return self._headings.add(graph, heading)
 
     def review(self, graph: DualGraph, now_ns: int) -> bool:
         """After an optimisation: take out what later fixes contradict, lose and regain antennas.
@@ -166,15 +158,30 @@ class GnssFusion:
     # --- entering ------------------------------------------------------------------------------------------------
 
     def _enter(self, smoother: Smoother, fix: AntennaPosition, inflation: float) -> None:
-        key = smoother.node(fix.stamp_ns)
-        if key is None:
-            return
+        correlation_s = self._antennas[fix.sensor].correlation_s(fix)
+        self._place(smoother, fix, inflation * correlation_inflation(correlation_s, self._since_last_s(fix)))
+
+    def _enter_held(self, smoother: Smoother, held: list[Waiting]) -> None:
+        """Enter fixes that waited; those of one antenna weigh the same, or the first would say more than all others."""
+        for name, model in self._antennas.items():
+            fixes = [one.fix for one in held if one.fix.sensor == name]
+            if fixes:
+                gaps_s = [(b.stamp_ns - a.stamp_ns) * 1e-9 for a, b in pairwise(fixes)]
+                correlation_s = max(model.correlation_s(fix) for fix in fixes)
+                inflation = shared_inflation(correlation_s, [self._since_last_s(fixes[0]), *gaps_s])
+                for fix in fixes:
+                    self._place(smoother, fix, inflation)
+
+    def _since_last_s(self, fix: AntennaPosition) -> float:
+        """Return the time since a used fix of the same antenna, infinite if the window has none."""
         before = next((used.fix.stamp_ns for used in reversed(self._used) if used.fix.sensor == fix.sensor), None)
-        if before is not None:
-            since_s = abs(fix.stamp_ns - before) * 1e-9
-            inflation *= correlation_inflation(self._antennas[fix.sensor].correlation_s(fix), since_s)
-        weighed = replace(fix, covariance=fix.covariance * inflation)
-        self._used.append(Used(fix, smoother.add(self._antennas[fix.sensor].factor(key, weighed))))
+        return inf if before is None else abs(fix.stamp_ns - before) * 1e-9
+
+    def _place(self, smoother: Smoother, fix: AntennaPosition, inflation: float) -> None:
+        key = smoother.node(fix.stamp_ns)
+        if key is not None:
+            weighed = replace(fix, covariance=fix.covariance * inflation)
+            self._used.append(Used(fix, smoother.add(self._antennas[fix.sensor].factor(key, weighed))))
 
     def _expected_baseline_m(self) -> float | None:
         if len(self._antennas) != 2:
@@ -288,8 +295,7 @@ class GnssFusion:
             self._used = deque([Used(used.fix, counterpart(used.placed)) for used in kept] + list(self._used))
             self._tell(EventKind.GNSS_REGAINED, now_ns, "", f"{len(held)} fixes agree")
         else:
-            for one in held:
-                self._enter(graph.main, one.fix, 1.0)
+            self._enter_held(graph.main, held)
         for name in names:
             entered = self.gates[name].become(Trust.TRUSTED)
             self._count(name, Outcome.QUARANTINED, -len(entered))
@@ -299,14 +305,19 @@ class GnssFusion:
 
     def _accepts(self, smoother: Smoother, held: list[Waiting]) -> bool:
         """Add fixes to a smoother on trial, and say whether it agrees with them afterwards."""
-        for one in held:
-            self._enter(smoother, one.fix, 1.0)
+        self._enter_held(smoother, held)
         try:
             smoother.optimise()
+            if self._gate.innovation and not self._agrees(smoother):
+                return False
+            if self._headings is not None and self._headings.admit(smoother, held[0].fix.stamp_ns):
+                smoother.optimise()
         except OptimiserError:
             return False
-        if not self._gate.innovation:
-            return True
+        return True
+
+    def _agrees(self, smoother: Smoother) -> bool:
+        """Whether the median of the used fixes lies where the smoothed states say."""
         residuals = [
             predict(smoother.nav(used.fix.stamp_ns), NO_DOUBT, self._antennas[used.fix.sensor].p_I_G, used.fix).nis
             for used in self._used
@@ -325,12 +336,3 @@ class GnssFusion:
             self._lidar.trust_less()
         gate.become(Trust.TRUSTED)
         return True
-
-
-def correlation_inflation(correlation_s: float, since_last_s: float) -> float:
-    """Return the factor on the variance of one of many measurements whose errors are alike for a while.
-
-    n measurements an interval dt apart, with errors of correlation time tau, say as much as n / (1 + 2 tau / dt)
-    independent ones: (31) in docs/math.md.
-    """
-    return 1.0 + 2.0 * correlation_s / max(since_last_s, 1e-3)

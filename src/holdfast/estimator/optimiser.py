@@ -67,7 +67,7 @@ class Optimiser:
         self._journal = journal
         self._tell = journal.tell
         self._antennas, self._heading, self._lidar = suite_of(config)
-        self._gnss = GnssFusion(config, self._antennas, self._lidar, journal.tell, journal.count)
+        self._gnss = GnssFusion(config, self._antennas, self._heading, self._lidar, journal)
         self._node_interval_ns = round(config.graph.max_node_interval_s * 1e9)
         self._start_window_ns = round(config.initialisation.window_s * 1e9) + LATE_NS
         self.graph: DualGraph
@@ -351,8 +351,7 @@ class Optimiser:
         if isinstance(content, AntennaPosition):
             outcome = self._gnss.add(self.graph, content, self._buffer.latest_ns)
         elif isinstance(content, AxisYaw):
-            assert self._heading is not None
-            outcome = self._gnss.add_heading(self.graph, self._heading, content)
+            outcome = self._gnss.add_heading(self.graph, content)
         else:
             outcome = self._add_scan(content, pending.sensor)
         self._journal.count(pending.sensor, outcome, 1)

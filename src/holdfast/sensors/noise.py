@@ -1,6 +1,6 @@
 """Noise models: a covariance and a robust loss become what GTSAM weighs a residual with."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import gtsam
 
@@ -19,3 +19,21 @@ def noise_model(covariance: Array, loss: RobustLoss) -> gtsam.noiseModel.Base:
         "cauchy": gtsam.noiseModel.mEstimator.Cauchy.Create,
     }
     return gtsam.noiseModel.Robust.Create(estimators[loss.kind](loss.threshold), gaussian)
+
+
+def correlation_inflation(correlation_s: float, since_last_s: float) -> float:
+    """Return the factor on the variance of one of many measurements whose errors are alike for a while.
+
+    n measurements an interval dt apart, with errors of correlation time tau, say as much as n / (1 + 2 tau / dt)
+    independent ones: (31) in docs/math.md.
+    """
+    return 1.0 + 2.0 * correlation_s / max(since_last_s, 1e-3)
+
+
+def shared_inflation(correlation_s: float, since_last_s: Sequence[float]) -> float:
+    """Return the factor on the variance of each of some measurements that enter at once.
+
+    They say as much together as by `correlation_inflation` one after the other, but each says the same: a first one
+    after a long silence would else outweigh its successors, and bring all of its white noise.
+    """
+    return len(since_last_s) / sum(1.0 / correlation_inflation(correlation_s, since_s) for since_s in since_last_s)
