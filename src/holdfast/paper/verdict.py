@@ -21,7 +21,6 @@ from holdfast.paper.results import Growth, OutageScore
 from holdfast.paper.stream import OutcomeLog
 from holdfast.replay.published import PublishedRecorder
 from holdfast.replay.ros import quaternion_xyzw
-from holdfast.replay.runner import Timing
 from holdfast.replay.spread import spread
 from holdfast.state import OptimisedState, Trajectory
 
@@ -42,22 +41,17 @@ def verdict(recorder: PublishedRecorder, truth: Truth, start_ns: int) -> dict[st
     parts = {"good": good, "outage": within(times_s, spans), "all": np.ones(len(times_s), dtype=np.bool_)}
     moved = _corrections(published, recorder.optimised)
     timing = recorder.timing
-    outcomes: dict[str, dict[str, int]] = {}
-    for (sensor, outcome), count in sorted(recorder.estimator.counts.items()):
-        if count:
-            outcomes.setdefault(sensor, {})[str(outcome)] = count
-    told = [event for event in recorder.events if event.kind not in ("rejected", "late")]
     return {
         "scores": said.scores,
         "errors": _statistics(errors, parts) | _against_fixes(at_fixes(published.world.poses, truth, good)),
         "corrections_m": None if moved is None else summarise(moved[1]),
         "imu_us": spread(np.frombuffer(timing.imu_ns, dtype=np.int64) * 1e-3),
         "update_ms": spread(np.frombuffer(timing.update_ns, dtype=np.int64) * 1e-6),
-        "real_time_factor": _real_time_factor(timing),
+        "real_time_factor": timing.real_time_factor or nan,
         "outages": tuple(_outage(outage) for outage in said.outages),
         "growth": _growth(errors, times_s, spans),
-        "outcomes": outcomes,
-        "events": tuple(((e.stamp_ns - start_ns) * 1e-9, str(e.kind), e.sensor, e.reason) for e in told),
+        "outcomes": recorder.outcomes(),
+        "events": recorder.told(start_ns),
     }
 
 
@@ -146,7 +140,3 @@ def _outage(outage: Outage) -> OutageScore:
         settled_s=outage.settled_s,
         regained_s=outage.regained_s,
     )
-
-
-def _real_time_factor(timing: Timing) -> float:
-    return timing.recorded_s / timing.wall_s if timing.wall_s > 0.0 else nan

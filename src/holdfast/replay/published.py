@@ -1,7 +1,7 @@
 """Runs an estimator over messages and keeps everything that it publishes, for the judge of a simulated run."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import accumulate, pairwise
 from time import perf_counter, perf_counter_ns
 from typing import Protocol
@@ -144,6 +144,15 @@ class PublishedRecorder:
                 if event.kind is EventKind.INITIALISED:
                     self._begun.append(len(self._estimates))
 
+    def outcomes(self) -> dict[str, dict[str, int]]:
+        """Return how often each sensor's measurements came to what."""
+        return by_sensor(self.estimator.counts)
+
+    def told(self, start_ns: int) -> tuple[tuple[float, str, str, str], ...]:
+        """Return seconds since a start, kind, sensor and reason of every event, but for single refused measurements."""
+        events = [event for event in self.events if event.kind not in (EventKind.REJECTED, EventKind.LATE)]
+        return tuple(((e.stamp_ns - start_ns) * 1e-9, str(e.kind), e.sensor, e.reason) for e in events)
+
     def lives(self) -> list[Published]:
         """Return what was published from each start of the estimator to the next; O is another one in each."""
         edges = [*self._begun, len(self._estimates)]
@@ -210,6 +219,15 @@ class PublishedRecorder:
         near = np.diff([e.stamp_ns for e in kept], prepend=0) <= self._max_gap_ns
         heard: NDArray[np.bool_] = from_imu & np.concatenate([[False], from_imu[:-1]]) & within & near
         return heard
+
+
+def by_sensor(counts: Mapping[tuple[str, Outcome], int]) -> dict[str, dict[str, int]]:
+    """Return counts by sensor and outcome as plain data, sorted; without what did not happen."""
+    found: dict[str, dict[str, int]] = {}
+    for (sensor, outcome), count in sorted(counts.items()):
+        if count:
+            found.setdefault(sensor, {})[str(outcome)] = count
+    return found
 
 
 def _stack(vectors: list[Array], length: int) -> Array:

@@ -30,6 +30,11 @@ class Timing:
     wall_s: float = 0.0
     recorded_s: float = 0.0
 
+    @property
+    def real_time_factor(self) -> float | None:
+        """How much faster than the recording it went; None before it went."""
+        return self.recorded_s / self.wall_s if self.wall_s > 0.0 else None
+
 
 class Replay:
     """One replay of one stream; `run` may be interrupted, what was done until then stays valid.

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from holdfast.evaluation.absolute import summarise
 from holdfast.recording.origin import read_origin
 from holdfast.replay.held_out import Judgement
+from holdfast.replay.published import by_sensor
 from holdfast.replay.runner import Replay, Timing
 from holdfast.replay.spread import spread
 
@@ -23,9 +24,6 @@ def summarise_replay(
 ) -> dict[str, Any]:
     """Return the content of summary.json; `command` is the one that asked for it, empty for a program that did."""
     estimator = replay.estimator
-    counts: dict[str, dict[str, int]] = {}
-    for (sensor, outcome), count in sorted(estimator.counts.items()):
-        counts.setdefault(sensor, {})[str(outcome)] = count
     silent = {judgement.stamp_ns for judgement in replay.causal.judgements if judgement.imu_silent}
     return {
         "command": command,
@@ -36,7 +34,7 @@ def summarise_replay(
         "initialised": estimator.initialised,
         "waiting_for": None if estimator.initialised else estimator.waiting_for,
         "datum": None if estimator.datum is None else estimator.datum._asdict(),
-        "counts": counts,
+        "counts": by_sensor(estimator.counts),
         "events": dict(sorted(estimator.event_counts.items())),
         "health": {str(health): count for health, count in sorted(replay.health.items())},
         "timing": timing_summary(replay.timing),
@@ -57,11 +55,10 @@ def summarise_replay(
 
 def timing_summary(timing: Timing) -> dict[str, Any]:
     """Return the real-time factor, and percentiles of the time per IMU sample [us] and per update [ms]."""
-    factor = timing.recorded_s / timing.wall_s if timing.wall_s > 0 else None
     return {
         "recorded_s": timing.recorded_s,
         "wall_s": timing.wall_s,
-        "real_time_factor": factor,
+        "real_time_factor": timing.real_time_factor,
         "imu_us": percentiles(np.frombuffer(timing.imu_ns, dtype=np.int64) * 1e-3),
         "update_ms": percentiles(np.frombuffer(timing.update_ns, dtype=np.int64) * 1e-6),
     }

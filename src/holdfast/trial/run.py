@@ -5,6 +5,7 @@ Importing it needs the simulator's packages: `holdfast[sim]`.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import nan
 from pathlib import Path
 
 import numpy as np
@@ -76,17 +77,12 @@ def judged(simulation: Simulation, recorder: PublishedRecorder) -> Trial:
     verdict = judge(published, truth(simulation, config, published.world.poses.stamps_ns))
     timing = recorder.timing
     verdict.scores["update_ms"] = float(np.median(timing.update_ns)) * 1e-6
-    outcomes: dict[str, dict[str, int]] = {}
-    for (sensor, outcome), count in sorted(recorder.estimator.counts.items()):
-        if count:
-            outcomes.setdefault(sensor, {})[str(outcome)] = count
-    told = [event for event in recorder.events if event.kind not in ("rejected", "late")]
     return Trial(
         seed=simulation.seed,
         verdict=verdict,
-        real_time_factor=timing.recorded_s / timing.wall_s,
-        outcomes=outcomes,
-        events=tuple(((e.stamp_ns - START_NS) * 1e-9, str(e.kind), e.sensor, e.reason) for e in told),
+        real_time_factor=timing.real_time_factor or nan,
+        outcomes=recorder.outcomes(),
+        events=recorder.told(START_NS),
     )
 
 
