@@ -149,6 +149,17 @@ def test_where_ours_loses_words_name_the_row_the_rival_and_both_values():
     assert f"In {len(QUANTITIES)} of {2 * len(QUANTITIES)} rows" in paper_page(worse(results(), navigation=0.045)).lead
 
 
+def test_ours_without_a_verdict_is_no_victory():
+    whole = results()
+    silent = tuple(
+        replace(run, failure="never started") if run.scenario == "navigation" and run.system == "holdfast" else run
+        for run in whole.runs
+    )
+    page = replace(whole, runs=silent)
+    assert "In navigation ours has no verdict, and so loses to every baseline that has one." in notes(page)
+    assert f"In {len(QUANTITIES)} of {2 * len(QUANTITIES)} rows" in paper_page(page).lead
+
+
 def test_a_loss_within_the_spread_of_the_seeds_is_told_as_such():
     whole = results()
 
@@ -202,6 +213,21 @@ def test_a_run_without_a_verdict_is_told(tmp_path: Path):
     failed = replace(whole.runs[0], failure="ValueError: what went wrong", seed=7)
     write_report(replace(whole, runs=(*whole.runs, failed)), tmp_path)
     assert "ValueError: what went wrong" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("failed", [("navigation",), TASKS], ids=["one task", "both tasks"])
+def test_a_task_in_which_every_system_failed_costs_the_page_nothing_but_its_figures(failed, tmp_path: Path):
+    whole = results()
+    runs = tuple(replace(run, failure="never started") if run.scenario in failed else run for run in whole.runs)
+    curves = {name: of for name, of in whole.curves.items() if not name.startswith(failed)}
+    write_report(replace(whole, runs=runs, curves=curves), tmp_path)
+    numbers = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
+    for task in TASKS:
+        assert (f"track-{task}" in numbers["figures"]) == (task not in failed)
+        assert f"table-1-{task}" in numbers["tables"]
+    assert "never started" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    rows = len(QUANTITIES) * (len(TASKS) - len(failed))
+    assert f"In {rows} of {2 * len(QUANTITIES)} rows" in numbers["lead"]
 
 
 def test_a_system_without_a_map_is_told(tmp_path: Path):

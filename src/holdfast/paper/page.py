@@ -8,7 +8,7 @@ from holdfast.paper import losses, page_figures, page_tables
 from holdfast.paper.maps import Maps, load_maps, map_figures, title
 from holdfast.paper.results import Results
 from holdfast.paper.study import TASKS
-from holdfast.paper.tables import QUANTITIES, failures, lost_cells
+from holdfast.paper.tables import OURS, QUANTITIES, failures, lost_cells
 from holdfast.report.page import Block, Figure, Page, Provenance, Row, Section, Table, Text, write_page
 
 REPORT = "report.html"
@@ -50,6 +50,8 @@ def _lead(results: Results) -> str:
     """Say in three sentences what came out."""
     cells = len(QUANTITIES) * len(TASKS)
     lost = {(one.scenario, one.quantity.key) for one in lost_cells(results)}
+    failed = [task for task in TASKS if not results.of("accuracy", task, OURS)]
+    lost |= {(task, quantity.key) for task in failed for quantity in QUANTITIES}
     lead = f"Both tasks of the paper on simulated recordings whose truth is known, {results.seeds} "
     lead += f"seed{'s' * (results.seeds > 1)} each" + (", shortened to be quick. " if results.quick else ". ")
     lead += f"In {cells - len(lost)} of {cells} rows of Table I (RMS) no baseline does better than ours"
@@ -75,15 +77,19 @@ def _latency(results: Results) -> Iterator[Block]:
 
 
 def _consistency(results: Results) -> Iterator[Block]:
-    yield page_figures.figure_six(results)
+    if "navigation" in page_figures.drawn(results):
+        yield page_figures.figure_six(results)
     yield page_tables.consistency(results)
     yield from (Text(said, note=True) for said in losses.consistency_in_words(results))
 
 
 def _outages(results: Results) -> Iterator[Block]:
-    yield from (page_figures.tracks(results, scenario) for scenario in TASKS)
-    yield from page_figures.figure_three(results)
-    yield page_figures.figure_four(results)
+    drawn = page_figures.drawn(results)
+    yield from (page_figures.tracks(results, scenario) for scenario in drawn)
+    if "construction" in drawn:
+        yield from page_figures.figure_three(results)
+    if "navigation" in drawn:
+        yield page_figures.figure_four(results)
     yield page_tables.outages(results)
 
 
@@ -102,7 +108,7 @@ def _maps(maps: Maps | None) -> Iterator[Block]:
 
 
 def _beyond(results: Results) -> Iterator[Block]:
-    for scenario in TASKS:
+    for scenario in page_figures.drawn(results):
         yield page_figures.sureness(results, scenario)
         yield page_figures.steps(results, scenario)
         found: list[Figure | None] = [page_figures.chassis(results, scenario), page_figures.gate(results, scenario)]

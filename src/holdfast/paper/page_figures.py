@@ -8,6 +8,7 @@ import numpy as np
 from holdfast.evaluation.consistency import chi_square_quantile
 from holdfast.messages import Array
 from holdfast.paper.results import Results, Run, by_system
+from holdfast.paper.study import TASKS
 from holdfast.paper.systems import ENGINE, SYSTEMS, TITLES
 from holdfast.paper.tables import OURS
 from holdfast.report.figures import (
@@ -28,6 +29,11 @@ MARGIN_S = 15.0
 PROBABILITY = 0.95
 DOF = 3
 Columns = Mapping[str, Array]
+
+
+def drawn(results: Results) -> list[str]:
+    """Return the tasks of which there are curves to draw; where every system has failed there are none."""
+    return [scenario for scenario in TASKS if _curves(results, scenario)]
 
 
 def tracks(results: Results, scenario: str) -> Figure:

@@ -87,7 +87,10 @@ def cell(results: Results, scenario: str, system: str, quantity: Quantity, stati
 
 
 def lost_cells(results: Results, statistics: Sequence[str] = ("rms",)) -> list[Lost]:
-    """Return the cells in which a baseline does better than ours, by more than the table's digits hide."""
+    """Return the cells in which a baseline does better than ours, by more than the table's digits hide.
+
+    Where ours has no value, every baseline that has one does better.
+    """
     rivals = [name for name in SYSTEMS if name not in (OURS, "paper")]
     found = []
     for scenario in TASKS:
@@ -96,7 +99,8 @@ def lost_cells(results: Results, statistics: Sequence[str] = ("rms",)) -> list[L
                 ours = cell(results, scenario, OURS, quantity, statistic)
                 for rival in rivals:
                     theirs = cell(results, scenario, rival, quantity, statistic)
-                    if round(theirs.mean, quantity.digits) < round(ours.mean, quantity.digits):
+                    is_better = round(theirs.mean, quantity.digits) < round(ours.mean, quantity.digits)
+                    if is_better or (isnan(ours.mean) and not isnan(theirs.mean)):
                         found.append(Lost(scenario, quantity, statistic, rival, ours, theirs))
     return found
 
