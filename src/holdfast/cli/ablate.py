@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from holdfast.cli.columns import aligned
+from holdfast.cli.extras import needing
 from holdfast.cli.progress import count_bar
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
@@ -53,11 +55,9 @@ def ablate(scenario: str, output: Path, seeds: int, jobs: int, only: tuple[str, 
     unknown = [name for name in only if name not in VARIATIONS]
     if unknown:
         raise ConfigError(f"--only {unknown[0]}: no such variation (allowed: {', '.join(VARIATIONS)})")
-    try:
+    with needing("simulating", "sim"):
         from holdfast.sim.scenario import load_scenario
         from holdfast.trial.ablation import run_ablation
-    except ModuleNotFoundError as error:
-        raise ConfigError(f"simulating needs {error.name}: pip install 'holdfast[sim]'") from None
     loaded = load_scenario(scenario)
     chosen = [name for name in VARIATIONS if not only or name in only]
     with naming_the_output(output):
@@ -109,15 +109,13 @@ def _mean(rows: "Sequence[Row]", measure: "Measure") -> float:
 
 def _print_table(rows: "Sequence[Row]", title: str) -> None:
     measures = _measures()
-    table = [["variation", *COLUMNS]]
+    table = [["variation", *(head.strip() for head in COLUMNS)]]
     for name, of in _by_variation(rows).items():
         texts = {key: measures[key].text(_mean(of, measures[key])) for key in KEYS}
         table.append([name, *("/".join(texts[key] for key in keys) for keys in COLUMNS.values())])
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     click.echo(f"{title}. {LEGEND}")
-    for line in table:
-        cells = [cell.strip().rjust(width) for cell, width in zip(line[1:], widths[1:], strict=True)]
-        click.echo("  ".join([line[0].ljust(widths[0]), *cells]))
+    for line in aligned(table):
+        click.echo(line)
     for row in rows:
         if row.failure:
             click.echo(f"{row.variation}, seed {row.seed}: {row.failure}")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from holdfast.cli.extras import needing
 from holdfast.cli.progress import progress_bar
 from holdfast.cli.replay import check_window
 from holdfast.cli.writing import check_folder_of, write_json
@@ -111,11 +112,9 @@ def _material(
 
 
 def _simulate(folder: Path, duration_s: float) -> None:
-    try:
+    with needing("without --recording simulating", "sim"):
         from holdfast.sim.scenario import load_scenario
         from holdfast.trial.run import write_simulation
-    except ModuleNotFoundError as error:
-        raise ConfigError(f"simulating needs {error.name}: pip install 'holdfast[sim]', or give --recording") from None
     write_simulation(load_scenario("construction", {"duration_s": duration_s}), 0, folder)
 
 

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from holdfast.cli.columns import aligned
+from holdfast.cli.extras import needing
 from holdfast.cli.progress import count_bar
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
@@ -34,10 +36,8 @@ def paper(output: Path, quick: bool, seeds: int | None, jobs: int) -> None:
     been run is kept in the folder: the same command goes on where it was interrupted, and more --seeds add to those
     that there are. --quick takes two to five minutes on two cores, the whole more than an hour.
     """
-    try:
+    with needing("the paper's evaluation", "sim"):
         from holdfast.paper.evaluation import evaluate
-    except ModuleNotFoundError as error:
-        raise ConfigError(f"the paper's evaluation needs {error.name}: pip install 'holdfast[sim]'") from None
     count = seeds or (1 if quick else SEEDS)
     command = f"holdfast paper -o {output.name}" + " --quick" * quick + f" --seeds {count}"
     with naming_the_output(output), count_bar("evaluating") as progress:
@@ -109,9 +109,7 @@ def print_tables(results: "Results") -> None:
 
 
 def _print(title: str, rows: Sequence[Sequence[str]]) -> None:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     click.echo(title)
-    for row in rows:
-        cells = [cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)]
-        click.echo("  ".join(["  " + row[0].ljust(widths[0]), *cells]))
+    for line in aligned(rows):
+        click.echo(f"  {line}")
     click.echo("")

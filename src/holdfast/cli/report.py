@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from holdfast.cli.extras import needing
 from holdfast.errors import ConfigError
 
 
@@ -22,10 +23,8 @@ def report(folder: Path, reference: Path | None, output: Path | None) -> None:
     switch with its reason in words, outcomes of the measurements, the odometry frame, claimed deviations and latency.
     The same numbers are written beside it as JSON.
     """
-    try:
+    with needing("a report", "report"):
         import plotly  # noqa: F401
-    except ModuleNotFoundError:
-        raise ConfigError("a report needs plotly: pip install 'holdfast[report]'") from None
     from holdfast.replay.results import read_run
     from holdfast.report.page import write_page
     from holdfast.report.single_run import single_run_page

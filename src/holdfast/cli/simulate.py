@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from holdfast.cli.extras import needing
 from holdfast.cli.progress import progress_bar
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError, HoldfastError
@@ -24,12 +25,10 @@ def simulate(scenario: str, output: Path, seed: int, scans: bool, duration_s: fl
     biases, errors of the fixes), site.ply, plan.png, scenario.yaml with every setting, and a README.md. Equal scenario
     and seed give equal bytes.
     """
-    try:
+    with needing("simulating", "sim"):
         from holdfast.sim.recorder import write_recording, write_truth
         from holdfast.sim.simulation import START_NS
         from holdfast.sim.simulation import simulate as run
-    except ModuleNotFoundError as error:
-        raise ConfigError(f"simulating needs {error.name}: pip install 'holdfast[sim]'") from None
     from holdfast.config.load import resolved_yaml
     from holdfast.sim.account import account
     from holdfast.sim.configuration import configuration
