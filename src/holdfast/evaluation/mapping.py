@@ -70,6 +70,11 @@ class MapOptions:
         if not all(0.0 < number < np.inf for number in numbers) or self.within_m < 0.0:
             raise ConfigError(f"{self}: the numbers must be positive")
 
+    def rows_of(self, points: NDArray[np.float32]) -> NDArray[np.intp]:
+        """Return which points (N, 3) of a scan are used: the near ones, thinned evenly; of those again all."""
+        near = np.flatnonzero(np.einsum("nd,nd->n", points, points) <= self.max_range_m**2)
+        return near[:: max(1, -(-len(near) // self.max_points_per_scan))]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VoxelMap:
@@ -236,8 +241,7 @@ def write_map(quality: MapQuality, path: Path) -> None:
 
 def _in_world(scan: MapScan, trajectory: Trajectory, T_I_L: Array, options: MapOptions) -> Array | None:
     """Return points (N, 3) in W [m], thinned; None if the trajectory does not cover the sweep."""
-    near = np.flatnonzero(np.einsum("nd,nd->n", scan.points, scan.points) <= options.max_range_m**2)
-    near = near[:: max(1, -(-len(near) // options.max_points_per_scan))]
+    near = options.rows_of(scan.points)
     stamps, wanted = trajectory.stamps_ns, scan.stamp_ns + scan.offsets_ns[near]
     if not len(near) or wanted.min() < stamps[0] or wanted.max() > stamps[-1]:
         return None

@@ -146,8 +146,7 @@ def cast_scans(simulation: Simulation, every: int, options: MapOptions) -> list[
     for row in range(0, len(times_s), every):
         moving = simulation.motion.frame(sheet.frame, scanner.column_times_s(times_s[row]))
         scan = scanner.scan(row, moving.R_W_F, moving.p_W, generator(simulation.seed, "scan", str(row)))
-        near = np.flatnonzero(np.einsum("nd,nd->n", scan.points, scan.points) <= options.max_range_m**2)
-        near = near[:: max(1, -(-len(near) // options.max_points_per_scan))]
+        near = options.rows_of(scan.points)
         stamp_ns = START_NS + round(float(times_s[row]) * 1e9)
         scans.append(MapScan(stamp_ns, scan.points[near], scan.offset_ns[near].astype(np.int64)))
     return scans
