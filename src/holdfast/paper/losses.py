@@ -29,9 +29,9 @@ def accuracy_in_words(results: Results, scenario: str) -> str:
 
 def latency_in_words(results: Results) -> list[str]:
     """Say which baselines answer sooner than ours."""
-    on = {"imu_cpu_us": "a sample without an update", "every_cpu_us": "a sample on average, updates too"}
+    on = {"imu_cpu_us": "samples without an update", "every_cpu_us": "average over all samples, updates too,"}
     return [
-        f"{TITLES[baseline]} answers {which} sooner than {TITLES[ours]}: after {theirs_us:.1f} us of the processor, "
+        f"On {which} {TITLES[baseline]} answers sooner than {TITLES[ours]}: after {theirs_us:.1f} us of the processor, "
         f"ours after {ours_us:.1f} us."
         for times, which in on.items()
         for ours, baseline, ours_us, theirs_us in faster_baselines(results, times)
