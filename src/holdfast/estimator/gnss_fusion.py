@@ -244,6 +244,8 @@ class GnssFusion:
         scan = graph.newest_scan
         if self._witness is None or scan is None or scan.stamp_ns < graph.main.oldest_ns:
             return
+        if not self._witness.wants(scan):
+            return
         pose, covariance = graph.main.nav(scan.stamp_ns).pose(), graph.main.covariance(scan.stamp_ns)
         found = self._witness.observe(scan, pose, covariance)
         if found is None:

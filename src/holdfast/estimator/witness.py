@@ -72,14 +72,16 @@ class LidarWitness:
         while self._sights and self._sights[-1].scan.stamp_ns > stamp_ns:
             self._sights.pop()
 
-    def observe(self, scan: Scan, T_W_I: gtsam.Pose3, covariance: Array) -> Contradiction | None:
-        """Take in where a scan's node was optimised to; once a second it is compared with what was seen before.
+    def wants(self, scan: Scan) -> bool:
+        """Whether a scan is to be observed: once a second is enough, and costs a marginal."""
+        return not self._sights or scan.stamp_ns - self._sights[-1].scan.stamp_ns >= STEP_NS
 
-        `covariance` (9, 9) is that of the node.
+    def observe(self, scan: Scan, T_W_I: gtsam.Pose3, covariance: Array) -> Contradiction | None:
+        """Take in where a scan that is wanted was optimised to, and compare it with what was seen before.
+
+        `covariance` (9, 9) is that of its node.
         """
         last = self._sights[-1] if self._sights else None
-        if last is not None and scan.stamp_ns - last.scan.stamp_ns < STEP_NS:
-            return None
         sums = (0.0, 0.0)
         if last is not None:
             motion = last.scan.T_I0_I.between(scan.T_I0_I)
