@@ -221,7 +221,7 @@ def test_every_link_integrates_exactly_the_time_between_its_nodes(nodes):
     links = list(estimator._optimiser.graph.published._links.values())
     assert len(links) > 10
     for link in links:
-        measured = link.factor.preintegratedMeasurements().deltaTij()
+        measured = link.placed.factor.preintegratedMeasurements().deltaTij()
         assert measured == pytest.approx((link.end_ns - link.start_ns) * 1e-9, abs=1e-9)
 
 

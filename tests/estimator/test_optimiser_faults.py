@@ -19,7 +19,7 @@ def driven(failures, from_s=5.0, end_s=11.0):
     estimator, outputs, left = Estimator(machine()), [], [failures]
 
     class Failing:
-        """The smoother of GTSAM, but for its first updates after a time."""
+        """iSAM2, but for its first updates after a time."""
 
         def __init__(self, inner):
             self.inner = inner
@@ -35,9 +35,9 @@ def driven(failures, from_s=5.0, end_s=11.0):
 
     for message in messages:
         if message.stamp_ns >= ns(from_s) and left[0] > 0:
-            inner = estimator._optimiser.graph.main._smoother
-            if not isinstance(inner, Failing):
-                estimator._optimiser.graph.main._smoother = Failing(inner)
+            window = estimator._optimiser.graph.main._window
+            if not isinstance(window._isam, Failing):
+                window._isam = Failing(window._isam)
         outputs.append(estimator.process(message))
     assert left[0] == 0
     return drive, estimator, estimates(outputs)

@@ -34,8 +34,7 @@ class Link:
     end_ns: int
     bias_key: int
     is_gap: bool
-    factor: gtsam.NonlinearFactor
-    slot: int | None = None  # index of the factor in the smoother, once it is there
+    placed: Placed
 
 
 class Timeline:

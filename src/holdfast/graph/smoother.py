@@ -7,13 +7,13 @@ position and velocity); biases are constant over short epochs that a random walk
 from collections.abc import Callable, Iterator
 from copy import copy
 from dataclasses import replace
-from typing import SupportsFloat, SupportsIndex, SupportsInt
 
 import gtsam
 import numpy as np
 
 from holdfast.config.model import Config
-from holdfast.graph.nodes import FRAME, NODE, NODE_RESOLUTION_NS, Link, Placed, Timeline, to_grid
+from holdfast.graph.nodes import FRAME, NODE, Link, Placed, Timeline, to_grid
+from holdfast.graph.window import Window
 from holdfast.messages import Array
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.preintegration import ImuNoise, MotionModel, preintegrate
@@ -31,7 +31,7 @@ class OptimiserError(Exception):
 
 
 class Smoother:
-    """A sliding window of nodes over one IMU, on `gtsam.IncrementalFixedLagSmoother` (QR)."""
+    """A sliding window of nodes over one IMU."""
 
     def __init__(self, config: Config, buffer: ImuBuffer, gravity: float) -> None:
         imu = config.sensors.imu
@@ -44,15 +44,14 @@ class Smoother:
 
     def start(self, state: OptimisedState) -> None:
         """Begin a window at one state with its covariance as the prior."""
-        self._smoother = self._empty()
-        self._epoch_ns = self._newest_known_ns = to_grid(state.stamp_ns)
+        self._window = Window(self._relinearize_thresholds())
+        self._epoch_ns = to_grid(state.stamp_ns)
+        self._bias_epoch = -1  # the newest
         self._nodes = Timeline()
         self._links: dict[int, Link] = {}  # by the stamp of the left node
-        self._bias_stamps: dict[int, int] = {}  # bias epoch -> end of the last link that uses it
-        self._frame_stamps: dict[int, int] = {}  # key -> time of the last factor that uses it
         self._bias_hat = state.bias  # of all preintegration: the result must not depend on when a link was made
         self._settled_ns = 0
-        self._clear_pending()
+        self._new_navs: dict[int, gtsam.NavState] = {}  # not optimised yet, by stamp
         self._state = state
         self._tail: Array = state.covariance  # of the newest node and the bias, new nodes included
         key = self._nodes.insert(self._epoch_ns)
@@ -66,30 +65,11 @@ class Smoother:
         It must follow `optimise`, so that nothing waits to be taken in. The estimate is the same to rounding.
         """
         other = copy(self)
-        factors, values = self._smoother.getFactors(), self._smoother.getLinearizationPoint()
-        slots = [slot for slot in range(factors.size()) if factors.exists(slot)]
-        graph = gtsam.NonlinearFactorGraph()
-        for slot in slots:
-            graph.add(factors.at(slot))
-        other._smoother = self._empty()
-        other._smoother.update(graph, values, {key: stamp for key, stamp in self._smoother.timestamps().items()})  # noqa: C416 (a dict of other types to mypy)
-        new_slots = dict(zip(slots, other._smoother.getISAM2Result().getNewFactorsIndices(), strict=True))
+        other._window, counterpart = self._window.copy()
         other._nodes = self._nodes.copy()
-        other._bias_stamps, other._frame_stamps = dict(self._bias_stamps), dict(self._frame_stamps)
-        other._links = {
-            start: replace(link, slot=None if link.slot is None else new_slots[link.slot])
-            for start, link in self._links.items()
-        }
-        other._clear_pending()
-        return other, lambda placed: Placed(placed.factor, None if placed.slot is None else new_slots[placed.slot])
-
-    def _empty(self) -> gtsam.IncrementalFixedLagSmoother:
-        isam = gtsam.ISAM2Params()
-        isam.setFactorization("QR")
-        isam.setRelinearizeThreshold(self._relinearize_thresholds())
-        isam.relinearizeSkip = 1
-        isam.findUnusedFactorSlots = True
-        return gtsam.IncrementalFixedLagSmoother(self._config.lag_s, isam)
+        other._links = {start: replace(link, placed=counterpart(link.placed)) for start, link in self._links.items()}
+        other._new_navs = {}
+        return other, counterpart
 
     def _relinearize_thresholds(self) -> gtsam.ISAM2ThresholdMap:
         """Relinearise for a change of attitude; position, velocity and bias enter (almost) linearly."""
@@ -133,30 +113,23 @@ class Smoother:
 
     def add(self, factor: gtsam.NonlinearFactor) -> Placed:
         """Add a factor on existing nodes; it takes effect with the next `optimise`. Return a handle to `retract` it."""
-        placed = Placed(factor)
-        self._new_factors.append(placed)
-        return placed
+        return self._window.add(factor)
 
     def retract(self, placed: Placed) -> None:
         """Take out a factor, whose node is still in the window, with the next `optimise`."""
-        if placed.slot is not None:
-            self._removed_slots.append(placed.slot)
-            placed.slot = None
+        self._window.retract(placed)
 
     def insert_frame(self, key: int, frame: gtsam.Pose3, stamp_ns: int) -> None:
         """Make a variable for the pose of a frame in W; what joins it to others is up to the factors."""
-        self._new_values.insert(key, gtsam.NavState(frame, np.zeros(3)))
-        self._frame_stamps[key] = to_grid(stamp_ns)
-        self.keep_frame(key, stamp_ns)
+        self._window.insert(key, gtsam.NavState(frame, np.zeros(3)), to_grid(stamp_ns))
 
     def has_frame(self, key: int) -> bool:
         """Whether a frame is still in the window."""
-        return key in self._frame_stamps
+        return key in self._window
 
     def keep_frame(self, key: int, stamp_ns: int) -> None:
         """Keep a frame in the window as long as the time of a factor that uses it."""
-        self._frame_stamps[key] = max(to_grid(stamp_ns), self._frame_stamps[key])
-        self._new_stamps[key] = self._seconds(self._frame_stamps[key])
+        self._window.keep(key, to_grid(stamp_ns))
 
     def add_zero_velocity(self, stamp_ns: int, sigma_m_s: float) -> None:
         """Add the zero-velocity factor to the node at a time: a prior on `NavState` with free pose."""
@@ -181,8 +154,7 @@ class Smoother:
             if stamp == self.oldest_ns:
                 return self._state.covariance[:9, :9]
             stamp = self._nodes.before(stamp)
-        covariance: Array = self._smoother.marginalCovariance(self._nodes.key(stamp))
-        return covariance
+        return self._window.covariance(self._nodes.key(stamp))
 
     def mark_silent(self, since_ns: int) -> None:
         """Put the motion model in place of IMU factors after a time: the samples under them were no measurements."""
@@ -190,8 +162,7 @@ class Smoother:
         if self.oldest_ns < since_ns < self.newest_ns:
             self.node(since_ns)
         for link in [link for link in self._links.values() if link.end_ns > since_ns and not link.is_gap]:
-            if link.slot is not None:
-                self._removed_slots.append(link.slot)
+            self._window.retract(link.placed)
             self._join(link.start_ns, link.end_ns, link.bias_key, True, self._nav(link.start_ns))
 
     def move(self, correction: gtsam.Pose3, position_sigma_m: float) -> None:
@@ -220,35 +191,24 @@ class Smoother:
         Raises:
             OptimiserError: GTSAM failed; the window was started anew at the last good state, and the new factors lost.
         """
-        graph = gtsam.NonlinearFactorGraph()
-        new: list[Placed | Link] = [*self._new_factors, *(link for link in self._links.values() if link.slot is None)]
-        for placed in new:
-            graph.add(placed.factor)
+        horizon = self.newest_ns - self._lag_ns
         try:
-            # Two steps keep the newest node at the root of the Bayes tree: only an update that marginalises nothing
-            # orders the new variables last, and then the next one (and the marginal) touches few cliques.
-            arrivals = dict.fromkeys(self._new_stamps, self._seconds(self._newest_known_ns))
-            self._smoother.update(graph, self._new_values, arrivals, self._removed_slots)
-            slots = self._smoother.getISAM2Result().getNewFactorsIndices()
-            self._smoother.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), self._new_stamps)
+            self._window.solve(horizon)
             state = self._read_newest()
         except (RuntimeError, IndexError, ValueError) as error:
             self._reanchor()
             raise OptimiserError(str(error).strip().splitlines()[0]) from error
-        for placed, slot in zip(new, slots, strict=True):
-            placed.slot = slot
-        self._clear_pending()
-        self._forget()
-        self._newest_known_ns = self.newest_ns
+        self._new_navs = {}
+        for stamp in self._nodes.forget_before(horizon):
+            self._links.pop(stamp, None)
         self._state, self._tail = state, state.covariance
         return state
 
     def _read_newest(self) -> OptimisedState:
         stamp, key = self.newest_ns, self._nodes.key(self.newest_ns)
-        bias_key = gtsam.symbol("b", max(self._bias_stamps))
-        nav = self._smoother.calculateEstimateNavState(key)
-        bias = self._smoother.calculateEstimateConstantBias(bias_key)
-        covariance: Array = self._smoother.getISAM2().jointMarginalCovariance([key, bias_key]).fullMatrix()
+        bias_key = gtsam.symbol("b", self._bias_epoch)
+        nav, bias = self._window.nav(key), self._window.bias(bias_key)
+        covariance = self._window.covariance(key, bias_key)
         if not (np.isfinite(covariance).all() and np.isfinite(nav.position()).all()):
             raise ValueError("the optimised state is not finite")
         return OptimisedState(stamp, nav, bias, covariance, self._turn_rate(stamp, nav, bias))
@@ -301,14 +261,13 @@ class Smoother:
         """Make a node between two others: the link that spans it is replaced by two."""
         left_ns = self._nodes.before(stamp_ns)
         nav, old = self._nav(left_ns), self._links.pop(left_ns)
-        if old.slot is not None:
-            self._removed_slots.append(old.slot)
+        self._window.retract(old.placed)
         key = self._nodes.insert(stamp_ns)
         predicted = self._join(left_ns, stamp_ns, old.bias_key, old.is_gap, nav).predict(nav, self._state.bias)
         self._insert(key, stamp_ns, predicted)
         # the epoch in which the second half begins, as if the node had come in its turn
-        epoch = (stamp_ns - self._epoch_ns) // BIAS_EPOCH_NS
-        bias_key = gtsam.symbol("b", epoch) if epoch in self._bias_stamps else old.bias_key
+        bias_key = gtsam.symbol("b", (stamp_ns - self._epoch_ns) // BIAS_EPOCH_NS)
+        bias_key = bias_key if bias_key in self._window else old.bias_key
         self._join(stamp_ns, old.end_ns, bias_key, old.is_gap, predicted)
         return key
 
@@ -323,56 +282,32 @@ class Smoother:
         else:
             pim = preintegrate(self.imu.steps(start_ns, end_ns), self._noise, nav.attitude(), self._bias_hat)
         factor = gtsam.ImuFactor2(self._nodes.key(start_ns), self._nodes.key(end_ns), bias_key, pim)
-        self._links[start_ns] = Link(start_ns, end_ns, bias_key, is_gap, factor)
-        epoch = gtsam.symbolIndex(bias_key)
-        self._bias_stamps[epoch] = max(end_ns, self._bias_stamps[epoch])
-        self._new_stamps[bias_key] = self._seconds(self._bias_stamps[epoch])
+        self._links[start_ns] = Link(start_ns, end_ns, bias_key, is_gap, self.add(factor))
+        self._window.keep(bias_key, end_ns)
         return pim
 
     def _bias_key(self, stamp_ns: int, bias: gtsam.imuBias.ConstantBias) -> int:
         """Return the key of the bias that holds at a time; a new one walks on from the one before."""
         epoch = (stamp_ns - self._epoch_ns) // BIAS_EPOCH_NS
         key: int = gtsam.symbol("b", epoch)
-        if epoch not in self._bias_stamps:
-            if self._bias_stamps:
-                last = max(self._bias_stamps)
-                sigmas = self._bias_walk * np.sqrt((epoch - last) * BIAS_EPOCH_NS * 1e-9)
+        if epoch > self._bias_epoch:
+            self._window.insert(key, bias, stamp_ns)
+            if self._bias_epoch >= 0:
+                sigmas = self._bias_walk * np.sqrt((epoch - self._bias_epoch) * BIAS_EPOCH_NS * 1e-9)
                 walk = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
                 zero = gtsam.imuBias.ConstantBias()
-                self.add(gtsam.BetweenFactorConstantBias(gtsam.symbol("b", last), key, zero, walk))
-            self._new_values.insert(key, bias)
-            self._bias_stamps[epoch] = stamp_ns
-            self._new_stamps[key] = self._seconds(stamp_ns)
+                self.add(gtsam.BetweenFactorConstantBias(gtsam.symbol("b", self._bias_epoch), key, zero, walk))
+            self._bias_epoch = epoch
         return key
 
     def _insert(self, key: int, stamp_ns: int, nav: gtsam.NavState) -> None:
-        self._new_values.insert(key, nav)
+        self._window.insert(key, nav, stamp_ns)
         self._new_navs[stamp_ns] = nav
-        self._new_stamps[key] = self._seconds(stamp_ns)
 
     def _nav(self, stamp_ns: int) -> gtsam.NavState:
         if stamp_ns in self._new_navs:
             return self._new_navs[stamp_ns]
-        return self._smoother.calculateEstimateNavState(self._nodes.key(stamp_ns))
-
-    def _seconds(self, stamp_ns: int) -> float:
-        return (stamp_ns - self._epoch_ns) * 1e-9
-
-    def _clear_pending(self) -> None:
-        self._new_factors: list[Placed] = []
-        self._new_values = gtsam.Values()
-        self._new_navs: dict[int, gtsam.NavState] = {}
-        self._new_stamps: dict[SupportsInt | SupportsIndex, SupportsFloat | SupportsIndex] = {}
-        self._removed_slots: list[int] = []
-
-    def _forget(self) -> None:
-        """Drop what GTSAM has marginalised; a little earlier than GTSAM does, so that rounding cannot bite."""
-        horizon = self.newest_ns - self._lag_ns + 10 * NODE_RESOLUTION_NS
-        for stamp in self._nodes.forget_before(horizon):
-            self._links.pop(stamp, None)
-        for epoch in [epoch for epoch, stamp in self._bias_stamps.items() if stamp < horizon]:
-            del self._bias_stamps[epoch]
-        self._frame_stamps = {key: stamp for key, stamp in self._frame_stamps.items() if stamp >= horizon}
+        return self._window.nav(self._nodes.key(stamp_ns))
 
 
 def _joint_prior(key: int, bias_key: int, state: OptimisedState) -> gtsam.NonlinearFactor:
