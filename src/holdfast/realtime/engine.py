@@ -236,9 +236,9 @@ class RealtimeEstimator:
         """Get ready for the next sample of the IMU; for a program that has nothing else to do until then.
 
         Takes in a new optimised state, if there is one, and fetches what the IMU path needs into the processor's
-        caches, so that the sample is answered two to three times faster. Takes as long as an answer itself: call it a
-        millisecond before the sample is due, when `refresh_in_s` says so. Without it, new states are taken in by the
-        messages that are not samples of the IMU, or else by the third sample.
+        caches, so that the sample is answered faster. Takes as long as an answer itself: call it half a millisecond
+        before the sample is due, when `refresh_in_s` says so. Without it, new states are taken in by the messages that
+        are not samples of the IMU, or else by the third sample.
         """
         output = self._take_new()
         if self._rehearsal is not None:

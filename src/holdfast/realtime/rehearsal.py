@@ -14,7 +14,7 @@ from holdfast.messages import ImuSample, JointAngle
 from holdfast.realtime.records import Published, pack_sample
 from holdfast.sensors.imu import ImuBuffer
 
-LEAD_S = 0.001  # before the next sample is expected: longer than a rehearsal takes, shorter than caches last
+LEAD_S = 0.0005  # before the next sample is expected: longer than a rehearsal takes, shorter than caches last
 USUAL_PERIOD_S = 0.01  # between samples, until it is known
 FOLLOWED = 0.1  # how fast the expected period follows the last one
 ANCHOR_NS = 1_000_000_000  # so long the twin goes on without a look at the real state
