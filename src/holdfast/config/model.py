@@ -109,7 +109,7 @@ class HeadingConfig(Section):
     default_sigma_deg: float = quantity("deg", 1.0, gt=0, le=180, doc="where the sensor reports no covariance")
     min_sigma_deg: float = quantity("deg", 0.05, gt=0, le=180, doc="floor under the sensor's claim")
     correlation_s: float = quantity(
-        "s", 0.25, ge=0, le=60, doc="errors are alike for so long: headings closer together weigh less each"
+        "s", 1.0, ge=0, le=60, doc="errors are alike for so long: headings closer together weigh less each"
     )
     gate_sigma: float = quantity("sigma", 4.0, gt=2, le=100, doc="headings further from the prediction are refused")
 
