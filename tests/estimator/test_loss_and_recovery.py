@@ -208,7 +208,7 @@ def test_a_heading_from_the_wrong_side_is_refused():
     assert miss(drive, estimates(outputs)[-1])[1] < np.radians(1.0)
 
 
-def with_headings(yaw_offset_rad=lambda t: 0.0):
+def with_headings(yaw_offset_rad=lambda _: 0.0):
     """An outage without lidar under a gyroscope that may be 2 % off, and a heading ten times a second."""
     drive, streams = recorded()
     del streams["lidar"]
