@@ -14,9 +14,10 @@ from holdfast.messages import ImuSample, JointAngle
 from holdfast.realtime.records import Published, pack_sample
 from holdfast.sensors.imu import ImuBuffer
 
-LEAD_S = 0.0005  # before the next sample is expected: longer than a rehearsal takes, shorter than caches last
+LEAD_S = 0.0003  # before the next sample can come: longer than a rehearsal takes, shorter than caches last
+JITTERS = 2.5  # mean deviations by which a sample may come early
 USUAL_PERIOD_S = 0.01  # between samples, until it is known
-FOLLOWED = 0.1  # how fast the expected period follows the last one
+FOLLOWED, PERIOD_FOLLOWED = 0.1, 0.0025  # of a deviation, by the expected arrival and by the period: no overshoot
 ANCHOR_NS = 1_000_000_000  # so long the twin goes on without a look at the real state
 KEPT_NS = 2 * ANCHOR_NS
 
@@ -33,14 +34,15 @@ class Rehearsal:
         self._buffer = ImuBuffer(config.sensors.imu)
         self._path = ImuPath(config, self._buffer, self._journal)
         self._sample: ImuSample | None = None  # that the twin has not taken in
-        self._heard_s = self._heard_before_s = monotonic()
-        self._period_s = USUAL_PERIOD_S
+        self._new = 0  # samples since the last look at their times
+        self._heard_s = self._looked_s = self._expected_s = monotonic()  # newest arrival, that of the last look, next
+        self._period_s, self._jitter_s = USUAL_PERIOD_S, 0.0
         self._anchor_ns = 0
 
     def note(self, sample: ImuSample) -> None:
         """Keep the sample that was just taken in for the next rehearsal."""
-        self._sample = sample
-        self._heard_s, self._heard_before_s = monotonic(), self._heard_s
+        self._sample, self._heard_s = sample, monotonic()
+        self._new += 1
 
     def add_to_base(self, message: ImuSample | JointAngle) -> None:
         """Let the twin hear what a sensor of the chassis or the turn joint says."""
@@ -51,7 +53,23 @@ class Rehearsal:
         """In how many seconds it is time for a rehearsal; None if there is no need of one before the next sample."""
         if self._sample is None:
             return None
-        return max(0.0, self._heard_s + self._period_s - LEAD_S - monotonic())
+        if self._new:
+            self._expect()
+        return max(0.0, self._expected_s - JITTERS * self._jitter_s - LEAD_S - monotonic())
+
+    def _expect(self) -> None:
+        """Follow the times at which samples come, as a phase-locked loop does."""
+        count, self._new = self._new, 0
+        expected_s = self._expected_s + (count - 1) * self._period_s
+        late_s = self._heard_s - expected_s
+        if abs(late_s) > 0.5 * self._period_s:  # the first samples, or a silence
+            self._period_s = (self._heard_s - self._looked_s) / count
+            expected_s = self._heard_s
+        else:
+            self._period_s += PERIOD_FOLLOWED * late_s
+            self._jitter_s += FOLLOWED * (abs(late_s) - self._jitter_s)
+            expected_s += FOLLOWED * late_s
+        self._looked_s, self._expected_s = self._heard_s, expected_s + self._period_s
 
     def run(self, newest: Published | None) -> None:
         """Walk the path with the sample before the next one, if that has not been done yet.
@@ -62,7 +80,6 @@ class Rehearsal:
         sample, self._sample = self._sample, None
         if sample is None or newest is None or newest.state is None:
             return
-        self._period_s += FOLLOWED * (self._heard_s - self._heard_before_s - self._period_s)
         heard = self._path.hear(sample)
         if heard is None:
             return
