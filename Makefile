@@ -8,13 +8,15 @@ PYTHON :=
 CANDIDATES := $(or $(PYTHON),python3 python3.13 python3.12 python3.11 python3.14 python)
 SUITABLE := import ensurepip, sys, venv; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))
 
+PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
+
 # one process per core is enough: no threads below it
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 export MPLBACKEND := Agg
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check lint bench results scenarios paper paper-quick clean
+.PHONY: help demo test test-all fuzz check lint bench results scenarios paper paper-quick clean
 
 help: ## Show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1: /p' Makefile | awk -F': ' '{ printf "  make %-11s %s\n", $$1, $$2 }'
@@ -22,11 +24,16 @@ help: ## Show this list
 demo: $(READY) ## Estimate a real drive, draw it and print how far it is from the reference
 	@$(BIN)/holdfast demo
 
-test: $(READY) ## Run every test, the slow ones too
-	@$(BIN)/python -m pytest -n auto --dist worksteal
+test: $(READY) ## Run the fast tests (5 minutes on two busy cores)
+	@$(PYTEST) -m "not slow"
 
-check: lint ## Run what must pass before a commit (linters and fast tests)
-	@$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow"
+test-all: $(READY) ## Run every test, those on whole recordings too
+	@$(PYTEST)
+
+fuzz: $(READY) ## Search at random for examples that break the property tests
+	@HOLDFAST_FUZZ=1 $(PYTEST) $$(grep -rl --include='test_*.py' 'from hypothesis' tests)
+
+check: lint test ## Run what must pass before a commit (linters and fast tests)
 
 lint: $(READY) ## Check format, style, types and the direction of imports
 	@$(BIN)/ruff format --check

@@ -24,18 +24,18 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 from ruamel.yaml import YAML
 
+from holdfast.bench.replay import describe_machine
 from holdfast.config.live import LiveConfig
 from holdfast.live.dds import Network
 from holdfast.live.idl import STORE
-from holdfast.recording.cdr import OdometryEncoder
-from holdfast.replay.benchmark import describe_machine
+from holdfast.ros.cdr import OdometryEncoder
 
 IMU, ODOMETRY = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry"
 LOOPBACK: dict[str, Any] = {"interface": "lo", "multicast": False, "peers": ["localhost"]}
 STAMP = struct.Struct("<iI")  # behind the four bytes of the encapsulation
 ODOMETRY_BYTES = 720
 HOLDFAST = "from holdfast.cli import main; main()"
-WARM_UP = 0.1  # share of the answers that is left out
+WARM_UP_FRACTION = 0.1  # of the answers is left out
 IDENTITY = np.eye(6).ravel()
 
 Row = tuple[float, str, str, Any]
@@ -85,7 +85,7 @@ class OverDatagrams:
 
 
 class OverDds:
-    """A machine on the network that hears one topic."""
+    """A machine on the network that receives one topic."""
 
     def __init__(self, domain: int, topics: dict[str, str], answer: str) -> None:
         self._network = join(domain)
@@ -130,7 +130,7 @@ def round_trips(peer: Any, messages: Iterator[tuple[float, str, bytes]]) -> tupl
     took: list[float] = []
     sent_count = 0
 
-    def hear(until: float) -> None:
+    def receive(until: float) -> None:
         while (left := until - time.perf_counter()) > 0.0:
             for data in peer.wait(min(left, 0.05)):
                 at = sent.pop(data[4 : 4 + STAMP.size], None)
@@ -139,13 +139,13 @@ def round_trips(peer: Any, messages: Iterator[tuple[float, str, bytes]]) -> tupl
 
     began = time.perf_counter()
     for at_s, topic, data in messages:
-        hear(began + at_s)
+        receive(began + at_s)
         if topic == "/imu/data":
             sent[data[4 : 4 + STAMP.size]] = time.perf_counter()
             sent_count += 1
         peer.send(topic, data)
-    hear(time.perf_counter() + 0.5)
-    return took[round(WARM_UP * len(took)) :], sent_count - len(took)
+    receive(time.perf_counter() + 0.5)
+    return took[round(WARM_UP_FRACTION * len(took)) :], sent_count - len(took)
 
 
 def report(name: str, took: list[float], unanswered: int) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from holdfast.trial.run import estimate, write_simulation
 def complaints(seed: int, preset: str = "holdfast") -> list[str]:
     """Return what the schedule of a seed broke, one line each."""
     scenario = random_schedule(seed)
-    config = config_of({"preset": preset} | configuration_data(scenario), f"schedule {seed}")
+    config = config_of({"preset": preset} | configuration_data(scenario, seed), f"schedule {seed}")
     with TemporaryDirectory() as folder:
         try:
             write_simulation(scenario, seed, Path(folder))

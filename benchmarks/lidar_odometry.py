@@ -43,7 +43,9 @@ def register(folder: Path, method: str, gyroscope_helps: bool, threads: int, sec
     options = Options(replace=True)
     with RawBag(folder / "recording.mcap") as bag:
         topic = choose_topic(bag, options)
-        gyroscope = Gyroscope(load_config(folder / "config.yaml"), bag) if gyroscope_helps else None
+        gyroscope = (
+            Gyroscope(load_config(folder / "config.yaml"), bag, options.output_topic) if gyroscope_helps else None
+        )
         reader = SweepReader(bag, topic, options.min_range_m, gyroscope)
         for arrival_ns, channel, raw in bag.messages():
             if arrival_ns > bag.recording.start_ns + seconds * 1e9:

@@ -51,11 +51,20 @@ def print_held_out(title: str, run: Replay) -> None:
             )
 
 
-def one_outage(config_path: Path, bag: Path, truth_path: Path, start_s: float, with_lidar: bool) -> dict[str, Any]:
+# what is left in an outage -> the configuration, and the kinds of sensors that are taken out of it
+LEFT = {
+    "lidar odometry kept": ("kitti_00.yaml", ()),
+    "IMU alone": ("kitti_00.yaml", ("odometry",)),
+    "IMU and nonholonomic constraint": ("kitti_00_nonholonomic.yaml", ()),
+}
+
+
+def one_outage(left: str, bag: Path, truth_path: Path, start_s: float) -> dict[str, Any]:
     """Cut GNSS for a minute and measure the error at its end, in position and heading."""
-    config = load_config(config_path)
-    if not with_lidar:
-        config = config.model_copy(update={"sensors": config.sensors.model_copy(update={"lidar": None})})
+    file, removed = LEFT[left]
+    config = load_config(HERE / "configs" / file)
+    sensors = {name: sensor for name, sensor in config.sensors.items() if sensor.kind not in removed}
+    config = config.model_copy(update={"sensors": sensors})
     run = Replay(config, None, [HoldOut("gnss", None, start_s, start_s + OUTAGE_S)])
     headings: dict[int, float] = {}
     with open_recording(bag) as recording:
@@ -90,8 +99,7 @@ def heading_error(run: Replay, messages: list[Any], truth: Any, headings: dict[i
     times = (truth.stamps_ns - truth.stamps_ns[0]) * 1e-9
     fixes = [m for m in messages if isinstance(m, GnssFix)]
     assert world is not None
-    assert config.sensors.gnss is not None
-    at = np.array([(m.stamp_ns - truth.stamps_ns[0]) * 1e-9 + config.sensors.gnss.time_offset_s for m in fixes])
+    at = np.array([(m.stamp_ns - truth.stamps_ns[0]) * 1e-9 + config.sensors["gnss"].time_offset_s for m in fixes])
     inside = (at > times[0]) & (at < times[-1])
     enu = np.array([world.to_enu(Geodetic(m.latitude_deg, m.longitude_deg, m.altitude_m)) for m in fixes])[inside]
     on_track = np.column_stack([np.interp(at[inside], times, track[:, axis]) for axis in range(3)])
@@ -103,14 +111,13 @@ def heading_error(run: Replay, messages: list[Any], truth: Any, headings: dict[i
     return float(np.degrees((headings[nearest] - true_heading + np.pi) % (2 * np.pi) - np.pi))
 
 
-def print_outages(data: Path, with_lidar: bool) -> None:
+def print_outages(data: Path, left: str) -> None:
     """Print ten outages of a minute, spread evenly over the drive."""
     starts = np.linspace(20.0, 400.0, OUTAGES)
-    config, bag = HERE / "configs" / "kitti_00.yaml", data / "kitti_00" / "bag"
-    truth = data / "kitti_00" / "truth_lidar.tum"
+    bag, truth = data / "kitti_00" / "bag", data / "kitti_00" / "truth_lidar.tum"
     with ProcessPoolExecutor(2) as pool:
-        rows = list(pool.map(one_outage, *zip(*[(config, bag, truth, s, with_lidar) for s in starts], strict=True)))
-    print(f"\nkitti_00, GNSS cut for {OUTAGE_S:.0f} s, {'lidar odometry kept' if with_lidar else 'IMU alone'}")
+        rows = list(pool.map(one_outage, *zip(*[(left, bag, truth, start) for start in starts], strict=True)))
+    print(f"\nkitti_00, GNSS cut for {OUTAGE_S:.0f} s, {left}")
     for row in rows:
         share = 100.0 * row["end_m"] / row["driven_m"]
         print(
@@ -144,8 +151,8 @@ def main() -> None:
         fixed_only = load_config(HERE / "configs" / "rtk_walk.yaml")
         print_held_out("rtk_walk, every second fixed epoch held out", replay(fixed_only, walk, every_second))
     if only != "held_out":
-        print_outages(data, with_lidar=True)
-        print_outages(data, with_lidar=False)
+        for left in LEFT:
+            print_outages(data, left)
 
 
 if __name__ == "__main__":

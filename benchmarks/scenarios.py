@@ -57,7 +57,7 @@ def trials(scenario: str, seed: int, presets: Sequence[str], keep: Path | None =
     missing = [preset for preset in presets if preset not in found]
     if missing:
         loaded = load_scenario(scenario)
-        given = configuration_data(loaded)
+        given = configuration_data(loaded, seed)
         configs = [config_of({"preset": preset} | given, scenario) for preset in missing]
         with TemporaryDirectory() as folder:
             found |= zip(missing, trials_of(loaded, seed, Path(folder), configs), strict=True)
@@ -116,7 +116,7 @@ def details(runs: Iterable[Runs]) -> Iterator[str]:
             yield f"{one.scenario}, {one.preset}, seed {trial.seed}: {trial.real_time_factor:.0f} x real time"
             for o in trial.verdict.outages:
                 yield (
-                    f"  outage {o.span.start_s:6.1f} to {o.span.end_s:6.1f} s{', lies' * o.lied}: "
+                    f"  outage {o.span.start_s:6.1f} to {o.span.end_s:6.1f} s{', faulty fixes' * o.has_faulty}: "
                     f"H {o.horizontal_rms_m * 1e3:.1f} mm (alone {o.alone_horizontal_rms_m * 1e3:.1f}), "
                     f"heading {o.heading_rms_deg:.3f} deg (alone {o.alone_heading_rms_deg:.3f}), "
                     f"settled {o.settled_s:.2f} s, used again {o.regained_s:.2f} s"

@@ -6,11 +6,13 @@ import shlex
 import subprocess
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import click
 import pytest
 from click.testing import CliRunner
 from packaging.requirements import Requirement
+from ruamel.yaml import YAML
 
 from holdfast.cli import COMMANDS, holdfast
 
@@ -129,6 +131,57 @@ def test_architecture_names_every_room_and_the_layers_that_are_enforced():
     ]
     (layers,) = [contract["layers"] for contract in contracts if contract["type"] == "layers"]
     assert "\n".join(f" {layer.replace('holdfast.', '')}" for layer in layers) in page
+
+
+def test_every_piece_of_the_page_on_new_sensors_stands_in_the_test_that_runs_it():
+    page = (ROOT / "docs/new-sensor.md").read_text(encoding="utf-8")
+    source, _, _ = (ROOT / "tests/test_new_sensor.py").read_text(encoding="utf-8").partition("\n# --- the test")
+    pieces = re.findall(r"^```python\n(.*?)\n```$", page, re.MULTILINE | re.DOTALL)
+    assert not [piece for piece in pieces if f"\n{piece}\n" not in source]
+    steps = re.findall(r"^# --- \d\. .*$", source, re.MULTILINE)
+    assert len(steps) == len(pieces) == len(re.findall(r"^## \d\. ", page, re.MULTILINE)) == 6
+    defined = set(re.findall(r"^(?:class|def) (\w+)", source, re.MULTILINE))
+    assert defined == {name for piece in pieces for name in re.findall(r"^(?:class|def) (\w+)", piece, re.MULTILINE)}
+
+
+def test_the_glossary_names_files_and_settings_that_exist():
+    text = (ROOT / "docs/conventions.md").read_text(encoding="utf-8")
+    glossary = text.partition("\n## Glossary\n")[2].partition("\nWords of version 0.1")[0]
+    folders: list[Path] = []
+    for row in re.findall(r"^\| [a-z].*$", glossary, re.MULTILINE | re.IGNORECASE)[1:]:
+        files = re.findall(r"`([\w/]+(?:\.py|/))`", row.rsplit("|", 2)[1])
+        for file in files:  # the second file of a row is in the folder of the first, or names its own
+            here = [ROOT / "src/holdfast" / file, *(folder / file for folder in folders[-1:])]
+            assert any(path.exists() for path in here), row
+            folders += [path.parent for path in here[:1] if path.exists()]
+    assert len(folders) > 20
+
+
+OLD_NAMES = re.compile(
+    r"main_lidar|fallback_lidar|antenna_(?:lost|regained)|lidar_(?:jump|slip|lost)|LidarPose|LidarWitness|ScanChain|"
+    r"AntennaGate|Chronicle\b|Journal\b"
+)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_no_page_uses_a_name_of_version_0_1(page):
+    text = page.read_text(encoding="utf-8")
+    if page.name in ("CHANGELOG.md", "configuration.md"):
+        pytest.skip("names both forms on purpose")
+    text = text.partition("\nWords of version 0.1")[0] if page.name == "conventions.md" else text
+    assert not OLD_NAMES.findall(text)
+
+
+def test_every_sensor_that_the_docs_show_has_a_kind():
+    blocks = [b for page in PAGES for b in re.findall(r"^```yaml\n(.*?)^```", page.read_text("utf-8"), re.M | re.S)]
+    shown = [block for block in map(yaml_data, blocks) if "sensors" in block and "machine" not in block]  # no scenario
+    assert len(shown) >= 3
+    assert not [sensor for data in shown for sensor in data["sensors"].values() if sensor and "kind" not in sensor]
+
+
+def yaml_data(text: str) -> dict[str, Any]:
+    data = YAML(typ="safe").load(text)
+    return data if isinstance(data, dict) else {}
 
 
 def repository_files() -> list[Path]:

@@ -12,9 +12,9 @@ from fault_schedules import complaints
 AFTER_SILENCE = (
     "the IMU was silent, or its samples lay on a line; then the velocity was corrected at once and O stepped"
 )
-MEAN_RATE = "the angular velocity told was the mean since the sample before: over a long step O seemed to turn"
+MEAN_RATE = "the published angular velocity was the mean since the sample before: over a long step O seemed to rotate"
 AHEAD = (
-    "a measurement had led the state past a sample; over the next one O went on by constant twist, and did not say so"
+    "a measurement had led the state past a sample; over the next one O went on by constant twist, not reported as such"
 )
 ONCE_FAILED = {
     **dict.fromkeys((7, 17, 31, 65, 72, 73, 100, 118, 125, 128, 136, 140, 141, 145, 167, 168, 173, 181), AFTER_SILENCE),

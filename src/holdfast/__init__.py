@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from holdfast.messages import Heading as Heading
     from holdfast.messages import ImuSample as ImuSample
     from holdfast.messages import JointAngle as JointAngle
-    from holdfast.messages import LidarPose as LidarPose
+    from holdfast.messages import SensorPose as SensorPose
     from holdfast.realtime.engine import RealtimeEstimator as RealtimeEstimator
     from holdfast.state import BaseState as BaseState
     from holdfast.state import Estimate as Estimate
@@ -50,7 +50,7 @@ _PUBLIC = {
     "HoldfastError": "errors",
     "ImuSample": "messages",
     "JointAngle": "messages",
-    "LidarPose": "messages",
+    "SensorPose": "messages",
     "Output": "state",
     "RealtimeEstimator": "realtime.engine",
     "RecordingError": "errors",

@@ -2,15 +2,48 @@
 
 `stamp_ns` is the time of measurement on the sensor's clock, `arrival_ns` the time at which the recording or the live
 transport received it; both are nanoseconds since the epoch. `sensor` is the sensor's name in the configuration.
+
+A message knows its own row of numbers, `of(stamp_ns, arrival_ns, sensor, values())`, so that it can cross a border
+between processes without anyone else knowing what it holds; `WIDTH` is the length of that row.
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import ClassVar, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Row = tuple[float, ...]
+
+
+class Message(Protocol):
+    """What all measurements have; the row holds every bit of the measurement beside its times and its sensor."""
+
+    WIDTH: ClassVar[int]
+
+    @property
+    def stamp_ns(self) -> int:
+        """Return the time of measurement, on the sensor's clock."""
+
+    @property
+    def arrival_ns(self) -> int:
+        """Return the time of reception."""
+
+    @property
+    def sensor(self) -> str:
+        """Return the sensor's name in the configuration."""
+
+    def values(self) -> Row:
+        """Return the measurement as a row of `WIDTH` numbers."""
+
+    @classmethod
+    def of(cls, stamp_ns: int, arrival_ns: int, sensor: str, values: Sequence[float]) -> Self:
+        """Return the message that has a row."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,6 +60,17 @@ class ImuSample:
     sensor: str
     angular_velocity: Array
     specific_force: Array
+    WIDTH: ClassVar[int] = 6
+
+    def values(self) -> Row:
+        """Return angular velocity and specific force."""
+        return (*self.angular_velocity.tolist(), *self.specific_force.tolist())
+
+    @classmethod
+    def of(cls, stamp_ns: int, arrival_ns: int, sensor: str, values: Sequence[float]) -> Self:
+        """Return the sample that has a row."""
+        readings = np.array(values)
+        return cls(stamp_ns, arrival_ns, sensor, readings[:3], readings[3:])
 
 
 class FixStatus(IntEnum):
@@ -55,11 +99,24 @@ class GnssFix:
     altitude_m: float
     covariance: Array | None
     status: FixStatus
+    WIDTH: ClassVar[int] = 4 + 10
+
+    def values(self) -> Row:
+        """Return latitude, longitude, altitude, status and the covariance."""
+        point = self.latitude_deg, self.longitude_deg, self.altitude_m
+        return (*point, float(self.status), *_optional_row(self.covariance, 9))
+
+    @classmethod
+    def of(cls, stamp_ns: int, arrival_ns: int, sensor: str, values: Sequence[float]) -> Self:
+        """Return the fix that has a row."""
+        latitude_deg, longitude_deg, altitude_m, status = values[:4]
+        point = latitude_deg, longitude_deg, altitude_m
+        return cls(stamp_ns, arrival_ns, sensor, *point, _optional_matrix(values[4:], 3), FixStatus(int(status)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LidarPose:
-    """Pose of the lidar in the frame in which its odometry started: T_L0_L.
+class SensorPose:
+    """Pose of a sensor in the frame of whoever measured it: where an odometry started, or that of a map.
 
     Attributes:
         position: (3,) [m].
@@ -73,6 +130,17 @@ class LidarPose:
     position: Array
     quaternion: Array
     covariance: Array | None
+    WIDTH: ClassVar[int] = 7 + 37
+
+    def values(self) -> Row:
+        """Return position, quaternion and the covariance."""
+        return (*self.position.tolist(), *self.quaternion.tolist(), *_optional_row(self.covariance, 36))
+
+    @classmethod
+    def of(cls, stamp_ns: int, arrival_ns: int, sensor: str, values: Sequence[float]) -> Self:
+        """Return the pose that has a row."""
+        position, quaternion = np.array(values[:3]), np.array(values[3:7])
+        return cls(stamp_ns, arrival_ns, sensor, position, quaternion, _optional_matrix(values[7:], 6))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,6 +156,17 @@ class Heading:
     sensor: str
     yaw_rad: float
     sigma_rad: float | None
+    WIDTH: ClassVar[int] = 3
+
+    def values(self) -> Row:
+        """Return the yaw and its sigma."""
+        return (self.yaw_rad, *_optional_number(self.sigma_rad))
+
+    @classmethod
+    def of(cls, stamp_ns: int, arrival_ns: int, sensor: str, values: Sequence[float]) -> Self:
+        """Return the heading that has a row."""
+        yaw_rad, is_known, sigma_rad = values
+        return cls(stamp_ns, arrival_ns, sensor, yaw_rad, sigma_rad if is_known else None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,6 +177,78 @@ class JointAngle:
     arrival_ns: int
     sensor: str
     angle_rad: float
+    WIDTH: ClassVar[int] = 1
+
+    def values(self) -> Row:
+        """Return the angle."""
+        return (self.angle_rad,)
+
+    @classmethod
+    def of(cls, stamp_ns: int, arrival_ns: int, sensor: str, values: Sequence[float]) -> Self:
+        """Return the angle that has a row."""
+        return cls(stamp_ns, arrival_ns, sensor, values[0])
 
 
-Message = ImuSample | GnssFix | LidarPose | Heading | JointAngle
+@dataclass(frozen=True, slots=True, eq=False)
+class PointPosition:
+    """Position of a point of the machine in a Cartesian frame: what a total station says of its prism.
+
+    Attributes:
+        position: (3,) [m], in W or in the site's grid.
+        covariance: (3, 3) [m^2], or None where it is unknown.
+    """
+
+    stamp_ns: int
+    arrival_ns: int
+    sensor: str
+    position: Array
+    covariance: Array | None
+    WIDTH: ClassVar[int] = 3 + 10
+
+    def values(self) -> Row:
+        """Return the position and its covariance."""
+        return (*self.position.tolist(), *_optional_row(self.covariance, 9))
+
+    @classmethod
+    def of(cls, stamp_ns: int, arrival_ns: int, sensor: str, values: Sequence[float]) -> Self:
+        """Return the position that has a row."""
+        return cls(stamp_ns, arrival_ns, sensor, np.array(values[:3]), _optional_matrix(values[3:], 3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Height:
+    """Height of a point of the machine in W: of a laser receiver, a barometer, or a known ground.
+
+    Attributes:
+        sigma_m: standard deviation, or None where it is unknown.
+    """
+
+    stamp_ns: int
+    arrival_ns: int
+    sensor: str
+    height_m: float
+    sigma_m: float | None
+    WIDTH: ClassVar[int] = 3
+
+    def values(self) -> Row:
+        """Return the height and its sigma."""
+        return (self.height_m, *_optional_number(self.sigma_m))
+
+    @classmethod
+    def of(cls, stamp_ns: int, arrival_ns: int, sensor: str, values: Sequence[float]) -> Self:
+        """Return the height that has a row."""
+        height_m, is_known, sigma_m = values
+        return cls(stamp_ns, arrival_ns, sensor, height_m, sigma_m if is_known else None)
+
+
+def _optional_number(value: float | None) -> Row:
+    return (0.0, 0.0) if value is None else (1.0, value)
+
+
+def _optional_row(matrix: Array | None, size: int) -> Row:
+    """Return whether a matrix is there, and its `size` entries."""
+    return (0.0,) * (size + 1) if matrix is None else (1.0, *matrix.ravel().tolist())
+
+
+def _optional_matrix(row: Sequence[float], side: int) -> Array | None:
+    return np.array(row[1:]).reshape(side, side) if row[0] else None

@@ -1,4 +1,4 @@
-"""What the estimator says: estimates, optimised states, events, and trajectories made of stamped poses.
+"""What the estimator gives: estimates, optimised states, events, and trajectories made of stamped poses.
 
 Covariances use GTSAM's tangent of `NavState`: rotation [rad], position [m], velocity [m/s], each expressed in the
 body frame I; biases follow in GTSAM's order, accelerometer [m/s^2] before gyroscope [rad/s].
@@ -43,6 +43,7 @@ class Outcome(StrEnum):
     LARGE_COVARIANCE = "large_covariance"
     FROZEN = "frozen"
     BEFORE_START = "before_start"
+    NO_JOINT_ANGLE = "no_joint_angle"
     NO_PREDECESSOR = "no_predecessor"
     IGNORED = "ignored"
 
@@ -60,11 +61,13 @@ class EventKind(StrEnum):
     ESTIMATE_SUSPECT = "estimate_suspect"
     GNSS_LOST = "gnss_lost"
     GNSS_REGAINED = "gnss_regained"
-    ANTENNA_LOST = "antenna_lost"
-    ANTENNA_REGAINED = "antenna_regained"
+    RECEIVER_LOST = "receiver_lost"
+    RECEIVER_REGAINED = "receiver_regained"
     RECOVERY_REFUSED = "recovery_refused"
-    LIDAR_JUMP = "lidar_jump"
-    LIDAR_SLIP = "lidar_slip"
+    SENSOR_LOST = "sensor_lost"
+    SENSOR_REGAINED = "sensor_regained"
+    ODOMETRY_JUMP = "odometry_jump"
+    ODOMETRY_SLIP = "odometry_slip"
     HEALTH = "health"
     OPTIMISER_FAULT = "optimiser_fault"
     ENCODER = "encoder"
@@ -74,21 +77,22 @@ class EncoderState(StrEnum):
     """Whether the encoder of the turn joint can be used; if it cannot, the angle goes on by the gyroscopes."""
 
     OK = "ok"
-    ABSENT = "absent"  # it has never spoken
+    ABSENT = "absent"  # no reading has come
     LATE = "late"  # it fell silent, or what comes is too old or contradicts the gyroscopes
     FROZEN = "frozen"  # it repeats a reading although the joint turns
 
 
 class Health(StrEnum):
-    """How the estimator is, in the order in which one hides another: the first that is true is told."""
+    """How the estimator is, in the order in which one hides another: the first that is true is reported."""
 
     INITIALISING = "initialising"
     OPTIMISER_RESET = "optimiser_reset"
     IMU_GAP = "imu_gap"
     FALLBACK = "fallback"
     RECOVERING = "recovering"
-    LIDAR_LOST = "lidar_lost"
+    ODOMETRY_LOST = "odometry_lost"
     GNSS_DEGRADED = "gnss_degraded"
+    SENSOR_LOST = "sensor_lost"
     NOMINAL = "nominal"
 
 
@@ -142,7 +146,7 @@ class Estimate(NamedTuple):
     Attributes:
         nav: attitude R_W_I, position p_W_I [m] and velocity v_W [m/s].
         T_W_O: pose of the odometry frame in the world; T_O_I = T_W_O^-1 * T_W_I never jumps.
-        spread: the covariance, or what computes it when it is asked for.
+        covariance_source: the covariance, or what computes it when it is asked for.
         angular_velocity: (3,) of I, bias removed [rad/s].
         from_imu: False where the IMU was silent and a constant twist stood in for it.
     """
@@ -151,15 +155,15 @@ class Estimate(NamedTuple):
     nav: gtsam.NavState
     T_W_O: gtsam.Pose3
     bias: gtsam.imuBias.ConstantBias
-    spread: Array | Callable[[], Array]
+    covariance_source: Array | Callable[[], Array]
     angular_velocity: Array
     from_imu: bool
 
     @property
     def covariance(self) -> Array:
         """Covariance (9, 9) of nav, in the order of this module's docstring."""
-        spread = self.spread
-        return spread() if callable(spread) else spread
+        source = self.covariance_source
+        return source() if callable(source) else source
 
 
 class BaseState(NamedTuple):
@@ -187,12 +191,6 @@ class BaseState(NamedTuple):
     joint_angle_sigma_rad: float
     turn_rate_sigma_rad_s: float
     encoder: EncoderState | None
-
-    @property
-    def velocity_O(self) -> Array:
-        """Velocity (3,) of B's origin, expressed in O [m/s]."""
-        velocity: Array = self.T_O_B.rotation().rotate(self.velocity)
-        return velocity
 
 
 class Output(NamedTuple):

@@ -1,4 +1,4 @@
-"""Messages of small simulations, and what the systems say of them."""
+"""Messages of small simulations, and the outputs of the systems."""
 
 from dataclasses import replace
 from functools import cache
@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 
 from holdfast.config.load import parse_config, resolved_yaml
-from holdfast.messages import GnssFix, Heading, ImuSample, LidarPose
+from holdfast.messages import GnssFix, SensorPose
 from holdfast.recording.source import open_recording
 from holdfast.recording.subscriptions import subscriptions
 from holdfast.sim.configuration import configuration
@@ -31,7 +31,7 @@ class Recorded:
         write_recording(self.simulation, folder / "recording.mcap", False, None)
         with open_recording(folder / "recording.mcap") as recording:
             self.messages = [one for one in recording.read(subscriptions(self.config)) if one.sensor in SENSORS]
-        self.frame = scenario.sensors.imu.frame
+        self.frame = scenario.imu.frame
 
     @cache  # noqa: B019 (lives as long as the tests)
     def truth_at(self, stamp_ns):
@@ -44,7 +44,7 @@ class Recorded:
         return np.array([e.nav.position() - self.truth_at(e.stamp_ns)[0] for e in estimates])
 
 
-def said(localiser, messages):
+def outputs_of(localiser, messages):
     """Return estimates and optimised states that a system gives."""
     outputs = [localiser.process(message) for message in messages]
     return [o.estimate for o in outputs if o.estimate is not None], [o.optimised for o in outputs if o.optimised]
@@ -56,5 +56,4 @@ def later(messages, kinds, delay_ns):
     return sorted(moved, key=lambda message: message.arrival_ns)
 
 
-MEASUREMENTS = (GnssFix, Heading, LidarPose)
-__all__ = ["MEASUREMENTS", "PERFECT_LIDAR", "GnssFix", "Heading", "ImuSample", "LidarPose", "Recorded", "later", "said"]
+__all__ = ["PERFECT_LIDAR", "GnssFix", "Recorded", "SensorPose", "later", "outputs_of"]

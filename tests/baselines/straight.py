@@ -3,11 +3,11 @@
 import gtsam
 import numpy as np
 
-from holdfast.baselines.intake import AntennaFix, Measurement
+from holdfast.baselines.intake import Measurement, PositionFix
 from holdfast.baselines.propagation import Propagation, Tuning
 from holdfast.config.load import parse_config
-from holdfast.sensors.gnss import AntennaPosition
 from holdfast.sensors.preintegration import Step
+from holdfast.sensors.sensor import Position
 
 G = 9.81
 DT = 0.01
@@ -18,12 +18,13 @@ CONFIG = parse_config(
     f"""
 sensors:
   imu:
+    kind: imu
     topic: /imu
     accelerometer_noise_density: {ACCEL_DENSITY}
     gyroscope_noise_density: 1e-12
     accelerometer_random_walk: 1e-9
     gyroscope_random_walk: 1e-9
-  gnss: {{topic: /fix}}
+  gnss: {{kind: gnss, topic: /fix}}
 extrinsics:
   - {{parent: imu, child: gnss}}
 """
@@ -54,8 +55,8 @@ def step(acceleration):
 
 
 def fix(position, stamp_ns=0):
-    measured = AntennaPosition(stamp_ns, "gnss", position, R)
-    return Measurement(stamp_ns, "gnss", AntennaFix(measured, np.zeros(3)))
+    measured = Position(stamp_ns, "gnss", position, R, 0.0)
+    return Measurement(stamp_ns, "gnss", PositionFix(measured, np.zeros(3)))
 
 
 def history(seed, steps=60, every=5):

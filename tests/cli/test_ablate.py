@@ -47,6 +47,7 @@ def ablated(tmp_path_factory: pytest.TempPathFactory, scenario: Path) -> tuple[s
     return run(str(scenario), "-o", str(folder), "--seeds", "2", "--jobs", "2", *chosen), folder
 
 
+@pytest.mark.slow
 def test_the_table_on_the_screen_has_a_line_per_variation_that_fits_a_terminal(ablated: tuple[str, Path]):
     title, head, *lines = ablated[0].splitlines()
     assert "2 seeds" in title
@@ -72,7 +73,7 @@ def test_the_tables_in_files_hold_means_and_every_seed(ablated: tuple[str, Path]
         assert row["seeds"] == "2"
 
 
-def test_without_lidar_nothing_is_said_of_lidar_and_the_estimate_is_another(ablated: tuple[str, Path]):
+def test_without_lidar_no_measure_of_it_is_given_and_the_estimate_is_another(ablated: tuple[str, Path]):
     entries = json.loads((ablated[1] / "table.json").read_text(encoding="utf-8"))
     default, without = entries[0]["scores"], entries[2]["scores"]
     assert default["outage_horizontal_rms_m"] != without["outage_horizontal_rms_m"]
@@ -100,17 +101,17 @@ def test_the_default_is_the_configuration_that_goes_with_the_scenario():
 def test_the_paper_variation_is_the_preset():
     given = configuration_data(load_scenario("quick"))
     config = config_of(changed(given, VARIATIONS["paper"]), "x")
-    assert config.graph == parse_config("preset: paper\nsensors: {imu: {topic: /i}}").graph
+    assert config.graph == parse_config("preset: paper\nsensors: {imu: {kind: imu, topic: /i}}").graph
 
 
 def test_an_overlay_replaces_single_values_and_takes_sensors_away():
     given = {"a": {"b": 1, "c": {"d": 2}}, "e": {"f": 3}}
-    assert changed(given, {"a": {"c": {"d": 5}}, "e": None}) == {"a": {"b": 1, "c": {"d": 5}}, "e": None}
+    assert changed(given, {"a": {"c": {"d": 5}}, "e": None}) == {"a": {"b": 1, "c": {"d": 5}}}
     assert given == {"a": {"b": 1, "c": {"d": 2}}, "e": {"f": 3}}
 
 
 def test_the_help_names_every_variation():
-    text = " ".join(run("--help").split())
+    text = " ".join(run("--help").split()).replace("- ", "-")  # click breaks lines at hyphens
     assert [name for name in VARIATIONS if name not in text] == []
 
 
@@ -121,16 +122,16 @@ def test_every_column_is_a_measure():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "words"),
     [
         (["nowhere", "-o", "x"], "nowhere: no such scenario (allowed: clocks, construction"),
         (["quick", "-o", "x", "--only", "no-imu"], "--only no-imu: no such variation (allowed: default, paper"),
     ],
 )
-def test_mistakes_are_one_line(arguments: list[str], says: str):
+def test_mistakes_are_one_line(arguments: list[str], words: str):
     with pytest.raises(ConfigError) as caught:
         run(*arguments)
-    assert says in str(caught.value)
+    assert words in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
@@ -140,7 +141,7 @@ def test_a_folder_that_cannot_be_made_is_one_line(tmp_path: Path, scenario: Path
         run(str(scenario), "-o", str(tmp_path / "file" / "out"), "--only", "default")
 
 
-def test_a_variation_that_never_starts_is_said_beside_the_others(tmp_path: Path):
+def test_a_variation_that_never_starts_is_named_beside_the_others(tmp_path: Path):
     file = tmp_path / "blind.yaml"
     silence = "{kind: silence, sensors: [imu], start_s: 0.3, end_s: 2.0}"
     file.write_text(f"{SHORT.replace('duration_s: 9', 'duration_s: 2')}  - {silence}\n", encoding="utf-8")

@@ -16,11 +16,11 @@ sys.path.append(str(Path(__file__).parents[1] / "replay"))
 
 from small_drive import config_text, holdfast, make_rows, write_config, write_csv
 
+from holdfast.bench import replay as benchmark
+from holdfast.bench.replay import RATIOS, Job, compare, make_baseline, measure, measure_floor, read_baseline
 from holdfast.config.load import load_config, parse_config
 from holdfast.errors import EstimatorError
 from holdfast.recording.subscriptions import subscriptions
-from holdfast.replay import benchmark
-from holdfast.replay.benchmark import RATIOS, Job, compare, make_baseline, measure, measure_floor, read_baseline
 
 SECONDS = 4.0
 COMMITTED = Path(__file__).parents[2] / "benchmarks" / "baseline.json"
@@ -135,7 +135,7 @@ def test_peak_memory_is_that_of_the_run_alone(drive, config):
     assert ballast[-1] == 1.0
 
 
-def test_progress_is_told_and_errors_come_back_from_the_process(drive, config):
+def test_progress_is_reported_and_errors_come_back_from_the_process(drive, config):
     arrivals = []
     with pytest.raises(EstimatorError, match="never started"):
         measure(job_of(drive, config, duration_s=0.5), arrivals.append)
@@ -247,8 +247,8 @@ def test_the_committed_baseline_serves_the_default_recording():
     (("--recording", "DRIVE", "-c", "CONFIG", "--duration", "0.5"), 4, "never started"),
 ])  # fmt: skip
 def test_a_mistake_ends_in_one_line_and_a_code(drive, config, arguments, code, words):
-    places = {"DRIVE": drive, "CONFIG": config}
-    done = holdfast("bench", *(places.get(argument, argument) for argument in arguments))
+    paths = {"DRIVE": drive, "CONFIG": config}
+    done = holdfast("bench", *(paths.get(argument, argument) for argument in arguments))
     assert (done.code, len(done.err.splitlines())) == (code, 1), done.err
     assert words in done.err
 
@@ -256,7 +256,7 @@ def test_a_mistake_ends_in_one_line_and_a_code(drive, config, arguments, code, w
 def test_the_drive_in_the_wheel_needs_no_configuration():
     from holdfast.cli.bench import _configuration
 
-    assert _configuration("kitti", None).sensors.imu.topic == "/imu"
+    assert _configuration("kitti", None).imu.topic == "/imu"
     assert _configuration("kitti", None) != parse_config(config_text())
 
 

@@ -33,9 +33,9 @@ def work(**_: object) -> None:
     ],
 )
 def test_a_command_comes_back_as_it_was_typed(typed: str):
-    said = CliRunner().invoke(tool, shlex.split(typed), prog_name="tool", catch_exceptions=False).output
-    assert said.strip() == f"tool {typed}"
-    assert said == CliRunner().invoke(tool, shlex.split(said)[1:], prog_name="tool").output
+    printed = CliRunner().invoke(tool, shlex.split(typed), prog_name="tool", catch_exceptions=False).output
+    assert printed.strip() == f"tool {typed}"
+    assert printed == CliRunner().invoke(tool, shlex.split(printed)[1:], prog_name="tool").output
 
 
 def test_what_was_left_at_its_default_is_left_out():

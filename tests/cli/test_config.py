@@ -1,6 +1,7 @@
 """`holdfast config`: what it prints, where to and with which exit code; what a configuration asks of a recording."""
 
 import json
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -9,18 +10,16 @@ import pytest
 
 from holdfast.cli import main
 from holdfast.config.load import load_config, parse_config
-from holdfast.config.model import Config
-from holdfast.config.schema import place
 from holdfast.recording import source
 from holdfast.recording.source import Subscription, TopicInfo
-from holdfast.recording.subscriptions import KINDS, subscriptions
+from holdfast.recording.subscriptions import subscriptions
 
 MACHINE = """\
 sensors:
-  imu: {topic: /imu}
-  gnss: {topic: /gnss}
-  heading: {topic: /heading}
-  joint: {topic: /joints, joint_name: swing}
+  imu: {kind: imu, topic: /imu}
+  gnss: {kind: gnss, topic: /gnss}
+  heading: {kind: heading, topic: /heading}
+  joint: {kind: joint, topic: /joints, joint_name: swing}
 extrinsics: [{parent: imu, child: gnss, translation_m: [3, 0, 4]}]
 frames: {datum: {latitude_deg: 47.5, longitude_deg: 8.5, altitude_m: 480}}
 """
@@ -136,7 +135,7 @@ def test_init_without_a_file_prints_the_configuration_and_nothing_else(
     record(IMU, FIX)
     code, out, _ = run("init", "drive.bag")
     assert code == 0
-    assert parse_config(out).sensors.imu.topic == "/imu/data"
+    assert parse_config(out).imu.topic == "/imu/data"
 
 
 def test_init_overwrites_only_by_force(run: Run, record: Callable[..., FakeRecording], tmp_path: Path) -> None:
@@ -147,7 +146,7 @@ def test_init_overwrites_only_by_force(run: Run, record: Callable[..., FakeRecor
     assert (code, file.read_text()) == (2, "precious")
     assert err == f"error: {file}: exists already: give another name, or --force to overwrite it\n"
     assert run("init", "drive.bag", "-o", file, "--force")[0] == 0
-    assert load_config(file).sensors.imu.topic == "/imu/data"
+    assert load_config(file).imu.topic == "/imu/data"
 
 
 def test_init_where_nothing_can_be_written_is_a_usage_mistake(
@@ -183,14 +182,91 @@ def test_every_configured_sensor_is_subscribed_under_its_name() -> None:
     ]
 
 
-def test_every_sensor_of_the_model_has_a_kind() -> None:
-    sensors = place(("sensors",))
-    assert sensors is not None
-    assert {child.section for _, child in sensors.children()} == set(KINDS)
+def test_sensors_of_one_kind_are_subscribed_each_under_its_name_and_a_constraint_is_not() -> None:
+    more = "  mast: {kind: gnss, topic: /right, frame: right}\n  slip: {kind: nonholonomic, frame: imu}\n  heading:"
+    text = MACHINE.replace("  heading:", more).replace("extrinsics: [", "extrinsics: [{parent: imu, child: right}, ")
+    found = {one.sensor: one for one in subscriptions(parse_config(text))}
+    assert found.keys() == {"imu", "gnss", "mast", "heading", "joint"}
+    assert found["mast"] == Subscription(topic="/right", sensor="mast", kind="gnss")
 
 
-def test_both_antennas_are_subscribed_as_gnss() -> None:
-    text = MACHINE.replace("  heading:", "  gnss_right: {topic: /right, frame: right}\n  heading:")
-    text = text.replace("extrinsics: [", "extrinsics: [{parent: imu, child: right}, ")
-    config: Config = parse_config(text)
-    assert Subscription(topic="/right", sensor="gnss_right", kind="gnss") in subscriptions(config)
+OLD = """\
+# my machine
+sensors:
+  imu: {topic: /imu}   # the good one
+  lidar:
+    # below the roof
+    topic: /icp
+  gnss:
+extrinsics: [{parent: imu, child: lidar}]
+graph: {main_lidar: relative}
+gate:
+  witness: false
+"""
+NEW = """\
+# my machine
+sensors:
+  imu: {kind: imu, topic: /imu}   # the good one
+  lidar:
+    # below the roof
+    kind: odometry
+    topic: /icp
+extrinsics: [{parent: imu, child: lidar}]
+graph: {main_odometry: relative}
+gate:
+  drift_monitor: false
+"""
+
+
+@pytest.fixture
+def old(tmp_path: Path) -> Path:
+    file = tmp_path / "old.yaml"
+    file.write_text(OLD)
+    return file
+
+
+def test_upgrade_prints_the_file_in_the_form_of_now_and_reports_every_change(run: Run, old: Path) -> None:
+    code, out, err = run("upgrade", old)
+    assert (code, out, old.read_text()) == (0, NEW, OLD)
+    assert err.splitlines() == [
+        f"{old}: sensors.imu: now `kind: imu`",
+        f"{old}: sensors.lidar: now `kind: odometry`",
+        f"{old}: sensors.gnss: now `left out`",
+        f"{old}: graph.main_lidar: now `main_odometry`",
+        f"{old}: gate.witness: now `drift_monitor`",
+    ]
+
+
+def test_upgrade_writes_where_it_is_told_and_overwrites_only_by_force(run: Run, old: Path, tmp_path: Path) -> None:
+    new = tmp_path / "new.yaml"
+    assert run("upgrade", old, "-o", new)[:2] == (0, "")
+    assert new.read_text() == NEW
+    assert run("upgrade", old, "-o", new)[0] == 2
+    assert run("upgrade", old, "-o", new, "--force")[0] == 0
+    assert run("upgrade", old, "-o", new, "--in-place")[0] == 2
+    assert old.read_text() == OLD
+    assert run("upgrade", old, "--in-place")[0] == 0
+    assert old.read_text() == NEW
+
+
+def test_upgrade_leaves_a_file_of_the_form_of_now_as_it_is(run: Run, old: Path) -> None:
+    old.write_text(NEW)
+    code, out, err = run("upgrade", old)
+    assert (code, out) == (0, NEW)
+    assert err == f"{old}: is of the form of now, nothing to change\n"
+
+
+def test_upgrade_of_a_file_with_mistakes_lists_them(run: Run, old: Path) -> None:
+    old.write_text(OLD.replace("topic: /icp", "topik: /icp"))
+    code, out, err = run("upgrade", old)
+    assert (code, out) == (2, "")
+    assert f"error: {old}:6 sensors.lidar.topik: unknown key, did you mean topic?" in err
+
+
+def test_an_old_file_is_one_clean_line_of_warning_in_every_command(old: Path) -> None:
+    command = [sys.executable, "-c", "from holdfast.cli import main; main()", "config", "check", str(old)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stderr == (
+        f"warning: {old}: is of the old form (sensors.imu: now `kind: imu`); "
+        f"`holdfast config upgrade {old}` rewrites it\n"
+    )

@@ -98,7 +98,7 @@ def test_the_plot_is_written(holdfast, tracks):
     assert code == 0 and (tracks / "figure.png").stat().st_size > 20_000
 
 
-def test_a_reference_without_orientation_is_said_to_have_none(holdfast):
+def test_a_reference_without_orientation_is_reported_to_have_none(holdfast):
     _, output, _ = holdfast("estimate.tum", "reference.tum", "--position-only", "--reference-lever-arm", "0", "0", "1")
     assert "positions only" in output and "rotation" not in output
     assert row(output, "up [m]")[2] == "1.0000"

@@ -95,6 +95,7 @@ def test_the_drive_in_the_gtsam_wheel_shows_its_eight_hidden_drop_outs() -> None
     assert imu["longest_line_s"] == pytest.approx(1.65, abs=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not DATA.exists(), reason="the recordings are not beside this checkout")
 def test_the_traps_of_the_real_recordings_are_found() -> None:
     kitti = json.loads(info(DATA / "kitti_00" / "bag", "--json").stdout)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-sys.path.append(str(Path(__file__).parents[1] / "replay"))
+sys.path += [str(Path(__file__).parents[1] / room) for room in ("replay", "recording")]
 
 from bags import HUMBLE, write_bag
 from small_drive import (
@@ -283,8 +283,8 @@ def test_gnss_without_a_fix_throughout_ends_with_the_reason(rows, tmp_path):
     drive = write_csv(tmp_path / "csv", lost)
     config = write_config(tmp_path / "config.yaml", datum=False)
     done = run_command(drive, "-c", config, "-o", tmp_path / "out")
-    assert_one_error(done, 4, drive, "never started", "no usable GNSS fix")
-    assert_outputs_say_why(tmp_path / "out", "no usable GNSS fix")
+    assert_one_error(done, 4, drive, "never started", "no usable position")
+    assert_outputs_say_why(tmp_path / "out", "no usable position")
     assert summary(tmp_path / "out")["counts"]["gnss"] == {"low_status": len(rows.gnss)}
     assert {event["reason"] for event in events(tmp_path / "out")} == {"low_status"}
 
@@ -294,8 +294,8 @@ def test_gnss_that_is_absent_is_the_reason_with_a_datum_too(rows, tmp_path, how)
     bad = [(at, arrival, (*v[:3], -1, *v[4:])) for at, arrival, v in rows.gnss] if how == "no fix" else []
     drive = write_csv(tmp_path / "csv", replace(rows, gnss=bad))
     done = holdfast("replay", drive, "-c", write_config(tmp_path / "config.yaml"), "-o", tmp_path / "out")
-    assert_one_error(done, 4, drive, "never started", "GNSS fix")
-    assert_outputs_say_why(tmp_path / "out", "GNSS fix")
+    assert_one_error(done, 4, drive, "never started", "no usable position")
+    assert_outputs_say_why(tmp_path / "out", "no usable position")
 
 
 def test_an_accelerometer_in_g_is_guessed(rows, tmp_path):

@@ -88,7 +88,7 @@ def test_the_truth_stands_at_the_rate_of_the_imu(quick: Path):
 
 
 def test_replay_and_evaluate_run_on_it_end_to_end(quick: Path, tmp_path: Path):
-    assert load_config(quick / "config.yaml").sensors.gnss_right is not None
+    assert load_config(quick / "config.yaml").sensors["gnss_right"].kind == "gnss"
     run("replay", str(quick / "recording.mcap"), "-c", str(quick / "config.yaml"), "-o", str(tmp_path))
     verdict = tmp_path / "verdict.json"
     run("evaluate", str(tmp_path / "imu_in_world.tum"), str(quick / "truth/imu_in_world.tum"), "--json", str(verdict))
@@ -98,27 +98,32 @@ def test_replay_and_evaluate_run_on_it_end_to_end(quick: Path, tmp_path: Path):
     assert whole["ape"]["yaw_deg"]["rms"] < 1.0
 
 
-def test_readme_and_settings_tell_what_was_done(quick: Path):
+def test_readme_and_settings_describe_what_was_done(quick: Path):
     text = (quick / "README.md").read_text()
     assert f"holdfast simulate quick -o {quick.name} --seed 3 --scans" in text
     assert "12 to 16 s: outage of gnss, gnss_right, heading (no messages)" in text
     assert "| `/imu/data` | 2000 |" in text
+    constants = (quick / "truth/constants.csv").read_text().splitlines()
+    assert constants[0] == "sensor,constant,value"
+    sensor, constant, value = constants[1].split(",")
+    assert (sensor, constant) == ("joint", "zero_offset_rad")
+    assert f"- zero_offset_rad of joint: {float(value):.6f}" in text
     run("simulate", str(quick / "scenario.yaml"), "-o", str(quick / "again"), "--seed", "3", "--duration", "2")
     assert (quick / "plan.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "report"),
     [
         (("nonsense", "-o", "x"), "nonsense: no such scenario (allowed: clocks, construction"),
         (("quick", "-o", "x", "--duration", "0"), "--duration 0: must be > 1"),
         (("nowhere.yaml", "-o", "x"), "nowhere.yaml: no such file (shipped are clocks"),
     ],
 )
-def test_a_mistake_gets_one_line(arguments: tuple[str, ...], said: str):
+def test_a_mistake_gets_one_line(arguments: tuple[str, ...], report: str):
     with pytest.raises(ConfigError, match=r"^[^\n]*$") as caught:
         CliRunner().invoke(holdfast, ["simulate", *arguments], catch_exceptions=False, standalone_mode=False)
-    assert said in str(caught.value)
+    assert report in str(caught.value)
 
 
 def test_an_output_that_is_a_file_gets_one_line(tmp_path: Path):

@@ -7,9 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from holdfast.config.extrinsics import Extrinsic
+from holdfast.config.kinds import KINDS
 from holdfast.config.load import parse_config
+from holdfast.config.model import Config
 from holdfast.config.reference import COMMAND, editor_schema, reference_tables, with_tables
-from holdfast.config.schema import ROOT, place
+from holdfast.config.schema import ROOT
+from holdfast.config.sensors import RobustLoss
 
 PAGE = Path(__file__).parents[2] / "docs" / "configuration.md"
 
@@ -36,20 +40,23 @@ def test_a_page_without_the_markers_is_refused() -> None:
 
 def test_every_key_of_every_section_has_a_row_with_as_many_cells_as_the_head() -> None:
     tables = reference_tables()
-    for path in ((), ("sensors",), ("sensors", "imu"), ("sensors", "lidar", "robust_loss"), ("extrinsics", 0)):
-        at = place(path)
-        assert at is not None
-        for name, _ in at.children():
+    for section in (Config, RobustLoss, Extrinsic, *KINDS.values()):
+        for name in section.model_fields:
             assert f"\n| `{name}` |" in tables
     rows = [line for line in tables.splitlines() if line.startswith("|")]
     assert {len(re.findall(r"(?<!\\)\|", row)) for row in rows} == {7}
+
+
+def test_every_kind_of_sensor_has_a_heading_of_its_own() -> None:
+    headings = [line for line in reference_tables().splitlines() if line.startswith("### `sensors.")]
+    assert [f"### `sensors.<{kind}>`" for kind in KINDS] == [h for h in headings if "robust_loss" not in h]
 
 
 def test_the_example_on_the_page_loads_and_its_faults_are_those_of_the_loader() -> None:
     page = PAGE.read_text(encoding="utf-8")
     example = re.search(r"```yaml\n(.*?)```", page, re.DOTALL)
     assert example is not None
-    assert parse_config(example[1]).sensors.gnss is not None
+    assert parse_config(example[1]).sensors.keys() == {"imu", "gnss"}
 
 
 def test_the_schema_names_units_and_allows_quantities_and_bare_headings() -> None:

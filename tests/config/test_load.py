@@ -9,22 +9,23 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from pydantic import BaseModel
 
+from holdfast.config.kinds import AnySensor
 from holdfast.config.load import load_config, parse_config, resolved_yaml
 from holdfast.config.model import Config
 from holdfast.config.schema import ROOT, Place, type_text
+from holdfast.config.sensors import GnssConfig, OdometryConfig
 from holdfast.errors import ConfigError
 
-MINIMAL = "sensors:\n  imu:\n    topic: /imu\n"
+MINIMAL = "sensors:\n  imu:\n    kind: imu\n    topic: /imu\n"
 FULL = """\
 sensors:
-  imu: {topic: /imu}
-  gnss: {topic: /gnss}
-  gnss_right: {topic: /gnss2, frame: right}
-  lidar: {topic: /lidar}
-  heading: {topic: /heading}
-  joint: {topic: /joint}
+  imu: {kind: imu, topic: /imu}
+  gnss: {kind: gnss, topic: /gnss}
+  gnss_right: {kind: gnss, topic: /gnss2, frame: right}
+  lidar: {kind: odometry, topic: /lidar}
+  heading: {kind: heading, topic: /heading}
+  joint: {kind: joint, topic: /joint}
 extrinsics:
   - {parent: imu, child: gnss, translation_m: [1, 2, 3], rotation_rpy_deg: [0, 0, 90]}
   - {parent: gnss, child: lidar}
@@ -45,7 +46,7 @@ def imu(*lines: str) -> str:
 
 def test_two_lines_are_a_configuration_and_everything_else_has_a_default() -> None:
     config = parse_config(MINIMAL)
-    assert config == Config.model_validate({"sensors": {"imu": {"topic": "/imu"}}})
+    assert config == Config.model_validate({"sensors": {"imu": {"kind": "imu", "topic": "/imu"}}})
 
 
 @pytest.mark.parametrize(
@@ -64,49 +65,57 @@ def test_two_lines_are_a_configuration_and_everything_else_has_a_default() -> No
         (f"max_gap_s: {'9' * 400}", "max_gap_s = .inf: must be finite [s]"),
         ("frame: 7", "frame = 7: must be text: put it in quotes"),
         ("max_gap_s: !seconds 1", "max_gap_s: tag !seconds is not supported"),
-        ("max_gap_s: 1\n    max_gap_s: 0.5", "max_gap_s: is given twice (first in line 4)"),
+        ("max_gap_s: 1\n    max_gap_s: 0.5", "max_gap_s: is given twice (first in line 5)"),
     ],
 )
 def test_a_wrong_line_is_named_with_its_place_and_what_is_allowed(line: str, fault: str) -> None:
-    number = 4 + line.count("\n")
+    number = 5 + line.count("\n")
     assert faults(imu(line)) == [f"f.yaml:{number} sensors.imu.{fault}"]
 
 
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ("sensors:\n  imu: {}\n", "2 sensors.imu.topic: missing, must be text: topic in the recording, or the CSV"),
-        ("sensors:\n  imu:\n", "2 sensors.imu.topic: missing"),
-        ("sensors:\n", "1 sensors.imu: missing, must be a section: An inertial measurement unit"),
-        ("graph: {lag_s: 3}\n", "1 sensors: missing, must be a section"),
         (
-            MINIMAL + "  gnss: {topic: /g, min_status: rtk}\n",
-            '4 sensors.gnss.min_status = "rtk": must be one of fix, s',
+            "sensors:\n  imu: {kind: imu}\n",
+            "2 sensors.imu.topic: missing, must be text: topic in the rec",
         ),
-        (MINIMAL + "  gnss: {topic: ''}\n", '4 sensors.gnss.topic = "": must not be empty'),
-        (MINIMAL + "  gnss: /fix\n", '4 sensors.gnss = "/fix": must be a section with `key: value` lines'),
-        (MINIMAL + "  sonar: {}\n", "4 sensors.sonar: unknown key, allowed are imu, gnss, gnss_right, lidar, heading"),
-        (MINIMAL + "graph: fast\n", '4 graph = "fast": must be a section'),
-        (MINIMAL + "standstill: {enabled: off}\n", '4 standstill.enabled = "off": must be true or false: YAML 1.2'),
-        (MINIMAL + "extrinsics: {a: b}\n", '4 extrinsics = {"a": "b"}: must be a list of sections'),
+        ("sensors:\n  imu:\n", "2 sensors.imu.topic: missing"),
+        ("sensors:\n  front:\n", "2 sensors.front: must be a section with `kind:` and more"),
+        ("sensors:\n  imu: {kind: imuu}\n", '2 sensors.imu: kind = "imuu": did you mean imu? must be one of imu, gnss'),
+        ("sensors:\n", "1 sensors = null: must be names, each with a section"),
+        ("graph: {lag_s: 3}\n", "1 sensors: missing, must be names, each with a section"),
+        (
+            MINIMAL + "  gnss: {kind: gnss, topic: /g, min_status: rtk}\n",
+            '5 sensors.gnss.min_status = "rtk": must be one of fix, s',
+        ),
+        (MINIMAL + "  gnss: {kind: gnss, topic: ''}\n", '5 sensors.gnss.topic = "": must not be empty'),
+        (MINIMAL + "  gnss: /fix\n", "5 sensors.gnss: must be a section with `kind:` and more (allowed: imu, gnss"),
+        (
+            MINIMAL + "  sonar: {}\n",
+            "5 sensors.sonar: kind: missing, must be one of imu, gnss, heading",
+        ),
+        (MINIMAL + "graph: fast\n", '5 graph = "fast": must be a section'),
+        (MINIMAL + "standstill: {enabled: off}\n", '5 standstill.enabled = "off": must be true or false: YAML 1.2'),
+        (MINIMAL + "extrinsics: {a: b}\n", '5 extrinsics = {"a": "b"}: must be a list of sections'),
         (
             MINIMAL + "extrinsics:\n- parent: a\n  child: b\n  translation_m: [1, 2]\n",
-            "7 extrinsics[0].translation_m = [1, 2]: must have 3 entries",
+            "8 extrinsics[0].translation_m = [1, 2]: must have 3 entries",
         ),
         (
             MINIMAL + "extrinsics:\n- parent: a\n  child: b\n  translation_m: [1, 2, 3, 4]\n",
-            "7 extrinsics[0].translation_m = [1, 2, 3, 4]: must have 3 entries",
+            "8 extrinsics[0].translation_m = [1, 2, 3, 4]: must have 3 entries",
         ),
         (
             MINIMAL + "extrinsics:\n- parent: a\n  child: b\n  translation_m:\n  - 1\n  - 2\n  - x\n",
-            '10 extrinsics[0].translation_m[2] = "x": must be a number',
+            '11 extrinsics[0].translation_m[2] = "x": must be a number',
         ),
         (
             MINIMAL + "extrinsics:\n- parent: a\n  child: b\n  rotation_matrix: [[1,0,0],[0,1,0],[0,0,2]]\n",
-            "7 extrinsics[0]: rotation_matrix is not a rotation",
+            "8 extrinsics[0]: rotation_matrix is not a rotation",
         ),
         (
-            MINIMAL + "  lidar: {topic: /l}\nextrinsics: []\n",
+            MINIMAL + "  lidar: {kind: odometry, topic: /l}\nextrinsics: []\n",
             "no transforms lead from 'imu' to 'lidar'",
         ),
     ],
@@ -123,20 +132,20 @@ def test_all_faults_come_at_once_in_the_order_of_the_file() -> None:
         imu("max_gap_s: x", "topick: /x", "gyroscope_range: {value: 1, unit: kg}") + "graph: {lag_s: 0, nodes: all}\n"
     )
     assert [line.split(" ")[0] + " " + line.split(" ")[1].rstrip(":") for line in faults(text)] == [
-        "f.yaml:4 sensors.imu.max_gap_s",
-        "f.yaml:5 sensors.imu.topick",
-        "f.yaml:6 sensors.imu.gyroscope_range.unit",
-        "f.yaml:7 graph.lag_s",
-        "f.yaml:7 graph.nodes",
+        "f.yaml:5 sensors.imu.max_gap_s",
+        "f.yaml:6 sensors.imu.topick",
+        "f.yaml:7 sensors.imu.gyroscope_range.unit",
+        "f.yaml:8 graph.lag_s",
+        "f.yaml:8 graph.nodes",
     ]
 
 
 def test_numbers_are_read_as_yaml_1_2_reads_them() -> None:
     config = parse_config(imu("max_gap_s: 1e-2", "time_offset_s: 010", "accelerometer_range: 2.5e+1", "frame: on"))
-    assert config.sensors.imu.max_gap_s == 0.01
-    assert config.sensors.imu.time_offset_s == 10.0
-    assert config.sensors.imu.accelerometer_range == 25.0
-    assert config.sensors.imu.frame == "on"
+    assert config.imu.max_gap_s == 0.01
+    assert config.imu.time_offset_s == 10.0
+    assert config.imu.accelerometer_range == 25.0
+    assert config.imu.frame == "on"
 
 
 @pytest.mark.parametrize(
@@ -154,7 +163,7 @@ def test_numbers_are_read_as_yaml_1_2_reads_them() -> None:
 )
 def test_a_quantity_is_converted_to_the_unit_of_its_field(line: str, field: str, expected: float) -> None:
     config = parse_config(imu(f"{field}: {line}"))
-    assert getattr(config.sensors.imu, field) == pytest.approx(expected, rel=1e-12)
+    assert getattr(config.imu, field) == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -172,22 +181,23 @@ def test_a_quantity_is_converted_to_the_unit_of_its_field(line: str, field: str,
 def test_a_quantity_that_cannot_be_is_refused_once_with_the_units_that_can(line: str, fault: str) -> None:
     found = faults(imu(f"gyroscope_noise_density: {line}"))
     assert len(found) == 1
-    assert found[0].startswith(f"f.yaml:4 sensors.imu.gyroscope_noise_density{fault}")
+    assert found[0].startswith(f"f.yaml:5 sensors.imu.gyroscope_noise_density{fault}")
 
 
 def test_anchors_serve_repeated_values_and_may_be_used_again() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         config = parse_config(imu("max_gap_s: &a 0.1", "time_offset_s: &a 0.2", "accelerometer_bias_sigma: *a"))
-    assert config.sensors.imu.accelerometer_bias_sigma == 0.2
+    assert config.imu.accelerometer_bias_sigma == 0.2
 
 
 def test_a_section_in_part_keeps_the_defaults_of_its_place_and_a_bare_heading_keeps_them_all() -> None:
     text = (
         MINIMAL
-        + "  lidar:\n    topic: /l\n    robust_loss: {threshold: 4}\nextrinsics: [{parent: imu, child: lidar}]\n"
+        + "  lidar:\n    kind: odometry\n    topic: /l\n    robust_loss: {threshold: 4}\n"
+        + "extrinsics: [{parent: imu, child: lidar}]\n"
     )
-    loss = parse_config(text + "graph:\n").sensors.lidar.robust_loss  # type: ignore[union-attr]
+    loss = parse_config(text + "graph:\n").sensors_of(OdometryConfig)["lidar"].robust_loss
     assert (loss.kind, loss.threshold) == ("huber", 4.0)
     assert parse_config(text + "graph:\n") == parse_config(text)
 
@@ -243,8 +253,12 @@ def test_a_file_with_a_byte_order_mark_and_windows_lines_is_read(tmp_path: Path)
 
 
 def numeric_fields(at: Place, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
-    for name, child in at.children():
-        if child.section is not None:
+    for kind, section in at.kinds.items():
+        yield from numeric_fields(Place(section, None), (*path, kind))
+    for name, child in () if at.kinds else at.children():
+        if name == "sensors":
+            yield from numeric_fields(Place(AnySensor, None), (*path, name))
+        elif child.section is not None:
             yield from numeric_fields(child, (*path, name))
         elif type_text(child.annotation) == "number":
             yield (*path, name)
@@ -262,6 +276,13 @@ SCALARS = st.one_of(
 )
 
 
+def machine_with(kind: str) -> str:
+    """What a sensor of a kind, and of its name, needs beside its own keys."""
+    imu = "" if kind == "imu" else "  main: {kind: imu, topic: /i}\n"
+    parent = "base_link" if kind == "base_imu" else "main"
+    return f"    kind: {kind}\n{imu}extrinsics: [{{parent: {parent}, child: {kind}}}]\n"
+
+
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.sampled_from(FIELDS), SCALARS)
 def test_any_scalar_at_any_number_loads_or_is_named_with_place_and_line(path: tuple[str, ...], scalar: str) -> None:
@@ -269,16 +290,17 @@ def test_any_scalar_at_any_number_loads_or_is_named_with_place_and_line(path: tu
     indent = "  " * (len(path) - 1)
     text = f"{parents}{indent}{path[-1]}: {scalar}\n"
     line = len(path)
+    rest = indent + "topic: /t\n" + (machine_with(path[1]) if path[0] == "sensors" else "")
     try:
-        parse_config(text + indent + "topic: /t\n", "f.yaml")
+        parse_config(text + rest, "f.yaml")
     except ConfigError as error:
         lines = str(error).splitlines()
         syntax = re.match(rf"f.yaml:({line}|{line + 1}):\d+ is not YAML", lines[0]) or f"from line {line})" in lines[0]
-        missing = [fault for fault in lines if ": missing" in fault or "topic: unknown key" in fault]
+        missing = [fault for fault in lines if ": missing" in fault or "topic" in fault]
         own = [fault for fault in lines if fault.startswith(f"f.yaml:{line} {'.'.join(path)}")]
         assert syntax or own or len(missing) == len(lines), str(error)
     else:
-        assert path[:2] == ("sensors", "imu")
+        assert path[0] == "sensors"
 
 
 @settings(max_examples=150, deadline=None)
@@ -309,7 +331,7 @@ def test_the_resolved_file_reads_back_as_the_same_configuration() -> None:
 @given(st.text(max_size=20).filter(lambda text: text.strip() != ""))
 @settings(max_examples=100, deadline=None)
 def test_any_name_survives_the_resolved_file(name: str) -> None:
-    config = Config.model_validate({"sensors": {"imu": {"topic": name}}})
+    config = Config.model_validate({"sensors": {"imu": {"kind": "imu", "topic": name}}})
     assert parse_config(resolved_yaml(config)) == config
 
 
@@ -321,38 +343,38 @@ def test_a_validator_may_name_several_places_one_per_line(monkeypatch: pytest.Mo
     document = read_document(MINIMAL + "graph:\n  lag_s: 2\n", "f.yaml")
     module._note_validator(document, ROOT, (), "graph.lag_s: too short\nsensors.imu: too few\nwhat the sensors say")
     assert [(fault.line, fault.where, fault.what) for fault in document.faults] == [
-        (5, "graph.lag_s", "too short"),
+        (6, "graph.lag_s", "too short"),
         (2, "sensors.imu", "too few"),
         (1, "", "what the sensors say"),
     ]
 
 
 def test_two_antennas_in_one_frame_are_refused() -> None:
-    text = MINIMAL + "  gnss: {topic: /g}\n  gnss_right: {topic: /r}\nextrinsics: [{parent: imu, child: gnss}]\n"
-    (found,) = faults(text)
-    assert found.endswith("sensors.gnss_right.frame: two antennas cannot share one frame")
+    antennas = "  left: {kind: gnss, topic: /g, frame: mast}\n  right: {kind: gnss, topic: /r, frame: mast}\n"
+    (found,) = faults(MINIMAL + antennas + "extrinsics: [{parent: imu, child: mast}]\n")
+    assert found == "f.yaml:6 sensors.right.frame: is that of left: two antennas cannot share one frame"
 
 
 def test_every_frame_that_cannot_be_reached_is_said_on_its_own_line() -> None:
-    found = faults(MINIMAL + "  gnss: {topic: /g}\n  lidar: {topic: /l}\n")
+    found = faults(MINIMAL + "  gnss: {kind: gnss, topic: /g}\n  lidar: {kind: odometry, topic: /l}\n")
     assert [line.split(": ")[0].split()[-1] for line in found] == ["sensors.gnss.frame", "sensors.lidar.frame"]
     assert all("no transforms lead from 'imu'" in line for line in found)
 
 
 def test_every_section_of_the_model_is_reached_by_the_walk() -> None:
-    def models(section: type[BaseModel]) -> Iterator[type[BaseModel]]:
-        yield section
-        for _, child in Place(section, None).children():
-            for at in (child, child.child(0)):
-                if at is not None and at.section is not None:
-                    yield from models(at.section)
+    def models(at: Place) -> Iterator[str]:
+        for section in at.kinds.values() or filter(None, [at.section]):
+            yield section.__name__
+            for _, child in Place(section, None).children():
+                yield from models(child)
+        if (entry := at.child(0)) is not None:
+            yield from models(entry)
 
-    names = {model.__name__ for model in models(Config)}
-    assert names == set(Config.model_json_schema()["$defs"]) | {"Config"}
+    assert set(models(ROOT)) == set(Config.model_json_schema()["$defs"]) | {"Config"}
 
 
 def test_a_list_of_three_sigmas_is_three_numbers() -> None:
     """Once refused: a validator that rebuilt the section took the lists of the file for no tuples."""
-    text = "sensors:\n  imu: {topic: /imu}\n  gnss: {topic: /g, frame: imu, default_sigma_m: [1, 1, 2]}\n"
-    gnss = parse_config(text).sensors.gnss
-    assert gnss is not None and gnss.default_sigma_m == (1, 1, 2)
+    text = MINIMAL + "  gnss: {kind: gnss, topic: /g, frame: imu, default_sigma_m: [1, 1, 2]}\n"
+    gnss = parse_config(text).sensors_of(GnssConfig)["gnss"]
+    assert gnss.default_sigma_m == (1, 1, 2)

@@ -7,13 +7,14 @@ import pytest
 from holdfast.config.document import yaml_text
 from holdfast.config.load import parse_config, resolved_yaml
 from holdfast.config.presets import PRESETS
+from holdfast.config.sensors import GnssConfig
 from holdfast.errors import ConfigError
 
 SENSORS = """\
 sensors:
-  imu: {topic: /imu}
-  gnss: {topic: /left, frame: left}
-  gnss_right: {topic: /right, frame: right}
+  imu: {kind: imu, topic: /imu}
+  gnss: {kind: gnss, topic: /left, frame: left}
+  gnss_right: {kind: gnss, topic: /right, frame: right}
 extrinsics:
   - {parent: imu, child: left, translation_m: [0, 1, 0]}
   - {parent: imu, child: right, translation_m: [0, -1, 0]}
@@ -33,22 +34,26 @@ def test_the_default_preset_is_ours_and_says_nothing_that_the_model_does_not() -
 
 def test_the_paper_preset_has_the_rules_of_the_paper() -> None:
     config = parse_config("preset: paper\n" + SENSORS)
-    assert (config.graph.nodes, config.graph.main_lidar, config.graph.fallback_lidar) == ("imu", "relative", "frozen")
+    assert (config.graph.nodes, config.graph.main_odometry, config.graph.fallback_odometry) == (
+        "imu",
+        "relative",
+        "frozen",
+    )
     assert config.graph.dual
     assert config.graph.lag_s == 6.0
     assert config.frames.odometry_policy == "at_recovery"
-    assert not (config.gate.innovation or config.gate.baseline or config.gate.witness)
+    assert not (config.gate.innovation or config.gate.baseline or config.gate.drift_monitor)
     assert (config.gate.lose_after, config.gate.regain_after) == (20, 20)
     assert config.gate.max_speed_m_s * 0.05 == pytest.approx(0.3)  # metres from fix to fix at 20 Hz
-    for antenna in config.sensors.antennas().values():
+    for antenna in config.sensors_of(GnssConfig).values():
         assert antenna.max_sigma_m**2 == pytest.approx(0.1, rel=2e-3)
 
 
 def test_the_paper_preset_keeps_our_weights() -> None:
     ours, paper = parse_config(SENSORS), parse_config("preset: paper\n" + SENSORS)
     assert paper.graph.position_integration_sigma == ours.graph.position_integration_sigma
-    assert paper.sensors.imu == ours.sensors.imu
-    assert paper.sensors.antennas()["gnss"].min_sigma_m == ours.sensors.antennas()["gnss"].min_sigma_m
+    assert paper.imu == ours.imu
+    assert paper.sensors_of(GnssConfig)["gnss"].min_sigma_m == ours.sensors_of(GnssConfig)["gnss"].min_sigma_m
 
 
 def leaves(data: dict[str, Any], path: tuple[str, ...] = ()) -> dict[tuple[str, ...], Any]:
@@ -66,7 +71,7 @@ def test_every_value_of_a_preset_is_allowed_and_differs_from_the_default(name: s
     for path, value in values.items():
         ours, theirs = default, config
         for key in path:
-            ours, theirs = getattr(ours, key), getattr(theirs, key)
+            ours, theirs = (one[key] if isinstance(one, dict) else getattr(one, key) for one in (ours, theirs))
         assert theirs == value, path
         assert ours != value, f"{path} says what the model says already"
 
@@ -74,7 +79,7 @@ def test_every_value_of_a_preset_is_allowed_and_differs_from_the_default(name: s
 OPPOSITES = {
     ("graph", "nodes"): "measurement",
     ("graph", "lag_s"): 2.5,
-    ("gate", "witness"): True,
+    ("gate", "drift_monitor"): True,
     ("gate", "lose_after"): 7,
     ("frames", "odometry_policy"): "always",
 }
@@ -90,8 +95,11 @@ def test_what_the_file_says_wins_and_the_rest_of_the_preset_stays(path: tuple[st
 
 
 def test_an_antenna_may_have_its_own_bound() -> None:
-    sensors = parse_config("preset: paper\n" + SENSORS.replace("frame: left", "frame: left, max_sigma_m: 2")).sensors
-    assert {name: gnss.max_sigma_m for name, gnss in sensors.antennas().items()} == {"gnss": 2.0, "gnss_right": 0.316}
+    config = parse_config("preset: paper\n" + SENSORS.replace("frame: left", "frame: left, max_sigma_m: 2"))
+    assert {name: gnss.max_sigma_m for name, gnss in config.sensors_of(GnssConfig).items()} == {
+        "gnss": 2.0,
+        "gnss_right": 0.316,
+    }
 
 
 @pytest.mark.parametrize("bare", ["graph:\n", "gate:\n", "frames:\n", "standstill:\n"])
@@ -100,8 +108,7 @@ def test_a_bare_heading_keeps_the_preset(bare: str) -> None:
 
 
 def test_a_preset_adds_no_sensor() -> None:
-    config = parse_config("preset: paper\nsensors:\n  imu: {topic: /imu}\n  gnss:\n")
-    assert config.sensors.antennas() == {}
+    assert parse_config("preset: paper\nsensors:\n  imu: {kind: imu, topic: /imu}\n").sensors.keys() == {"imu"}
 
 
 def test_faults_point_at_the_lines_of_the_file() -> None:

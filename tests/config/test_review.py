@@ -5,7 +5,7 @@ import pytest
 from holdfast.config.load import parse_config
 from holdfast.config.review import SensorRow, sensor_rows, warnings
 
-SENSORS = "sensors:\n  imu: {{topic: /imu{imu}}}\n  gnss: {{topic: /gnss{gnss}}}\n"
+SENSORS = "sensors:\n  imu: {{kind: imu, topic: /imu{imu}}}\n  gnss: {{kind: gnss, topic: /gnss{gnss}}}\n"
 ARM = "extrinsics:\n  - {parent: imu, child: gnss, translation_m: [3, 0, 4]}\n"
 
 
@@ -46,7 +46,23 @@ def test_a_long_time_offset_of_any_sensor_is_said() -> None:
 
 
 def test_a_lidar_in_the_frame_of_the_antenna_is_said() -> None:
-    text = SENSORS.format(imu="", gnss="") + "  lidar: {topic: /l, frame: gnss}\n" + ARM
+    text = SENSORS.format(imu="", gnss="") + "  lidar: {kind: odometry, topic: /l, frame: gnss}\n" + ARM
     assert warnings(parse_config(text)) == [
         "sensors.lidar: is in the same frame 'gnss' as sensors.gnss: are they one device?"
     ]
+
+
+def test_velocities_may_well_be_those_of_one_frame_and_in_the_imu() -> None:
+    wheels = "  wheels: {kind: twist, topic: /w, frame: axle}\n  slip: {kind: nonholonomic, frame: axle}\n"
+    text = SENSORS.format(imu="", gnss="") + wheels + ARM + "  - {parent: imu, child: axle}\n"
+    assert warnings(parse_config(text)) == []
+
+
+def test_an_imu_that_is_not_the_primary_one_is_not_used() -> None:
+    text = SENSORS.format(imu=", primary: true", gnss="") + "  spare: {kind: imu, topic: /imu2}\n" + ARM
+    assert warnings(parse_config(text)) == ["sensors.spare: is not used, because imu is the primary IMU"]
+
+
+def test_a_sensor_without_messages_has_a_row_without_topic() -> None:
+    text = SENSORS.format(imu="", gnss="") + "  slip: {kind: nonholonomic, frame: imu}\n" + ARM
+    assert sensor_rows(parse_config(text))[-1] == SensorRow("slip", "", "imu", 0.0)

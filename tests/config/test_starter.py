@@ -1,4 +1,4 @@
-"""A starter loads as it is, says what it guessed, and its commented defaults are the model's."""
+"""A starter loads as it is, gives its reasons, and its commented defaults are the model's."""
 
 import re
 from dataclasses import dataclass
@@ -7,15 +7,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from holdfast.config.assignment import assign
+from holdfast.config.assignment import Assignment, Rule, assign
+from holdfast.config.kinds import KINDS as SECTIONS
 from holdfast.config.load import parse_config
-from holdfast.config.model import Config
+from holdfast.config.sensors import GnssConfig, ImuConfig
 from holdfast.config.starter import starter_yaml
 from holdfast.errors import RecordingError
-
-IMU, FIX, ODOMETRY = "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix", "nav_msgs/msg/Odometry"
-JOINT, QUATERNION = "sensor_msgs/msg/JointState", "geometry_msgs/msg/QuaternionStamped"
-TYPES = {"imu": [IMU], "gnss": [FIX], "lidar": [ODOMETRY], "heading": [QUATERNION, IMU], "joint": [JOINT]}
+from holdfast.recording.decode import IMU, ODOMETRY, POINT, POSE, POSE_COVARIANCE
+from holdfast.recording.kinds import KINDS
+from holdfast.recording.kinds.gnss import FIX
+from holdfast.recording.kinds.heading import QUATERNION
+from holdfast.recording.kinds.joint import JOINT_STATE
+from holdfast.recording.kinds.twist import TWIST
 
 
 @dataclass(frozen=True)
@@ -25,36 +28,67 @@ class Info:
     count: int | None = 100
 
 
-EVERYTHING = [
-    Info("/imu/data", IMU),
-    Info("/gnss_left/fix", FIX),
-    Info("/gnss_right/fix", FIX),
-    Info("/lidar/odom", ODOMETRY),
-    Info("/gnss/heading", QUATERNION),
-    Info("/joint_states", JOINT),
-]
+@dataclass(frozen=True)
+class Sonar:
+    name: str = "sonar"
+    types: tuple[str, ...] = ("sonar/Range",)
+    rules: tuple[Rule, ...] = (Rule("sonar", every=True),)
+
+
+EVERYTHING = {
+    "imu": Info("/imu/data", IMU),
+    "gnss": Info("/gnss_left/fix", FIX),
+    "gnss_right": Info("/gnss_right/fix", FIX),
+    "heading": Info("/gnss/heading", QUATERNION),
+    "lidar": Info("/lidar/odom", ODOMETRY),
+    "camera": Info("/vio/odom", ODOMETRY),
+    "wheels": Info("/wheel/odom", ODOMETRY),
+    "twist": Info("/tracks/twist", TWIST),
+    "pose": Info("/amcl_pose", POSE_COVARIANCE),
+    "prism": Info("/total_station/point", POINT),
+    "height": Info("/laser/height", POINT),
+    "joint": Info("/joint_states", JOINT_STATE),
+    "base_imu": Info("/base/imu", IMU),
+}
+
+
+def assigned(*topics: Info) -> Assignment:
+    return assign(topics, KINDS.values())
 
 
 def chosen(*topics: Info) -> dict[str, str]:
-    return {sensor: guess.topic for sensor, guess in assign(topics, TYPES).items() if guess.topic is not None}
+    return {guess.sensor: guess.topic.topic for guess in assigned(*topics).guesses}
+
+
+def reason(sensor: str, *topics: Info) -> str:
+    return next(guess.reason for guess in assigned(*topics).guesses if guess.sensor == sensor)
+
+
+def starter(*topics: Info) -> str:
+    return starter_yaml("x.bag", topics, KINDS.values())
 
 
 def test_one_topic_of_each_kind_finds_its_sensor() -> None:
-    assert chosen(*EVERYTHING) == {
-        "imu": "/imu/data",
-        "gnss": "/gnss_left/fix",
-        "gnss_right": "/gnss_right/fix",
-        "lidar": "/lidar/odom",
-        "heading": "/gnss/heading",
-        "joint": "/joint_states",
-    }
+    assert chosen(*EVERYTHING.values()) == {name: info.topic for name, info in EVERYTHING.items()}
+
+
+def test_the_order_of_the_topics_changes_nothing() -> None:
+    assert starter(*reversed(EVERYTHING.values())) == starter(*EVERYTHING.values())
 
 
 def test_an_imu_of_the_chassis_is_not_the_main_one_unless_it_is_alone() -> None:
     base, cabin = Info("/base/imu", IMU, 900), Info("/imu", IMU, 100)
-    assert chosen(base, cabin)["imu"] == "/imu"
-    assert chosen(base)["imu"] == "/base/imu"
-    assert "AGAINST" in assign([base], TYPES)["imu"].reason
+    assert chosen(base, cabin) == {"imu": "/imu", "base_imu": "/base/imu"}
+    assert chosen(base) == {"imu": "/base/imu"}
+    assert "AGAINST" in reason("imu", base)
+
+
+def test_a_third_imu_is_there_to_be_uncommented_beside_the_primary_one() -> None:
+    text = starter(Info("/imu/data", IMU), Info("/ouster/imu", IMU))
+    assert parse_config(text).sensors_of(ImuConfig).keys() == {"imu"}
+    whole = re.sub(r"^  # (imu_2:\n|  (?:kind|topic): )", r"  \1", text, flags=re.MULTILINE)
+    config = parse_config(whole)
+    assert (config.imu_name, config.sensors["imu_2"].topic) == ("imu", "/ouster/imu")
 
 
 def test_an_orientation_named_heading_is_the_heading_and_not_the_imu() -> None:
@@ -67,28 +101,45 @@ def test_two_antennas_are_left_and_right_by_name(names: tuple[str, str]) -> None
     assert chosen(Info(right, FIX, 900), Info(left, FIX)) == {"gnss": left, "gnss_right": right}
 
 
-def test_two_fixes_without_sides_are_one_antenna_and_an_alternative() -> None:
-    guesses = assign([Info("/gps/fix", FIX), Info("/gps/fix_filtered", FIX, 900)], TYPES)
-    assert guesses["gnss"].topic == "/gps/fix"
-    assert [other.topic for other in guesses["gnss"].others] == ["/gps/fix_filtered"]
-    assert guesses["gnss_right"].topic is None
+def test_every_antenna_is_proposed_whatever_its_name() -> None:
+    names = ("/receiver/a", "/receiver/b", "/receiver/c")
+    found = chosen(*(Info(name, FIX, 100 - k) for k, name in enumerate(names)))
+    assert found == {"gnss": "/receiver/a", "gnss_2": "/receiver/b", "gnss_3": "/receiver/c"}
 
 
-def test_a_single_letter_is_a_side_only_where_it_stands_alone() -> None:
-    assert chosen(Info("/receiver/a", FIX), Info("/receiver/b", FIX, 900)) == {"gnss": "/receiver/b"}
+def test_the_only_antenna_is_the_first_even_if_it_is_called_rover() -> None:
+    assert chosen(Info("/rover/fix", FIX)) == {"gnss": "/rover/fix"}
 
 
-def test_a_sensor_that_is_commented_out_has_a_frame_of_its_own() -> None:
-    text = starter_yaml("x.bag", [Info("/imu", IMU)], TYPES)
-    assert "  #  frame: gnss_right  #" in text
+def test_a_fix_that_another_estimator_made_is_left_over() -> None:
+    found = assigned(Info("/gps/fix", FIX), Info("/gps/fix_filtered", FIX, 900))
+    assert [guess.topic.topic for guess in found.guesses] == ["/gps/fix"]
+    assert [(topic.topic, kinds) for topic, kinds in found.unused] == [("/gps/fix_filtered", ("gnss",))]
 
 
-def test_lidar_odometry_is_preferred_by_name_and_other_odometry_is_never_taken() -> None:
-    wheel, icp = Info("/wheel/odom", ODOMETRY, 900), Info("/icp_odometry", ODOMETRY)
-    plain = Info("/state", ODOMETRY, 50)
-    assert chosen(wheel, plain, icp) == {"lidar": "/icp_odometry"}
-    assert chosen(wheel, plain) == {"lidar": "/state"}
-    assert chosen(wheel) == {}
+def test_odometries_are_named_by_what_makes_them_and_commands_are_none() -> None:
+    topics = ("/icp_odometry", "/stereo/odom", "/wheel_odom", "/state", "/goal", "/ekf/odom", "/odometry/gps")
+    assert chosen(*(Info(topic, ODOMETRY) for topic in topics)) == {
+        "lidar": "/icp_odometry",
+        "lidar_2": "/state",
+        "camera": "/stereo/odom",
+        "wheels": "/wheel_odom",
+    }
+
+
+def test_an_odometry_is_proposed_once_although_its_twist_could_serve() -> None:
+    assert chosen(Info("/wheel/odom", ODOMETRY)) == {"wheels": "/wheel/odom"}
+
+
+def test_a_command_is_no_twist() -> None:
+    assert chosen(Info("/cmd_vel", TWIST), Info("/speed", TWIST)) == {"twist": "/speed"}
+
+
+def test_a_pose_is_an_odometry_unless_its_name_says_that_it_is_absolute() -> None:
+    assert chosen(Info("/lidar/pose", POSE), Info("/marker_pose", POSE)) == {
+        "lidar": "/lidar/pose",
+        "pose": "/marker_pose",
+    }
 
 
 def test_a_topic_without_messages_is_not_taken_but_an_unknown_number_is() -> None:
@@ -97,14 +148,31 @@ def test_a_topic_without_messages_is_not_taken_but_an_unknown_number_is() -> Non
     assert chosen(Info("/imu/data", IMU, 0)) == {}
 
 
+def test_a_kind_that_is_passed_in_is_found_like_the_others() -> None:
+    found = assign([Info("/a", "sonar/Range"), Info("/b", "sonar/Range")], [*KINDS.values(), Sonar()])
+    assert [(guess.sensor, guess.kind) for guess in found.guesses] == [("sonar", "sonar"), ("sonar_2", "sonar")]
+
+
 def test_a_starter_for_everything_loads_with_every_topic() -> None:
-    sensors = parse_config(starter_yaml("x.bag", EVERYTHING, TYPES)).sensors
-    topics = {name: section.topic for name, section in sensors if section is not None}
-    assert topics == chosen(*EVERYTHING)
+    sensors = parse_config(starter(*EVERYTHING.values())).sensors
+    expected = chosen(*EVERYTHING.values())
+    prism = expected.pop("prism")  # a grid beside GNSS needs a datum, which only the user knows
+    assert {name: section.topic for name, section in sensors.items()} == expected
+    assert f"  # prism: {prism}" in starter(*EVERYTHING.values())
+    assert sensors["pose"].offset_sigma_m > 0.0
+
+
+def test_sensors_of_the_chassis_hang_below_the_turn_joint_where_there_is_one() -> None:
+    config = parse_config(starter(*EVERYTHING.values()))
+    assert config.turn_joint is not None
+    assert [name for name in config.sensors if config.is_beyond_joint(config.frame_of(name))] == ["twist", "base_imu"]
+    rigid = parse_config(starter(EVERYTHING["imu"], EVERYTHING["twist"]))
+    assert rigid.turn_joint is None
+    assert rigid.reaches("twist")
 
 
 def test_deleting_the_comment_sign_of_every_default_changes_nothing() -> None:
-    text = starter_yaml("x.bag", EVERYTHING, TYPES)
+    text = starter(*EVERYTHING.values())
     uncommented = re.sub(r"^( *)#((?:  )*[a-z]\w*:)", r"\1\2", text, flags=re.MULTILINE)
     before, after = parse_config(text), parse_config(uncommented)
     assert uncommented.count("\n") == text.count("\n")
@@ -113,34 +181,44 @@ def test_deleting_the_comment_sign_of_every_default_changes_nothing() -> None:
     assert after.frames.model_copy(update={"datum": None}) == before.frames
 
 
-def test_every_key_of_the_model_stands_in_a_starter() -> None:
-    text = starter_yaml("x.bag", [Info("/imu", IMU)], TYPES)
-    definitions = Config.model_json_schema()
-    for definition in (definitions, *definitions["$defs"].values()):
-        if definition["title"] != "Extrinsic":  # nothing but the IMU needs none
-            for key in definition["properties"]:
-                assert re.search(rf"^[ #]*{key}:", text, re.MULTILINE), key
+def test_every_key_of_a_sensor_that_was_found_stands_in_a_starter() -> None:
+    text = starter(*EVERYTHING.values())
+    for name, section in parse_config(text).sensors.items():
+        block = re.search(rf"^  {name}:.*\n((?:    .*\n)+)", text, re.MULTILINE)
+        assert block is not None
+        for key in type(section).model_fields:
+            assert re.search(rf"^    #?{key}:", block[1], re.MULTILINE), f"{name}.{key}"
+
+
+def test_a_kind_that_was_not_found_takes_one_line() -> None:
+    text = starter(EVERYTHING["imu"])
+    assert [line for line in text.splitlines() if "none found" in line or "has no topic" in line] == [
+        f"  # {kind}: " + ("has no topic, see docs/configuration.md" if kind == "nonholonomic" else "none found")
+        for kind in SECTIONS
+        if kind != "imu"
+    ]
 
 
 def test_every_sensor_with_a_frame_has_its_placeholder_marked_todo() -> None:
-    text = starter_yaml("x.bag", EVERYTHING, TYPES)
-    assert [extrinsic.child for extrinsic in parse_config(text).extrinsics] == ["gnss", "gnss_right", "lidar"]
-    assert text.count("translation_m: [0.0, 0.0, 0.0]  # TODO measure") == 3
+    text = starter(*EVERYTHING.values())
+    children = [extrinsic.child for extrinsic in parse_config(text).extrinsics]
+    assert children == ["cabin", *(name for name in EVERYTHING if name not in ("imu", "heading", "joint"))]
+    assert text.count("translation_m: [0.0, 0.0, 0.0]  # TODO measure") == len(children) + 1  # and the turn joint's
     assert "PLACEHOLDERS" in text
 
 
-def test_guesses_and_alternatives_are_said() -> None:
-    text = starter_yaml("x.bag", [*EVERYTHING, Info("/imu2", IMU, 7), Info("/wheel/odom", ODOMETRY)], TYPES)
+def test_reasons_and_what_is_left_over_stand_in_comments() -> None:
+    text = starter(EVERYTHING["imu"], Info("/imu/mag", IMU, 7), Info("/goal", POSE))
     assert f"# imu: /imu/data ({IMU}, 100 messages), for 'data' in its name" in text
-    assert f"could also be /imu2 ({IMU}, 7 messages)" in text
-    assert f"could also be /wheel/odom ({ODOMETRY}, 100 messages)" in text
+    assert f"# not used: /imu/mag ({IMU}, 7 messages); could be imu, heading, base_imu" in text
+    assert f"# not used: /goal ({POSE}, 100 messages); could be odometry, pose, height" in text
 
 
 def test_a_recording_without_an_imu_is_refused_in_one_line_that_lists_its_topics() -> None:
     with pytest.raises(
         RecordingError, match=r"^x.bag: no IMU in it.*it has /gnss \(sensor_msgs/msg/NavSatFix"
     ) as caught:
-        starter_yaml("x.bag", [Info("/gnss", FIX)], TYPES)
+        starter(Info("/gnss", FIX))
     assert "\n" not in str(caught.value)
 
 
@@ -148,9 +226,15 @@ def test_a_recording_without_an_imu_is_refused_in_one_line_that_lists_its_topics
 @given(
     st.text(max_size=10).map(lambda text: f"x{text}"),
     st.lists(
-        st.builds(Info, st.text(min_size=1, max_size=10), st.sampled_from([FIX, ODOMETRY, JOINT, QUATERNION, "?"]))
+        st.builds(
+            Info,
+            st.text(min_size=1, max_size=10) | st.sampled_from([info.topic for info in EVERYTHING.values()]),
+            st.sampled_from([*{info.type for info in EVERYTHING.values()} - {IMU}, "?"]),
+        )
     ),
 )
 def test_whatever_the_topics_are_called_the_starter_loads(imu: str, others: list[Info]) -> None:
-    text = starter_yaml("x\n.bag", [Info(imu, IMU), *others], TYPES)
-    assert parse_config(text).sensors.imu.topic == imu
+    text = starter_yaml("x\n.bag", [Info(imu, IMU), *others], KINDS.values())
+    config = parse_config(text)
+    assert config.imu.topic == imu
+    assert all(section.default_sigma_m is None for section in config.sensors_of(GnssConfig).values())

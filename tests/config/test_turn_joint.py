@@ -9,13 +9,16 @@ from holdfast.config.load import parse_config, resolved_yaml
 from holdfast.config.review import sensor_rows, warnings
 from holdfast.config.starter import starter_yaml
 from holdfast.errors import ConfigError
+from holdfast.recording.decode import IMU
+from holdfast.recording.kinds import KINDS
+from holdfast.recording.kinds.joint import JOINT_STATE
 from holdfast.recording.source import TopicInfo
 
 MACHINE = """\
 sensors:
-  imu: {topic: /imu}
-  joint: {topic: /joint}
-  base_imu: {topic: /base_imu}
+  imu: {kind: imu, topic: /imu}
+  joint: {kind: joint, topic: /joint}
+  base_imu: {kind: base_imu, topic: /base_imu}
 extrinsics:
   - {parent: cabin, child: imu, translation_m: [0.25, -0.35, 0.12]}
   - {parent: base_link, child: base_imu, translation_m: [0, 0, 1], rotation_rpy_deg: [0, 0, 90]}
@@ -37,8 +40,8 @@ def test_a_machine_with_a_turn_joint_has_its_chassis_beyond_it() -> None:
     assert config.has_base()
     assert not config.reaches("base_link")
     assert config.reaches("base_imu", "base_link")
-    assert config.sensors.base_imu is not None
-    assert (config.sensors.imu.frame, config.sensors.base_imu.frame) == ("imu", "base_imu")
+    assert config.base_imu is not None
+    assert (config.imu_frame, config.frame_of(config.base_imu[0])) == ("imu", "base_imu")
     assert config.turn_joint is not None
     assert (config.turn_joint.parent, config.turn_joint.child) == ("base_link", "cabin")
     np.testing.assert_array_equal(config.turn_joint.matrix()[:3, 3], [0.1, 0.0, 1.15])
@@ -58,17 +61,17 @@ def test_a_rigid_chassis_needs_no_turn_joint() -> None:
         "  - {parent: cabin", "  - {parent: base_link, child: cabin}\n  - {parent: cabin"
     )
     assert parse_config(rigid).has_base()
-    assert not parse_config("sensors:\n  imu: {topic: /imu}\n").has_base()
-    assert not parse_config("sensors:\n  imu: {topic: /imu, frame: base_link}\n").has_base()
+    assert not parse_config("sensors:\n  imu: {kind: imu, topic: /imu}\n").has_base()
+    assert not parse_config("sensors:\n  imu: {kind: imu, topic: /imu, frame: base_link}\n").has_base()
 
 
 @pytest.mark.parametrize(
     ("old", "new", "fault"),
     [
         (
-            "  joint: {topic: /joint}\n",
+            "  joint: {kind: joint, topic: /joint}\n",
             "",
-            "f.yaml:8 turn_joint: needs sensors.joint, the encoder that reads its angle",
+            "f.yaml:8 turn_joint: needs a sensor with `kind: joint`, the encoder that reads its angle",
         ),
         (
             "child: cabin, translation_m: [0.1",
@@ -99,8 +102,8 @@ def test_a_rigid_chassis_needs_no_turn_joint() -> None:
             "f.yaml:9 turn_joint: give only one of rotation_quaternion_xyzw, rotation_matrix, rotation_rpy_deg",
         ),
         (
-            "{topic: /joint}",
-            "{topic: /joint, max_age_s: 0}",
+            "kind: joint, topic: /joint}",
+            "kind: joint, topic: /joint, max_age_s: 0}",
             "f.yaml:3 sensors.joint.max_age_s = 0: must be > 0 [s]",
         ),
     ],
@@ -129,15 +132,11 @@ def test_what_turns_against_the_imu_has_no_lever_arm() -> None:
     assert rows["imu"].lever_arm_m == 0.0
 
 
-def test_a_starter_shows_the_turn_joint_and_the_base_imu_as_prose_that_can_be_uncommented() -> None:
-    types = {"imu": ["sensor_msgs/msg/Imu"], "joint": ["sensor_msgs/msg/JointState"]}
-    topics = [TopicInfo("/imu", types["imu"][0], 9), TopicInfo("/joint_states", types["joint"][0], 9)]
-    text = starter_yaml("x.bag", topics, types)
-    assert parse_config(text).turn_joint is None
-    block = re.compile(r"^# turn_joint:.*?\n(?=\n)", re.MULTILINE | re.DOTALL).search(text)
-    assert block is not None
-    filled = re.sub(r"^# ", "", block[0], flags=re.MULTILINE).replace("NEEDED", "cabin")
-    joined = "extrinsics: [{parent: cabin, child: imu}]"
-    config = parse_config(text.replace(block[0], filled).replace("#extrinsics: []", joined))
+def test_a_starter_proposes_the_turn_joint_with_the_encoder_and_shows_how_to_write_it_without() -> None:
+    imu, joint = TopicInfo("/imu", IMU, 9), TopicInfo("/joint_states", JOINT_STATE, 9)
+    config = parse_config(starter_yaml("x.bag", [imu, joint], KINDS.values()))
     assert config.turn_joint is not None
-    assert re.search(r"^  # base_imu:", text, re.MULTILINE)
+    assert (config.turn_joint.parent, config.turn_joint.child) == ("base_link", "cabin")
+    text = starter_yaml("x.bag", [imu], KINDS.values())
+    assert parse_config(text).turn_joint is None
+    assert re.search(r"^# turn_joint:.*\n#   parent: base_link", text, re.MULTILINE)

@@ -1,5 +1,5 @@
 # ruff: noqa: PLR0917 - how a sensor measures is many small choices with defaults
-"""A machine whose motion is known in closed form, and what perfect or noisy sensors on it would say.
+"""A machine whose motion is known in closed form, and what perfect or noisy sensors on it measure.
 
 It stands, sets off smoothly and then drives a circle of 1.5 m radius at 1.5 m/s and 1 rad/s, rising, falling, rolling
 and pitching. Everything is a function of a phase that is zero at standstill and grows by 1 per second at full speed.
@@ -12,8 +12,12 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.estimator.estimator import Estimator
-from holdfast.geometry.earth import Geodetic, enu_to_geodetic, gravity
-from holdfast.messages import FixStatus, GnssFix, ImuSample, LidarPose
+from holdfast.estimator.imu_path import receive
+from holdfast.estimator.optimiser import Optimiser
+from holdfast.event_log import EventLog
+from holdfast.geometry.earth import Geodetic, LocalFrame, gravity
+from holdfast.messages import FixStatus, GnssFix, Height, ImuSample, PointPosition, SensorPose, Twist
+from holdfast.sensors.imu import ImuBuffer
 
 DATUM = Geodetic(47.4, 8.5, 450.0)
 G = gravity(DATUM.latitude_deg, DATUM.altitude_m)
@@ -23,6 +27,7 @@ EPOCH_NS = 1_700_000_000_000_000_000
 
 ARM = np.array([0.4, -0.5, 1.2])
 ARM_RIGHT = np.array([-0.7, -1.9, 1.1])
+NOT_TURNED = gtsam.Pose3()
 T_I_L = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.1, -0.2, 2.0), np.array([0.8, 0.3, 0.9]))
 
 
@@ -47,6 +52,7 @@ class Drive:
     pitch_rad: float = -0.08
     radius_m: float = 1.5
     tilt: float = 1.0
+    heave_m: float = 0.2
 
     def phase(self, t):
         """Phase and its first two derivatives: the rate is a smooth step of fifth order."""
@@ -68,8 +74,8 @@ class Drive:
     def nav(self, t):
         u, du, _ = self.phase(t)
         r, a = self.radius_m, self.yaw_rad
-        position = [r * (np.sin(a + u) - np.sin(a)), r * (np.cos(a) - np.cos(a + u)), 0.2 * np.sin(0.7 * u)]
-        velocity = np.array([r * np.cos(a + u), r * np.sin(a + u), 0.14 * np.cos(0.7 * u)]) * du
+        position = [r * (np.sin(a + u) - np.sin(a)), r * (np.cos(a) - np.cos(a + u)), self.heave_m * np.sin(0.7 * u)]
+        velocity = np.array([r * np.cos(a + u), r * np.sin(a + u), 0.7 * self.heave_m * np.cos(0.7 * u)]) * du
         return gtsam.NavState(gtsam.Rot3.RzRyRx(*self._euler(u)[0]), np.array(position), velocity)
 
     def pose(self, t):
@@ -79,8 +85,8 @@ class Drive:
         """Specific force [m/s^2] and angular velocity [rad/s] of I."""
         u, du, ddu = self.phase(t)
         r, a = self.radius_m, self.yaw_rad
-        first = np.array([r * np.cos(a + u), r * np.sin(a + u), 0.14 * np.cos(0.7 * u)])
-        second = np.array([-r * np.sin(a + u), r * np.cos(a + u), -0.098 * np.sin(0.7 * u)])
+        first = np.array([r * np.cos(a + u), r * np.sin(a + u), 0.7 * self.heave_m * np.cos(0.7 * u)])
+        second = np.array([-r * np.sin(a + u), r * np.cos(a + u), -0.49 * self.heave_m * np.sin(0.7 * u)])
         (roll, pitch, _), (d_roll, d_pitch, d_yaw) = self._euler(u)
         rate = np.array(
             [
@@ -93,7 +99,7 @@ class Drive:
 
 
 @dataclass(frozen=True)
-class Twist:
+class ConstantTwist:
     """Constant twist from `gtsam.ConstantTwistScenario`, which owes nothing to `Drive`."""
 
     scenario: gtsam.ConstantTwistScenario
@@ -114,7 +120,7 @@ def tilted_circle(speed_m_s=1.5, turn_rad_s=1.0):
     axis = np.array([0.2, -0.3, 0.93])
     start = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.2, 0.3, -0.7), np.array([1.0, 2.0, 3.0]))
     rate = turn_rad_s * axis / np.linalg.norm(axis)
-    return Twist(gtsam.ConstantTwistScenario(rate, np.array([speed_m_s, 0.0, 0.0]), start))
+    return ConstantTwist(gtsam.ConstantTwistScenario(rate, np.array([speed_m_s, 0.0, 0.0]), start))
 
 
 # --- sensors ----------------------------------------------------------------------------------------------------------
@@ -143,7 +149,7 @@ def fix_at(motion, t, noise=None, sigma=(0.01, 0.01, 0.02), arm=ARM, sensor="gns
     p_W_G = pose.transformFrom(arm) + (0.0 if noise is None else noise)
     stamp = ns(t + stamp_shift_s)
     covariance = np.diag(np.square(sigma))
-    return GnssFix(stamp, ns(t + delay_s), sensor, *enu_to_geodetic(p_W_G, DATUM), covariance, FixStatus.GBAS)
+    return GnssFix(stamp, ns(t + delay_s), sensor, *LocalFrame(DATUM).to_geodetic(p_W_G), covariance, FixStatus.GBAS)
 
 
 def fixes(motion, start_s, end_s, hz=10.0, rng=None, sigma=(0.01, 0.01, 0.02), phase_s=0.0, **how):
@@ -152,7 +158,18 @@ def fixes(motion, start_s, end_s, hz=10.0, rng=None, sigma=(0.01, 0.01, 0.02), p
     return [fix_at(motion, t, noise, sigma, **how) for t, noise in zip(times, noises, strict=True)]
 
 
-def scans(motion, start_s, end_s, hz=5.0, rng=None, sigma=(0.002, 0.02), phase_s=0.0, delay_s=0.0, stamp_shift_s=0.0):
+def scans(
+    motion,
+    start_s,
+    end_s,
+    hz=5.0,
+    rng=None,
+    sigma=(0.002, 0.02),
+    phase_s=0.0,
+    delay_s=0.0,
+    stamp_shift_s=0.0,
+    sensor="lidar",
+):
     """The lidar's track; noise (rotation [rad], translation [m]) is that of a motion between two scans, and stays."""
     times = start_s + phase_s + np.arange(int((end_s - start_s) * hz + 1e-6) + 1) / hz
     first, messages = None, []
@@ -165,7 +182,53 @@ def scans(motion, start_s, end_s, hz=5.0, rng=None, sigma=(0.002, 0.02), phase_s
         q = track.rotation().toQuaternion()
         xyzw = np.array([q.x(), q.y(), q.z(), q.w()])
         stamp = ns(t + stamp_shift_s)
-        messages.append(LidarPose(stamp, ns(t + delay_s), "lidar", track.translation(), xyzw, None))
+        messages.append(SensorPose(stamp, ns(t + delay_s), sensor, track.translation(), xyzw, None))
+    return messages
+
+
+def stamps_of(start_s, end_s, hz, phase_s=0.0):
+    return start_s + phase_s + np.arange(int((end_s - start_s) * hz + 1e-6) + 1) / hz
+
+
+def twists(motion, start_s, end_s, hz=10.0, T_I_S=NOT_TURNED, scale=1.0, rng=None, sigma=0.02, sensor="wheels"):
+    """Velocity of a frame S of the cabin in its own axes."""
+    messages = []
+    for t in stamps_of(start_s, end_s, hz, 0.0031):
+        _, rate = motion.readings(t)
+        velocity = T_I_S.rotation().unrotate(motion.nav(t).bodyVelocity() + np.cross(rate, T_I_S.translation()))
+        noise = np.zeros(3) if rng is None else rng.normal(0.0, sigma, 3)
+        messages.append(Twist(ns(t), ns(t), sensor, scale * velocity + noise, np.zeros(3), None))
+    return messages
+
+
+def prisms(motion, start_s, end_s, hz=10.0, arm=ARM, rng=None, sigma_m=0.005, sensor="prism"):
+    messages = []
+    for t in stamps_of(start_s, end_s, hz, 0.0057):
+        noise = np.zeros(3) if rng is None else rng.normal(0.0, sigma_m, 3)
+        messages.append(PointPosition(ns(t), ns(t), sensor, motion.pose(t).transformFrom(arm) + noise, None))
+    return messages
+
+
+def poses(motion, start_s, end_s, hz=5.0, T_W_F=NOT_TURNED, T_I_S=NOT_TURNED, rng=None, sensor="marker"):
+    """Poses of S in F, with the noise of the default configuration."""
+    messages = []
+    for t in stamps_of(start_s, end_s, hz, 0.0083):
+        noise = np.zeros(6) if rng is None else rng.normal(0.0, np.repeat([0.01, 0.05], 3))
+        T_F_S = T_W_F.inverse() * motion.pose(t) * T_I_S * gtsam.Pose3.Expmap(noise)
+        q = T_F_S.rotation().toQuaternion()
+        xyzw = np.array([q.x(), q.y(), q.z(), q.w()])
+        messages.append(SensorPose(ns(t), ns(t), sensor, T_F_S.translation(), xyzw, None))
+    return messages
+
+
+def heights(
+    motion, start_s, end_s, hz=5.0, arm=(0.0, 0.0, 0.0), constant_m=0.0, rng=None, sigma_m=0.05, sensor="laser"
+):
+    messages = []
+    for t in stamps_of(start_s, end_s, hz, 0.0019):
+        noise = 0.0 if rng is None else rng.normal(0.0, sigma_m)
+        height_m = motion.pose(t).transformFrom(np.array(arm))[2] + constant_m + noise
+        messages.append(Height(ns(t), ns(t), sensor, float(height_m), None))
     return messages
 
 
@@ -182,55 +245,83 @@ def in_order(*streams):
 # --- configuration and running ----------------------------------------------------------------------------------------
 
 
-def machine(lidar=True, gnss=True, right=False, heading=False, heading_deg=HEADING_DEG, **sections):
-    """Configuration of the machine; keyword arguments are sections, or `imu_`, `gnss_`, `lidar_` settings."""
-    rotation = tuple(tuple(row) for row in T_I_L.rotation().matrix())
+def machine(lidar=True, gnss=True, right=False, heading=False, heading_deg=HEADING_DEG, more=None, **sections):
+    """Configuration of the machine.
+
+    `more` are further sensors: name -> section, with a pose T_I_S as `mount` if they have one. Other keyword arguments
+    are sections, or `imu_`, `gnss_`, `lidar_`, `heading_` settings.
+    """
     sensors = {
-        "imu": {"topic": "/imu", "accelerometer_error_ratio": 0.0, "gyroscope_error_ratio": 0.0}
+        "imu": {"kind": "imu", "topic": "/imu", "accelerometer_error_ratio": 0.0, "gyroscope_error_ratio": 0.0}
         | sections.pop("imu_", {})
     }
-    if gnss:
-        sensors["gnss"] = {"topic": "/gnss", "correlation_s": 0.0} | sections.pop("gnss_", {})
-    if right:
-        sensors["gnss_right"] = {"topic": "/right", "frame": "right", "correlation_s": 0.0}
-    if lidar:
-        sensors["lidar"] = {"topic": "/lidar"} | sections.pop("lidar_", {})
-    if heading:
-        sensors["heading"] = {"topic": "/heading"} | sections.pop("heading_", {})
     extrinsics = [
-        {"parent": "imu", "child": "gnss", "translation_m": tuple(ARM)},
-        {"parent": "imu", "child": "right", "translation_m": tuple(ARM_RIGHT)},
-        {
-            "parent": "imu",
-            "child": "lidar",
-            "translation_m": tuple(T_I_L.translation()),
-            "rotation_matrix": rotation,
-        },
+        link("imu", "gnss", at(ARM)),
+        link("imu", "right", at(ARM_RIGHT)),
+        link("imu", "lidar", T_I_L),
     ]
-    start = {"heading_deg": heading_deg} | sections.pop("initialisation", {})
+    if gnss:
+        sensors["gnss"] = {"kind": "gnss", "topic": "/gnss", "correlation_s": 0.0} | sections.pop("gnss_", {})
+    if right:
+        sensors["gnss_right"] = {"kind": "gnss", "topic": "/right", "frame": "right", "correlation_s": 0.0}
+    if lidar:
+        sensors["lidar"] = {"kind": "odometry", "topic": "/lidar"} | sections.pop("lidar_", {})
+    if heading:
+        sensors["heading"] = {"kind": "heading", "topic": "/heading"} | sections.pop("heading_", {})
+    for name, section in (more or {}).items():
+        sensors[name] = {"topic": f"/{name}"} | {key: value for key, value in section.items() if key != "mount"}
+        if "mount" in section:
+            extrinsics.append(link("imu", name, section["mount"]))
     return Config.model_validate(
         {
             "sensors": sensors,
             "extrinsics": extrinsics,
-            "initialisation": start,
+            "initialisation": {"heading_deg": heading_deg} | sections.pop("initialisation", {}),
             "frames": {"datum": DATUM._asdict()},
             **sections,
         }
     )
 
 
+def at(position):
+    """A pose that is not turned."""
+    return gtsam.Pose3(gtsam.Rot3(), np.asarray(position, dtype=float))
+
+
+def link(parent, child, T):
+    """One of the `extrinsics`."""
+    rotation = tuple(tuple(row) for row in T.rotation().matrix().tolist())
+    return {"parent": parent, "child": child, "translation_m": tuple(T.translation()), "rotation_matrix": rotation}
+
+
 def run(config, messages):
-    """Return the estimator after all messages, and what it said to each."""
+    """Return the estimator after all messages, and what each of them led to."""
     estimator = Estimator(config)
     return estimator, [estimator.process(message) for message in messages]
+
+
+def optimised(config, messages, after_update=lambda *_: None):
+    """Return the optimiser after all messages, its log and its buffer: the estimator without its IMU path."""
+    buffer, log = ImuBuffer(config.imu), EventLog(config.imu_name)
+    optimiser = Optimiser(config, buffer, log)
+    for message in messages:
+        if isinstance(message, ImuSample):
+            optimiser.receive(receive(buffer, message))
+        else:
+            optimiser.add(message)
+        if optimiser.is_due:
+            optimiser.update()
+            optimiser.drop_samples()
+            after_update(optimiser, buffer.latest_ns)
+    return optimiser, log, buffer
 
 
 def estimates(outputs):
     return [output.estimate for output in outputs if output.estimate is not None]
 
 
-def miss(motion, estimate):
-    """Position [m], rotation [rad] and velocity [m/s] by which an estimate, or an optimised state, misses the truth."""
+def deviation(motion, estimate):
+    """Position [m], rotation [rad] and velocity [m/s] between an estimate, or an optimised state, and the truth."""
     truth = motion.nav(seconds(estimate.stamp_ns))
     return apart(truth, estimate.nav)
 
@@ -244,5 +335,5 @@ def apart(a, b):
 
 
 def error(motion, estimate):
-    """Tangent (9,) that leads from an estimate to the truth: what `covariance` speaks of."""
+    """Tangent (9,) that leads from an estimate to the truth, whose covariance is `covariance`."""
     return estimate.nav.localCoordinates(motion.nav(seconds(estimate.stamp_ns)))

@@ -1,4 +1,4 @@
-"""The covariance at IMU rate says how wrong the estimate is: Monte Carlo over seeds, noise as configured."""
+"""The covariance at IMU rate explains the error of the estimate: Monte Carlo over seeds, noise as configured."""
 
 import numpy as np
 import pytest
@@ -48,14 +48,14 @@ def test_errors_while_driving_are_explained_by_the_covariance(driving, t):
 
 
 @pytest.mark.parametrize("part", ["rotation", "position", "velocity"])
-def test_errors_at_standstill_are_no_larger_than_the_covariance_says(driving, part):
+def test_errors_at_standstill_are_explained_by_the_covariance(driving, part):
     """Roll and pitch from gravity are wrong by exactly the bias of the accelerometer across it."""
     verdict = verdicts(driving, ns(2.4))[part]
     assert verdict.mean_nees_per_dof < verdict.upper_per_dof
 
 
 @pytest.mark.slow
-def test_dead_reckoning_with_the_imu_alone_is_wrong_as_the_covariance_says():
+def test_dead_reckoning_with_the_imu_alone_is_as_wrong_as_the_covariance_claims():
     runs = [simulated(seed, 19.0, 9.0) for seed in range(100)]
     traces = []
     for t in (9.0, 10.0, 12.0, 15.0, 19.0):
@@ -68,7 +68,7 @@ def test_dead_reckoning_with_the_imu_alone_is_wrong_as_the_covariance_says():
     assert (np.diff(traces) > 0.0).all() and traces[-1] > 100.0 * traces[0]
 
 
-def test_uncertainty_grows_while_only_the_imu_speaks_and_never_loses_its_shape():
+def test_uncertainty_grows_while_only_the_imu_measures_and_never_loses_its_shape():
     _, given = simulated(0, 14.0, 6.0)
     outage = [e for stamp, e in sorted(given.items()) if stamp > ns(6.2)]
     traces = np.array([np.trace(e.covariance[3:6, 3:6]) for e in outage])

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 import pytest
-from motion import UP, estimates, fixes, imu, in_order, machine, miss, ns, run, seconds
+from motion import UP, deviation, estimates, fixes, imu, in_order, machine, ns, run, seconds
 
 from holdfast.estimator.estimator import Estimator
 from holdfast.state import Outcome
@@ -54,7 +54,7 @@ def test_no_node_that_moves_is_held_to_zero_velocity(vibration, monkeypatch):
     assert len(held) > 5
     fastest = max(np.linalg.norm(motion.nav(seconds(stamp)).velocity()) for stamp in held)
     assert fastest < 3.0 * config.standstill.velocity_sigma_m_s
-    assert miss(motion, estimates(outputs)[-1])[0] < 0.05
+    assert deviation(motion, estimates(outputs)[-1])[0] < 0.05
 
 
 @pytest.mark.parametrize(("vibration", "found"), [(0.1, True), (0.5, False)])
@@ -80,6 +80,6 @@ def test_standstill_holds_a_machine_without_any_other_sensor():
     samples = imu(motion, 0.0, 30.0, 50.0, rng, bias=[0.02, 0.0, 0.0, 0.0, 0.0, 0.0])
     messages = in_order(samples, fixes(motion, 0.0, 2.0, 10.0, rng))
     _, outputs = run(machine(lidar=False, heading_deg=0.0), messages)
-    assert miss(motion, estimates(outputs)[-1])[0] < 0.05
+    assert deviation(motion, estimates(outputs)[-1])[0] < 0.05
     _, free = run(machine(lidar=False, heading_deg=0.0, standstill={"enabled": False}), messages)
-    assert miss(motion, estimates(free)[-1])[0] > 0.2
+    assert deviation(motion, estimates(free)[-1])[0] > 0.2

@@ -14,10 +14,10 @@ def _wander(seed=1, count=400, step_s=0.1, start_s=0.0):
     return Trajectory(stamps, np.cumsum(velocity * step_s, axis=0), quaternions)
 
 
-def _disturbed(trajectory, seed=2, position_m=0.05, turn=0.01):
+def _disturbed(trajectory, seed=2, position_m=0.05, rotation=0.01):
     rng = np.random.default_rng(seed)
     positions = trajectory.positions + np.cumsum(rng.normal(0.0, position_m, trajectory.positions.shape), axis=0)
-    quaternions = trajectory.quaternions + rng.normal(0.0, turn, trajectory.quaternions.shape)
+    quaternions = trajectory.quaternions + rng.normal(0.0, rotation, trajectory.quaternions.shape)
     quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
     return Trajectory(trajectory.stamps_ns, positions, quaternions)
 

@@ -18,9 +18,9 @@ SECOND = 1_000_000_000
 def line(yaw_drift_deg_per_m=0.0, scale=1.0, count=2001, speed_m_s=1.0):
     """10 Hz along x, with a known drift in scale and yaw."""
     time_s = np.arange(count) * 0.1
-    way = time_s * speed_m_s
-    positions = np.stack([way * scale, np.zeros(count), np.zeros(count)], axis=1)
-    yaw = np.radians(yaw_drift_deg_per_m * way) + 0.2
+    distance = time_s * speed_m_s
+    positions = np.stack([distance * scale, np.zeros(count), np.zeros(count)], axis=1)
+    yaw = np.radians(yaw_drift_deg_per_m * distance) + 0.2
     return Trajectory(np.arange(count) * (SECOND // 10), positions, Rotation.from_euler("z", yaw[:, None]).as_quat())
 
 
@@ -120,10 +120,10 @@ def test_kitti_segments_start_at_every_tenth_pose_and_end_beyond_their_length():
     pairs = associate(line(scale=1.01), line())
     result = kitti(pairs)
     assert set(np.unique(result.first % 10)) == {0}
-    way = pairs.driven_m()[result.second] - pairs.driven_m()[result.first]
-    assert 100.0 < way[0] <= 100.1 + 1e-9
-    lengths = np.concatenate([np.full(100, 100.0), np.full(1, 200.0)])[: len(way)]
-    np.testing.assert_allclose(result.errors["translation_percent"], way / lengths, rtol=1e-9)
+    distance = pairs.driven_m()[result.second] - pairs.driven_m()[result.first]
+    assert 100.0 < distance[0] <= 100.1 + 1e-9
+    lengths = np.concatenate([np.full(100, 100.0), np.full(1, 200.0)])[: len(distance)]
+    np.testing.assert_allclose(result.errors["translation_percent"], distance / lengths, rtol=1e-9)
 
 
 def test_every_interval_gets_every_metric_and_the_error_at_its_end():
@@ -179,6 +179,6 @@ def test_intervals_that_mean_nothing_are_refused(wrong):
 def test_all_pairs_take_ways_within_ten_percent_of_the_delta():
     pairs = associate(line(), line())
     result = rpe(pairs, 10.0)
-    way = pairs.driven_m()[result.second] - pairs.driven_m()[result.first]
-    assert way.min() == pytest.approx(9.0) and way.max() == pytest.approx(10.0)
-    assert len(way) == 2001 - 90
+    distance = pairs.driven_m()[result.second] - pairs.driven_m()[result.first]
+    assert distance.min() == pytest.approx(9.0) and distance.max() == pytest.approx(10.0)
+    assert len(distance) == 2001 - 90

@@ -96,8 +96,8 @@ def test_relative_error_in_percent_is_that_of_evo_per_way(wander, disturbed):
     reference = wander()
     pairs = associate(disturbed(reference), reference)
     result = rpe(pairs, 5.0)
-    way = pairs.driven_m()[result.second] - pairs.driven_m()[result.first]
-    np.testing.assert_allclose(result.errors["translation_percent"], 100.0 * result.errors["translation_m"] / way)
+    distance = pairs.driven_m()[result.second] - pairs.driven_m()[result.first]
+    np.testing.assert_allclose(result.errors["translation_percent"], 100.0 * result.errors["translation_m"] / distance)
 
 
 @pytest.mark.parametrize(("reference_step", "estimate_step"), [(4, 1), (1, 3), (1, 1)])

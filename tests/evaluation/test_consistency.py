@@ -49,14 +49,14 @@ def test_honest_covariances_pass_as_often_as_the_bounds_promise():
     verdicts = [consistency(*draw(seed, 200)) for seed in range(400)]
     passed = sum(verdict.consistent for verdict in verdicts)
     assert stats.binom.cdf(passed, 400, 0.95) > 1e-4 and stats.binom.sf(passed, 400, 0.95) > 1e-4
-    assert np.mean([verdict.share_inside for verdict in verdicts]) == pytest.approx(0.95, abs=4e-3)
+    assert np.mean([verdict.fraction_inside for verdict in verdicts]) == pytest.approx(0.95, abs=4e-3)
     assert np.mean([verdict.mean_nees_per_dof for verdict in verdicts]) == pytest.approx(1.0, abs=0.02)
 
 
 def test_covariances_that_are_too_small_or_too_large_are_found_out():
     over, under = consistency(*draw(0, 500, overconfidence=1.5)), consistency(*draw(0, 500, overconfidence=1 / 1.5))
-    assert not over.consistent and over.mean_nees_per_dof > over.upper_per_dof and over.share_inside < 0.95
-    assert not under.consistent and under.mean_nees_per_dof < under.lower_per_dof and under.share_inside > 0.95
+    assert not over.consistent and over.mean_nees_per_dof > over.upper_per_dof and over.fraction_inside < 0.95
+    assert not under.consistent and under.mean_nees_per_dof < under.lower_per_dof and under.fraction_inside > 0.95
 
 
 def test_covariances_that_are_none_are_refused():

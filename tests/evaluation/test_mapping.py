@@ -32,7 +32,7 @@ def surface() -> SurfaceIndex:
     return SurfaceIndex(room())
 
 
-def turn(yaw: np.ndarray) -> np.ndarray:
+def yaw_rotation(yaw: np.ndarray) -> np.ndarray:
     zero = np.zeros_like(yaw)
     return np.stack([zero, zero, np.sin(yaw / 2.0), np.cos(yaw / 2.0)], axis=-1)
 
@@ -45,7 +45,7 @@ def motion(times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def drive(shift: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Trajectory:
     stamps = np.arange(0, 2_000_000_001, 10_000_000)
     positions, yaw = motion(stamps * 1e-9)
-    return Trajectory(stamps, positions + np.array(shift), turn(yaw))
+    return Trajectory(stamps, positions + np.array(shift), yaw_rotation(yaw))
 
 
 def sweeps(count: int = 9, points: int = 2000) -> list[MapScan]:
@@ -72,7 +72,7 @@ def test_a_map_from_true_poses_lies_on_the_surface(surface: SurfaceIndex):
     quality = map_quality(sweeps(), drive(), surface, T_I_L)
     # the trajectory is given every 10 ms; between, 1 rad/s at 2 m/s bends a chord by less than 2 * 1 * 0.01^2 / 8 m
     assert quality.distances.max() < 2.0 * 1.0 * 0.01**2 / 8.0 + BOUND_M
-    assert quality.closeness["all"].share_within == 1.0
+    assert quality.closeness["all"].fraction_within == 1.0
     assert quality.map.scans == 9
     assert quality.map.left_out == 0
 
@@ -88,7 +88,7 @@ def test_poses_that_are_too_high_show_in_floor_and_ceiling_by_as_much(surface: S
     lifted = map_quality(sweeps(), drive(shift=(0.0, 0.0, 0.1)), surface, T_I_L).closeness
     assert lifted["floor"].median_m == pytest.approx(0.1, abs=2e-4)
     assert lifted["ceiling"].median_m == pytest.approx(0.1, abs=2e-4)
-    assert lifted["floor"].share_within < 0.05  # only where the floor meets a wall
+    assert lifted["floor"].fraction_within < 0.05  # only where the floor meets a wall
     assert lifted["wall"].median_m < 1e-3
 
 
@@ -98,25 +98,25 @@ def test_scans_that_are_wrong_later_are_not_hidden_by_earlier_ones(surface: Surf
     mixed = replace(good, positions=np.where(late[:, None], shifted.positions, good.positions))
     floor = map_quality(sweeps(), mixed, surface, T_I_L).closeness["floor"]
     # 4.5 of 9 scans lie 0.1 m too high and fall into the same voxels, or into those above
-    assert floor.share_within == pytest.approx(0.5, abs=0.1)
+    assert floor.fraction_within == pytest.approx(0.5, abs=0.1)
 
 
 def test_how_often_a_place_was_seen_does_not_change_the_verdict(surface: SurfaceIndex):
-    shares = []
+    fractions = []
     for repeats in (1, 5):
         times = np.arange(0, 8 * repeats * SWEEP_NS + 1, 10_000_000)
         lifted = (times // SWEEP_NS) % 8 == 3  # one scan in eight is 0.5 m too high, in voxels of its own
         positions = np.where(lifted[:, None], [0.0, 0.0, 0.5], 0.0)
-        still = Trajectory(times, positions, turn(np.zeros(len(times))))
+        still = Trajectory(times, positions, yaw_rotation(np.zeros(len(times))))
         rng = np.random.default_rng(1)
         scans = []
         for k in range(8 * repeats):
             floor = np.column_stack([rng.uniform(-7.0, 7.0, (2000, 2)), np.full(2000, -3.0)])
             middle = np.full(2000, SWEEP_NS // 2)
             scans.append(MapScan(k * SWEEP_NS, floor.astype(np.float32), middle))
-        shares.append(map_quality(scans, still, surface, np.eye(4)).closeness["all"].share_within)
-    # 16 000 points or more, of which one in eight is wrong: the share is known to 0.3 %
-    assert shares == pytest.approx([7.0 / 8.0] * 2, abs=0.02)
+        fractions.append(map_quality(scans, still, surface, np.eye(4)).closeness["all"].fraction_within)
+    # 16 000 points or more, of which one in eight is wrong: the fraction is known to 0.3 %
+    assert fractions == pytest.approx([7.0 / 8.0] * 2, abs=0.02)
 
 
 def test_scans_without_poses_are_left_out_and_counted(surface: SurfaceIndex):
@@ -143,7 +143,7 @@ def test_one_point_of_every_voxel_is_kept():
 
 
 def test_the_view_from_above_has_north_on_top_and_holes_where_nothing_is(surface: SurfaceIndex):
-    still = Trajectory(np.array([0, 100_000_000]), np.zeros((2, 3)), turn(np.zeros(2)))
+    still = Trajectory(np.array([0, 100_000_000]), np.zeros((2, 3)), yaw_rotation(np.zeros(2)))
     on_the_floor, half_a_metre_above = (3.1, 5.1, -3.0), (-4.9, -6.9, -2.5)
     scan = MapScan(0, np.array([on_the_floor, half_a_metre_above], dtype=np.float32), np.zeros(2, dtype=np.int64))
     view = map_quality([scan], still, surface, np.eye(4), MapOptions(pixel_m=1.0)).view

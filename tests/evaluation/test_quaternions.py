@@ -20,7 +20,7 @@ def test_product_and_rotation_agree_with_scipy(a, b, v):
 @given(rotations, rotations, st.floats(0.0, 1.0))
 def test_slerp_agrees_with_scipy(a, b, fraction):
     if (a.inv() * b).magnitude() > np.pi - 1e-6:
-        return  # both ways are equally short
+        return  # both arcs are equally short
     ours = quaternions.slerp(a.as_quat(), b.as_quat(), np.array(fraction))
     theirs = Slerp([0.0, 1.0], Rotation.concatenate([a, b]))(fraction)
     assert (Rotation.from_quat(ours).inv() * theirs).magnitude() < 1e-7

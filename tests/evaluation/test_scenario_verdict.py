@@ -30,20 +30,20 @@ def drive(times_s):
     return Trajectory(START + np.rint(times_s * 1e9).astype(np.int64), positions, quaternions), velocities
 
 
-def fixes(good, lying=None, error=(0.01, 0.0, 0.02)):
+def fixes(good, faulty=None, error=(0.01, 0.0, 0.02)):
     times = np.arange(0.01, DURATION_S, 0.05)
     poses, _ = drive(times)
     errors = np.tile(error, (len(times), 1)) * np.where(np.arange(len(times)) % 2, 1.0, -1.0)[:, None]
     at = poses.positions + Rotation.from_quat(poses.quaternions).apply(ARM)
-    lies = np.zeros(len(times), dtype=bool) if lying is None else lying(times)
-    return Fixes(poses.stamps_ns, at + errors, errors, good(times) & ~lies, lies, ARM)
+    is_faulty = np.zeros(len(times), dtype=bool) if faulty is None else faulty(times)
+    return Fixes(poses.stamps_ns, at + errors, errors, good(times) & ~is_faulty, is_faulty, ARM)
 
 
 def outside(start_s=OUTAGE[0], end_s=OUTAGE[1]):
     return lambda times: (times < start_s) | (times >= end_s)
 
 
-def evidence(position=None, *, yaw=None, trusted=None, velocity=None, antennas=None, lidar_drift=0.0):
+def evidence(position=None, *, yaw=None, trusted=None, velocity=None, antennas=None, odometry_drift=0.0):
     """Return what was published, wrong by position (N, 3) [m], yaw (N,) [rad], velocity (N, 3), and the truth."""
     n = len(TIMES)
     poses, velocities = drive(TIMES)
@@ -55,16 +55,18 @@ def evidence(position=None, *, yaw=None, trusted=None, velocity=None, antennas=N
         velocities + (0.0 if velocity is None else velocity),
     )
     rates = np.tile([0.0, 0.0, 1.0 / 20.0], (n, 1))
-    heard = np.arange(n) > 0
-    lidar_poses, _ = drive(np.arange(0.1, DURATION_S, 0.2))
+    received = np.arange(n) > 0
+    odometry_poses, _ = drive(np.arange(0.1, DURATION_S, 0.2))
     since = np.maximum(np.arange(0.1, DURATION_S, 0.2) - OUTAGE[0], 0.0)
-    lidar = replace(lidar_poses, positions=lidar_poses.positions + lidar_drift * since[:, None] * [1.0, 0.0, 0.0])
+    odometry = replace(
+        odometry_poses, positions=odometry_poses.positions + odometry_drift * since[:, None] * [1.0, 0.0, 0.0]
+    )
     chassis = Chassis(replace(poses, positions=np.zeros((n, 3))), rates[:, 2])
     published = Published(
         world=world,
         odometry=States(poses, velocities),
         covariances=np.tile(np.diag([1e-3] * 3 + [0.01] * 3 + [0.02] * 3) ** 2, (n, 1, 1)),
-        inertial=Inertial(rates, -poses.positions / 400.0, heard),
+        inertial=Inertial(rates, -poses.positions / 400.0, received),
         trusted=np.ones(n, dtype=bool) if trusted is None else trusted,
         chassis=chassis,
     )
@@ -72,8 +74,8 @@ def evidence(position=None, *, yaw=None, trusted=None, velocity=None, antennas=N
         start_ns=START,
         states=States(poses, velocities),
         antennas=[fixes(outside())] if antennas is None else antennas,
-        lidar=lidar,
-        at_lidar=lidar_poses,
+        odometry=odometry,
+        at_odometry=odometry_poses,
         chassis=chassis,
         slewing=TIMES > 40.0,
     )
@@ -100,7 +102,7 @@ def test_a_perfect_run_has_no_error_and_no_step():
 def test_an_outage_is_where_no_antenna_has_a_good_fix():
     (outage,) = judge(*evidence()).outages
     assert outage.span == pytest.approx(OUTAGE, abs=0.06)
-    assert not outage.lied
+    assert not outage.has_faulty
     left, right = fixes(outside(20.0, 30.0)), fixes(outside(25.0, 35.0))
     (shared,) = judge(*evidence(antennas=[left, right])).outages
     assert shared.span == pytest.approx((25.0, 30.0), abs=0.06)
@@ -121,9 +123,9 @@ def test_a_run_without_gnss_is_one_outage_without_a_recovery():
 
 
 def test_fixes_that_lie_are_an_outage_whatever_they_claim():
-    liar = fixes(outside(70.0, 80.0), lying=lambda times: (times > 40.0) & (times < 45.0))
-    (outage,) = judge(*evidence(antennas=[liar])).outages
-    assert outage.lied
+    faulty_antenna = fixes(outside(70.0, 80.0), faulty=lambda times: (times > 40.0) & (times < 45.0))
+    (outage,) = judge(*evidence(antennas=[faulty_antenna])).outages
+    assert outage.has_faulty
     assert outage.span == pytest.approx((40.0, 45.0), abs=0.06)
 
 
@@ -146,7 +148,9 @@ def test_the_ratio_is_to_the_errors_of_the_fixes_themselves():
 
 def test_against_rtk_the_mean_is_signed_and_the_deviation_is_of_all_axes():
     scores = judge(*evidence(constant(0.0, 0.006, 0.008))).scores
-    assert scores["rtk_mean_m"] == pytest.approx(0.01, rel=0.01)  # as many fixes are wrong one way as the other
+    assert scores["rtk_mean_m"] == pytest.approx(
+        0.01, rel=0.01
+    )  # as many fixes are wrong in one direction as in the other
     assert scores["rtk_std_m"] == pytest.approx(np.sqrt((0.01**2 + 0.02**2) / 3.0), rel=0.01)
 
 
@@ -158,8 +162,8 @@ def test_a_turn_moves_the_antenna_by_its_lever_arm():
     assert 0.5 * quarter < np.hypot(scores["rtk_mean_m"], scores["rtk_std_m"]) < 2.0 * quarter
 
 
-def test_lidar_alone_begins_at_the_truth_at_the_loss():
-    scores = judge(*evidence(constant(0.2, 0.0, 0.0), lidar_drift=0.03)).scores
+def test_odometry_alone_begins_at_the_truth_at_the_loss():
+    scores = judge(*evidence(constant(0.2, 0.0, 0.0), odometry_drift=0.03)).scores
     # 0.03 m/s over 10 s: RMS 0.3 / sqrt(3), from the last scan before the loss on
     assert scores["outage_alone_horizontal_rms_m"] == pytest.approx(0.3 / np.sqrt(3.0), rel=0.02)
     assert scores["outage_horizontal_excess_m"] == pytest.approx(0.2 - 0.3 / np.sqrt(3.0), abs=0.004)
@@ -180,7 +184,7 @@ def test_an_error_that_was_small_when_gnss_came_back_has_settled_at_once():
     assert outage.settled_s == 0.0
 
 
-def test_gnss_that_is_never_used_again_is_said():
+def test_gnss_that_is_never_used_again_is_reported():
     (outage,) = judge(*evidence(trusted=TIMES < 21.0)).outages
     assert outage.regained_s == np.inf
 

@@ -35,28 +35,28 @@ def moved(states, row, shift):
 
 
 def test_smooth_motion_has_steps_far_below_the_bound_of_the_odometry_frame(smooth):
-    shift, turn = steps(*smooth)
+    shift, rotation = steps(*smooth)
     assert np.isnan(shift[0])
     assert np.nanmax(shift) < 1e-6  # the third derivative of this motion over one period
-    assert np.nanmax(turn) < 1e-4
+    assert np.nanmax(rotation) < 1e-4
 
 
 def test_a_step_of_position_is_found_where_it_is_with_its_size(smooth):
     states, inertial = smooth
-    shift, turn = steps(moved(states, 400, [0.003, 0.0, 0.004]), inertial)
+    shift, rotation = steps(moved(states, 400, [0.003, 0.0, 0.004]), inertial)
     assert np.nanargmax(shift) == 400
     assert shift[400] == pytest.approx(0.005, abs=1e-6)
     assert np.nanmax(np.delete(shift, 400)) < 1e-6
-    assert np.nanmax(turn) < 1e-4
+    assert np.nanmax(rotation) < 1e-4
 
 
 def test_a_turn_is_found_where_it_is_with_its_size(smooth):
     states, inertial = smooth
     turned = (Rotation.from_rotvec([0.0, 0.0, 0.01]) * Rotation.from_quat(states.poses.quaternions)).as_quat()
     quaternions = np.where(np.arange(COUNT)[:, None] >= 300, turned, states.poses.quaternions)
-    shift, turn = steps(replace(states, poses=replace(states.poses, quaternions=quaternions)), inertial)
-    assert np.nanargmax(turn) == 300
-    assert turn[300] == pytest.approx(np.degrees(0.01), abs=1e-4)
+    shift, rotation = steps(replace(states, poses=replace(states.poses, quaternions=quaternions)), inertial)
+    assert np.nanargmax(rotation) == 300
+    assert rotation[300] == pytest.approx(np.degrees(0.01), abs=1e-4)
     assert np.nanmax(shift) < 1e-6
 
 
@@ -71,9 +71,9 @@ def test_a_velocity_that_changes_at_once_is_a_step_of_one_period(smooth):
 
 def test_where_the_imu_was_silent_nothing_is_a_step(smooth):
     states, inertial = smooth
-    heard = inertial.heard & (np.arange(COUNT) != 400)
-    shift, turn = steps(moved(states, 400, [1.0, 0.0, 0.0]), replace(inertial, heard=heard))
-    assert np.isnan([shift[400], turn[400]]).all()
+    received = inertial.received & (np.arange(COUNT) != 400)
+    shift, rotation = steps(moved(states, 400, [1.0, 0.0, 0.0]), replace(inertial, received=received))
+    assert np.isnan([shift[400], rotation[400]]).all()
     assert np.nanmax(shift) < 1e-6
 
 
@@ -86,6 +86,6 @@ def test_drift_does_not_depend_on_where_the_odometry_frame_lies(smooth):
         T.apply(states.poses.positions) + np.array([5.0, 6.0, 7.0]),
         (T * Rotation.from_quat(states.poses.quaternions)).as_quat(),
     )
-    drift, way = drift_m(replace(states, poses=poses), truth)
+    drift, distance = drift_m(replace(states, poses=poses), truth)
     assert drift == pytest.approx(0.5)
-    assert way == pytest.approx(np.hypot(4.0 * 0.3, 0.1) * (COUNT - 1) / RATE_HZ, rel=1e-5)
+    assert distance == pytest.approx(np.hypot(4.0 * 0.3, 0.1) * (COUNT - 1) / RATE_HZ, rel=1e-5)

@@ -36,8 +36,8 @@ def test_the_tangent_is_that_of_navstate(rng):
 
 def test_errors_in_the_world_are_estimate_minus_truth(rng):
     R, p, v = Rotation.random(COUNT, rng=rng), rng.standard_normal((COUNT, 3)), rng.standard_normal((COUNT, 3))
-    turn = Rotation.from_rotvec([0.001, -0.002, 0.03])
-    errors = state_errors(states(turn * R, p + np.array([1.0, 2.0, 3.0]), v), states(R, p, v))
+    rotation = Rotation.from_rotvec([0.001, -0.002, 0.03])
+    errors = state_errors(states(rotation * R, p + np.array([1.0, 2.0, 3.0]), v), states(R, p, v))
     np.testing.assert_allclose(errors.position, np.tile([1.0, 2.0, 3.0], (COUNT, 1)))
     np.testing.assert_allclose(errors.attitude, np.tile([0.001, -0.002, 0.03], (COUNT, 1)), atol=1e-12)
 

@@ -39,7 +39,7 @@ def test_a_gyroscope_undoes_a_turn_that_starts_within_the_sweep():
 
 def test_the_last_rate_holds_beyond_what_was_measured():
     rates = Rates(np.array([0.0, 0.1]), np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5]]))
-    assert rates.turn(-0.4, 0.6).yaw() == pytest.approx(0.5)
+    assert rates.rotation(-0.4, 0.6).yaw() == pytest.approx(0.5)
 
 
 def test_times_of_points_need_no_order_and_no_regularity():

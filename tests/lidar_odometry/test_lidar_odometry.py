@@ -1,4 +1,4 @@
-"""`holdfast lidar-odometry`: bags in, bags out, in whatever way it ends."""
+"""`holdfast lidar-odometry`: bags in, bags out, however it ends."""
 
 import os
 import signal
@@ -119,16 +119,16 @@ def test_poses_are_true_at_their_stamps_and_arrive_late(converted):
     poses = [(at, m) for _, at, m in read(out, "/lidar/odometry")]
     assert [at for at, _ in poses] == [START_NS + k * 200_000_000 + DELAY_NS + 80_000_000 for k in range(SWEEPS)]
     with open_recording(out) as recording:
-        lidar = list(recording.read([Subscription("/lidar/odometry", "lidar", "lidar")]))
+        lidar = list(recording.read([Subscription("/lidar/odometry", "lidar", "odometry")]))
     middle_ns = round(sweeps()[0].middle_s * 1e9)
     assert [pose.stamp_ns for pose in lidar] == [START_NS + k * 200_000_000 + middle_ns for k in range(SWEEPS)]
     first = Registered(lidar[0].stamp_ns, np.eye(4))
     for pose in lidar:
         x, y, z, w = pose.quaternion
         T = gtsam.Pose3(gtsam.Rot3.Quaternion(w, x, y, z), pose.position).matrix()
-        miss = error(Registered(pose.stamp_ns, T), first, turning)
-        assert np.abs(miss[:3]).max() < 2e-3
-        assert np.abs(miss[3:]).max() < 0.05  # the first sweep cannot be deskewed
+        residual = error(Registered(pose.stamp_ns, T), first, turning)
+        assert np.abs(residual[:3]).max() < 2e-3
+        assert np.abs(residual[3:]).max() < 0.05  # the first sweep cannot be deskewed
     _, last = poses[-1]
     assert (last.header.frame_id, last.child_frame_id) == ("lidar_odom", "lidar")
 
@@ -144,7 +144,7 @@ def test_the_first_covariance_is_unknown_and_the_others_are_small_and_positive(c
 
 
 def test_a_covariance_is_turned_to_the_axes_of_the_frame():
-    from holdfast.recording.cdr import OdometryEncoder
+    from holdfast.ros.cdr import OdometryEncoder
 
     T = np.eye(4)
     T[:3, :3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]  # x of L is y of the frame
@@ -183,7 +183,7 @@ def test_options_of_the_output(bag, tmp_path):
 
 
 def test_the_gyroscope_of_a_configuration_is_used(bag, plain, tmp_path, capsys):
-    text = "sensors: {{imu: {{topic: {}}}, lidar: {{topic: /lidar/odometry}}}}\n"
+    text = "sensors: {{imu: {{kind: imu, topic: {}}}, lidar: {{kind: odometry, topic: /lidar/odometry}}}}\n"
     text += "extrinsics: [{{parent: imu, child: lidar, translation_m: [0, 0, 0]}}]"
     config = tmp_path / "config.yaml"
     config.write_text(text.format("/imu"))
@@ -192,6 +192,26 @@ def test_the_gyroscope_of_a_configuration_is_used(bag, plain, tmp_path, capsys):
     assert plain.read_bytes() != helped.read_bytes()
     config.write_text(text.format("/nothing"))
     with pytest.raises(RecordingError, match="has no topic '/nothing'"):
+        convert(bag, tmp_path / "none.mcap", "--replace", "-c", config)
+
+
+def test_of_two_odometries_the_one_of_the_output_topic_names_the_mounting(bag, tmp_path):
+    config = tmp_path / "config.yaml"
+    text = """
+sensors:
+  imu: {kind: imu, topic: /imu}
+  lidar: {kind: odometry, topic: %s}
+  camera: {kind: odometry, topic: /camera/odometry}
+extrinsics:
+  - {parent: imu, child: lidar}
+  - {parent: imu, child: camera, rotation_rpy_deg: [0, 0, 90]}
+"""
+    config.write_text(text % "/lidar/odometry")
+    one = convert(bag, tmp_path / "one.mcap", "--replace", "-c", config)
+    config.write_text(text.replace("[0, 0, 90]", "[0, 0, 0]") % "/lidar/odometry")
+    assert convert(bag, tmp_path / "other.mcap", "--replace", "-c", config).read_bytes() == one.read_bytes()
+    config.write_text(text % "/other/odometry")
+    with pytest.raises(ConfigError, match=r"the topic /lidar/odometry is needed .*lidar, camera"):
         convert(bag, tmp_path / "none.mcap", "--replace", "-c", config)
 
 

@@ -18,7 +18,7 @@ GUESS_SIGMAS = np.array([0.003, 0.003, 0.003, 0.02, 0.02, 0.02])
 
 @pytest.fixture(scope="module")
 def alignments():
-    """Errors (N, 6) in the tangent of L and claimed covariances, over noise and places, against one map."""
+    """Errors (N, 6) in the tangent of L and claimed covariances, over noise and positions, against one map."""
     rng = np.random.default_rng(8)
     rays = sweep(0, rng, standing, times=False, noise_m=0.0).points
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)

@@ -76,7 +76,7 @@ def test_without_times_the_pose_belongs_to_the_stamp(extra):
     ("columns", "reason"),
     [
         (axes()[:2], "no fields x, y, z"),
-        ([*axes(), ("time", "f4", TIMES_S + 30.0)], "lies 30.1 s from the stamp"),
+        ([*axes(), ("time", "f4", TIMES_S + 30.0)], "is 30.1 s from the stamp"),
         ([*axes(), ("timestamp", "f8", START_NS * 1e-9 + 3600.0 + TIMES_S)], "from the stamp"),
         ([*axes(), ("time", "f4", [0.0, np.nan, 0.1, 0.2])], "not finite"),
     ],

@@ -46,14 +46,14 @@ def cast(origins, directions, boxes=BOXES):
     return nearest
 
 
-def ramp(since, turn, rate=RATE_RAD_S, acceleration=ACCELERATION_RAD_S2):
-    """Angle of a turn from standstill to standstill, and how long it lasts."""
+def ramp(since, angle, rate=RATE_RAD_S, acceleration=ACCELERATION_RAD_S2):
+    """Angle of a slew from standstill to standstill, and how long it lasts."""
     brake = rate / acceleration
-    lasts = turn / rate + brake
+    lasts = angle / rate + brake
     since = np.clip(since, 0.0, lasts)
     start = 0.5 * acceleration * since**2
     steady = rate * (since - 0.5 * brake)
-    end = turn - 0.5 * acceleration * (lasts - since) ** 2
+    end = angle - 0.5 * acceleration * (lasts - since) ** 2
     return np.where(since < brake, start, np.where(since < lasts - brake, steady, end)), lasts
 
 
@@ -84,7 +84,7 @@ def T_W_L(t, angle=slewed_rad):
 
 
 def sweep(number, rng, angle=slewed_rad, *, gyroscope=False, times=True, noise_m=NOISE_M):
-    """One turn of the lidar, stamped at its start."""
+    """One revolution of the lidar, stamped at its start."""
     start_s = number * PERIOD_S
     offsets_s = np.arange(COLUMNS) / COLUMNS * PERIOD_S
     azimuth = np.pi - 2 * np.pi * np.arange(COLUMNS) / COLUMNS
@@ -112,7 +112,7 @@ def sweep(number, rng, angle=slewed_rad, *, gyroscope=False, times=True, noise_m
 
 
 def error(registered, first, angle=slewed_rad):
-    """Miss of a pose against the truth at its stamp, as a tangent (6,): rotation [rad], translation [m]."""
+    """Residual of a pose against the truth at its stamp, as a tangent (6,): rotation [rad], translation [m]."""
     started = T_W_L((first.stamp_ns - START_NS) * 1e-9, angle)
     truth = started.between(T_W_L((registered.stamp_ns - START_NS) * 1e-9, angle))
     return gtsam.Pose3.Logmap(truth.between(gtsam.Pose3(registered.T_L0_L)))

@@ -58,7 +58,7 @@ class LiveProcess:
                 return found[0]
             assert self.process.poll() is None, self.lines()
             time.sleep(0.02)
-        raise AssertionError(f"{text!r} was never said: {self.lines()}")
+        raise AssertionError(f"{text!r} was never printed: {self.lines()}")
 
     def end(self, number=signal.SIGINT, timeout_s=30.0):
         """End it as a terminal does, the whole group at once, and return its exit code."""
@@ -111,23 +111,23 @@ class Machine:
         self.publishers = {topic: network.advertise(topic, name) for topic, name in topics.items()}
 
     def play(self, begin_s, end_s):
-        """Publish what arrived in this time of the drive, at its pace and with stamps of now; return what was heard."""
+        """Publish what arrived in this time of the drive, at its pace and with stamps of now; return what came back."""
         rows = list(messages(drive() / "recording.mcap", self.publishers))
-        first_ns, heard = rows[0][0], []
+        first_ns, received = rows[0][0], []
         began, shift_ns = time.monotonic(), time.time_ns() - first_ns - round(begin_s * 1e9)
         for at_ns, topic, name, _, message in rows:
             at_s = (at_ns - first_ns) * 1e-9
             if begin_s <= at_s < end_s:
-                heard += self.hear(began + at_s - begin_s)
+                received += self.receive(began + at_s - begin_s)
                 self.publishers[topic](stamped(message, name, shift_ns))
-        return heard
+        return received
 
-    def hear(self, until):
+    def receive(self, until):
         """Return the samples that come until a time of the monotonic clock."""
-        heard = []
+        received = []
         while (left := until - time.monotonic()) > 0:
-            heard += self.network.wait(left)
-        return heard
+            received += self.network.wait(left)
+        return received
 
 
 def stamped(message, name, shift_ns):

@@ -74,7 +74,7 @@ def test_a_topic_without_a_leading_slash_belongs_to_the_namespace(topic, namespa
 @pytest.mark.parametrize("wrong", [{"namespace": "machine"}, {"namespace": "/"}, {"node_name": "hold fast"}])
 def test_names_that_ros_would_refuse_are_refused(wrong):
     with pytest.raises(ValueError, match="pattern"):
-        Config.model_validate({"sensors": {"imu": {"topic": "/imu"}}, "live": wrong})
+        Config.model_validate({"sensors": {"imu": {"kind": "imu", "topic": "/imu"}}, "live": wrong})
 
 
 def test_the_example_is_a_valid_configuration():

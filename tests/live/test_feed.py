@@ -50,7 +50,7 @@ def test_everything_that_was_offered_arrives_in_order(tmp_path):
 
 
 def test_a_consumer_that_hangs_holds_nobody_up_and_what_it_misses_is_counted(monkeypatch):
-    monkeypatch.setattr(feed_module, "BATCHES", 8)
+    monkeypatch.setattr(feed_module, "MAX_WAITING_BATCHES", 8)
     monkeypatch.setattr(feed_module, "FINISH_S", 0.5)
     feed = Feed("hang", hang)
     slowest = 0.0

@@ -7,9 +7,9 @@ import pytest
 from rosbags.interfaces import Nodetype
 
 from holdfast.live.idl import STORE, dds_name, dds_type, ros_name
-from holdfast.recording.decode import DECODERS
+from holdfast.recording.kinds import KINDS
 
-ACCEPTED = {name for allowed in DECODERS.values() for name in allowed}
+ACCEPTED = {name for kind in KINDS.values() for name in kind.types}
 PUBLISHED = {
     "nav_msgs/msg/Odometry",
     "nav_msgs/msg/Path",

@@ -66,7 +66,7 @@ def values(status):
     return {entry.key: entry.value for entry in status.values}
 
 
-def test_wrong_types_and_missing_topics_are_told_in_one_line_and_so_is_their_end(live, domain):
+def test_wrong_types_and_missing_topics_are_reported_in_one_line_and_so_is_their_end(live, domain):
     process = live(silent_after_s=1.0)
     with network(domain) as first:
         wrong = Machine(first, {"/imu/data": FIX, "/gnss/left/fix_raw": FIX})
@@ -82,12 +82,12 @@ def test_wrong_types_and_missing_topics_are_told_in_one_line_and_so_is_their_end
             publish(cdr(message, IMU))
             time.sleep(0.05)
     process.wait_for("/imu/data: is well again", 1.0)
-    told = [line for line in process.lines() if "/gnss/right/fix: nobody" in line]
-    assert len(told) == 1  # once, not every second
+    lines = [line for line in process.lines() if "/gnss/right/fix: nobody" in line]
+    assert len(lines) == 1  # once, not every second
     assert process.end(signal.SIGTERM) == 128 + signal.SIGTERM
 
 
-def test_messages_that_make_no_sense_are_counted_and_told_and_never_fatal(live, joined):
+def test_messages_that_make_no_sense_are_counted_and_reported_and_never_fatal(live, joined):
     process = live()
     process.wait_for("publishing")
     net = joined()
@@ -106,20 +106,21 @@ def test_messages_that_make_no_sense_are_counted_and_told_and_never_fatal(live, 
         machine.publishers["/lidar/odometry"](cdr(rotten, ODOMETRY))
         machine.publishers["/imu/data"](cdr(broken, IMU))
         machine.publishers["/base_imu/data"](bytes(STORE.serialize_cdr(ancient, IMU)))
-        samples += machine.hear(time.monotonic() + 0.1)
+        samples += machine.receive(time.monotonic() + 0.1)
     assert "'cabin_turn' is not among boom, stick" in process.wait_for("warning: /joint_states")
     assert "norm 0" in process.wait_for("warning: /lidar/odometry")
     assert "behind this machine's clock" in process.wait_for("warning: /base_imu/data: stamps are")
-    told = statuses(samples)
+    reported = statuses(samples)
     for topic in ("/joint_states", "/lidar/odometry"):
-        assert told[f"holdfast: {topic}"].level in (1, b"\x01")
-        assert 0 < int(values(told[f"holdfast: {topic}"])["malformed"]) <= 30
-    assert 0 < int(values(told["holdfast"])["imu not_finite"]) <= 30
+        assert reported[f"holdfast: {topic}"].level in (1, b"\x01")
+        assert 0 < int(values(reported[f"holdfast: {topic}"])["malformed"]) <= 30
+    assert 0 < int(values(reported["holdfast"])["imu not_finite"]) <= 30
     machine.play(0.0, 3.0)
     process.wait_for("initialised")  # and nothing of it has done harm
     assert process.end() == 130
 
 
+@pytest.mark.slow
 def test_a_drive_with_controls_a_full_disk_and_ctrl_c(live, joined, tmp_path):
     log, scene = tmp_path / "log.mcap", tmp_path / "scene.rrd"
     process = live("--record", log, "--view", scene)
@@ -128,9 +129,9 @@ def test_a_drive_with_controls_a_full_disk_and_ctrl_c(live, joined, tmp_path):
     machine = Machine(net, TOPICS)
     net.subscribe("/holdfast/odometry/base", ODOMETRY, reliable=True)
     net.subscribe("/tf", "tf2_msgs/msg/TFMessage", reliable=True)
-    heard = machine.play(0.0, 4.0)
+    received = machine.play(0.0, 4.0)
     process.wait_for("initialised")
-    frames = [STORE.deserialize_cdr(s.data, s.type_name) for s in heard if s.topic == "/tf"][-1].transforms
+    frames = [STORE.deserialize_cdr(s.data, s.type_name) for s in received if s.topic == "/tf"][-1].transforms
     assert [(t.header.frame_id, t.child_frame_id) for t in frames] == [
         ("map", "odom"),
         ("odom", "base_link"),
@@ -140,10 +141,10 @@ def test_a_drive_with_controls_a_full_disk_and_ctrl_c(live, joined, tmp_path):
     latched = {"/holdfast/datum": FIX, "/tf_static": "tf2_msgs/msg/TFMessage", "/rosout": "rcl_interfaces/msg/Log"}
     for topic, name in latched.items():  # for those who come late
         net.subscribe(topic, name, reliable=True, latched=True)
-    late = machine.hear(time.monotonic() + 2.0)
+    late = machine.receive(time.monotonic() + 2.0)
     samples = {s.topic: STORE.deserialize_cdr(s.data, s.type_name) for s in late}
-    said = [STORE.deserialize_cdr(s.data, s.type_name).msg for s in late if s.topic == "/rosout"]
-    assert any("the world's origin is" in text for text in said) and any("initialised" in text for text in said)
+    logged = [STORE.deserialize_cdr(s.data, s.type_name).msg for s in late if s.topic == "/rosout"]
+    assert any("the world's origin is" in text for text in logged) and any("initialised" in text for text in logged)
     configured = YAML(typ="safe").load((drive() / "config.yaml").read_text())["frames"]["datum"]
     datum = samples["/holdfast/datum"]
     assert (datum.latitude, datum.longitude, datum.altitude) == tuple(configured.values())
@@ -152,19 +153,19 @@ def test_a_drive_with_controls_a_full_disk_and_ctrl_c(live, joined, tmp_path):
 
     limit_recorder(process.process.pid, log)
     set_datum = net.advertise("/holdfast/set_datum", FIX)
-    machine.hear(time.monotonic() + 1.0)
+    machine.receive(time.monotonic() + 1.0)
     moved = first_message("/gnss/left/fix")
     moved.latitude, moved.longitude, moved.altitude = 47.41, 8.51, 500.0
     set_datum(cdr(moved, FIX))
     process.wait_for("the world's origin is 47.41000000, 8.51000000, 500.000 m")
     moved.latitude = float("nan")
     set_datum(cdr(moved, FIX))
-    process.wait_for("is no place on the Earth; nothing is changed")
+    process.wait_for("is no position on the Earth; nothing is changed")
 
-    heard = machine.play(4.0, 8.0)  # it stands and drives on; the disk fills up meanwhile
+    received = machine.play(4.0, 8.0)  # it stands and drives on; the disk fills up meanwhile
     process.wait_for("the recording ends here")
     assert len([line for line in process.lines() if "the recording ends here" in line]) == 1
-    bases = [s for s in heard if s.topic == "/holdfast/odometry/base"]
+    bases = [s for s in received if s.topic == "/holdfast/odometry/base"]
     assert len(bases) > 50  # the estimator goes on
     assert process.end() == 130
     recorded = [topic for _, topic in read_cut(log)]
@@ -209,7 +210,8 @@ def test_without_a_single_message_it_says_so_and_exits_with_4(live):
     ((), {"interface": "nowhere0"}, "live.interface = nowhere0: this machine has"),
     ((), {"domain_id": 233}, "live.domain_id = 233: must be <= 232"),
     ((), {"namespace": "machine"}, "live.namespace"),
-    ((), {"sensors": {"gnss": {"topic": "/imu/data"}}}, "sensors.gnss.topic: /imu/data is that of another sensor"),
+    ((), {"sensors": {"gnss": {"kind": "gnss", "topic": "/imu/data"}}},
+     "sensors.gnss.topic: /imu/data is that of another sensor"),
     (("--record", "/nowhere/log.mcap"), {}, "--record /nowhere/log.mcap: cannot be written"),
     (("--view", "scene.mp4"), {}, "--view scene.mp4: must be"),
     (("--duration", "-1"), {}, "--duration -1: must be > 0"),
@@ -218,7 +220,7 @@ def test_a_mistake_of_the_user_is_one_line_and_exit_code_2(domain, tmp_path, mis
     arguments, settings, words = mistake[0], dict(mistake[1]), mistake[2]
     from holdfast.cli import main
 
-    sensors = {"imu": {"topic": "/imu/data"}} | settings.pop("sensors", {})
+    sensors = {"imu": {"kind": "imu", "topic": "/imu/data"}} | settings.pop("sensors", {})
     extrinsics = [{"parent": "imu", "child": "gnss", "translation_m": [1.0, 0.0, 1.0]}]
     content = {"sensors": sensors, "extrinsics": extrinsics, "live": LOOPBACK | {"domain_id": domain} | settings}
     (tmp_path / "live.yaml").write_text(json.dumps(content))
@@ -235,8 +237,8 @@ def test_ctrl_c_while_it_starts_is_one_word_and_no_traceback_of_any_process(live
     process = live("--record", tmp_path / "log.mcap")
     time.sleep(after_s)
     assert process.end() == 130
-    said = "\n".join(process.lines())
-    assert "Traceback" not in said and "KeyboardInterrupt" not in said, said
+    output = "\n".join(process.lines())
+    assert "Traceback" not in output and "KeyboardInterrupt" not in output, output
     assert process.lines()[-1] == "interrupted"
 
 
@@ -246,7 +248,7 @@ def test_ctrl_c_while_it_starts_is_one_word_and_no_traceback_of_any_process(live
     ("rerun", ("view", "RECORDING"), "viz"),
 ])  # fmt: skip
 def test_a_missing_extra_is_named_with_the_command_that_installs_it(missing, arguments, extra, domain, tmp_path):
-    content = {"sensors": {"imu": {"topic": "/imu/data"}}, "live": LOOPBACK | {"domain_id": domain}}
+    content = {"sensors": {"imu": {"kind": "imu", "topic": "/imu/data"}}, "live": LOOPBACK | {"domain_id": domain}}
     (tmp_path / "live.yaml").write_text(json.dumps(content))
     places = {"CONFIG": str(tmp_path / "live.yaml"), "RECORDING": str(drive() / "recording.mcap")}
     code = f"import sys; sys.modules[{missing!r}] = None; from holdfast.cli import main; main()"

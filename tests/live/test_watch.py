@@ -1,4 +1,4 @@
-"""What is said of topics on which something is wrong."""
+"""What is reported of topics on which something is wrong."""
 
 import pytest
 
@@ -17,13 +17,13 @@ SECOND_NS = 1_000_000_000
 HERE = [Publication("/imu/data", IMU, True), Publication("/lidar", POSE, False)]
 
 
-class Told:
+class Watched:
     """A watch with a clock that the test sets."""
 
     def __init__(self, reliable=False):
         self.watch = Watch(TOPICS, 5.0, 1.0, reliable=reliable, began_ns=BEGAN_NS)
 
-    def hear(self, at_s, *topics, offset_s=0.0):
+    def receive(self, at_s, *topics, offset_s=0.0):
         at_ns = BEGAN_NS + round(at_s * SECOND_NS)
         for topic in topics or TOPICS:
             self.watch.note(topic, at_ns + round(offset_s * SECOND_NS), at_ns, at_ns)
@@ -34,82 +34,82 @@ class Told:
 
 
 @pytest.fixture
-def told():
-    return Told()
+def watched():
+    return Watched()
 
 
-def test_nothing_is_wrong_while_messages_come(told):
+def test_nothing_is_wrong_while_messages_come(watched):
     for second in range(1, 20):
-        told.hear(second)
-        assert told.review(second + 0.5) == {}
+        watched.receive(second)
+        assert watched.review(second + 0.5) == {}
 
 
-def test_a_publisher_is_missed_only_after_a_while(told):
-    assert told.review(4.9, []) == {}
-    found = told.review(5.1, [])
+def test_a_publisher_is_missing_only_after_a_while(watched):
+    assert watched.review(4.9, []) == {}
+    found = watched.review(5.1, [])
     assert set(found) == set(TOPICS)
     assert "nobody publishes it" in found["/imu/data"].text
     assert IMU in found["/imu/data"].text
     assert ODOMETRY in found["/lidar"].text and POSE in found["/lidar"].text
 
 
-def test_a_topic_of_the_right_type_with_a_name_like_it_is_proposed(told):
+def test_a_topic_of_the_right_type_with_a_name_like_it_is_proposed(watched):
     others = [Publication("/imu/data_raw", IMU, True), Publication("/gnss", FIX, True), HERE[1]]
-    told.hear(5.0, "/lidar")
-    assert "did you mean /imu/data_raw" in told.review(6.0, others)["/imu/data"].text
+    watched.receive(5.0, "/lidar")
+    assert "did you mean /imu/data_raw" in watched.review(6.0, others)["/imu/data"].text
 
 
-def test_a_wrong_type_is_told_at_once_with_both_names(told):
-    told.hear(0.5, "/lidar")
-    found = told.review(1.0, [Publication("/imu/data", FIX, True), HERE[1]])
+def test_a_wrong_type_is_reported_at_once_with_both_names(watched):
+    watched.receive(0.5, "/lidar")
+    found = watched.review(1.0, [Publication("/imu/data", FIX, True), HERE[1]])
     assert set(found) == {"/imu/data"}
     assert FIX in found["/imu/data"].text and IMU in found["/imu/data"].text
 
 
-def test_a_silent_publisher_is_told_apart_from_an_absent_one(told):
-    told.hear(1.0)
-    assert told.review(5.9) == {}
-    found = told.review(6.1)
+def test_a_silent_publisher_is_reported_apart_from_an_absent_one(watched):
+    watched.receive(1.0)
+    assert watched.review(5.9) == {}
+    found = watched.review(6.1)
     assert {finding.kind for finding in found.values()} == {"silent"}
 
 
 def test_a_best_effort_driver_and_a_reliable_reader_never_meet():
-    told = Told(reliable=True)
-    found = told.review(6.0)
+    watched = Watched(reliable=True)
+    found = watched.review(6.0)
     assert found["/imu/data"].kind == "silent"  # its publisher is reliable
     assert "best-effort" in found["/lidar"].text
 
 
 @pytest.mark.parametrize(("offset_s", "words"), [(-1.7e9, "behind"), (2.0, "ahead of"), (-1.5, "behind")])
-def test_stamps_far_from_this_clock_are_told_with_their_distance(told, offset_s, words):
-    told.hear(1.0, "/imu/data", offset_s=offset_s)
-    text = told.review(1.5)["/imu/data"].text
+def test_stamps_far_from_this_clock_are_reported_with_their_distance(watched, offset_s, words):
+    watched.receive(1.0, "/imu/data", offset_s=offset_s)
+    text = watched.review(1.5)["/imu/data"].text
     assert words in text and f"{abs(offset_s):.3g} s" in text
 
 
-def test_stamps_within_the_limit_are_well(told):
-    told.hear(1.0, offset_s=-0.9)
-    assert told.review(1.5) == {}
+def test_stamps_within_the_limit_are_well(watched):
+    watched.receive(1.0, offset_s=-0.9)
+    assert watched.review(1.5) == {}
 
 
-def test_unusable_messages_are_told_with_number_and_reason_once_per_review(told):
-    told.hear(1.0)
-    assert "3 message(s)" in told.review(1.5, malformed={"/lidar": 3})["/lidar"].text
-    assert told.review(2.5, malformed={"/lidar": 3}) == {}
-    text = told.review(3.5, malformed={"/lidar": 4})["/lidar"].text
+def test_unusable_messages_are_reported_with_number_and_reason_once_per_review(watched):
+    watched.receive(1.0)
+    assert "3 message(s)" in watched.review(1.5, malformed={"/lidar": 3})["/lidar"].text
+    assert watched.review(2.5, malformed={"/lidar": 3}) == {}
+    text = watched.review(3.5, malformed={"/lidar": 4})["/lidar"].text
     assert "1 message(s)" in text and "quaternion has norm 0" in text
 
 
-def test_two_publishers_of_one_sensor_are_told(told):
-    told.hear(1.0)
-    assert "2 publishers" in told.review(1.5, [*HERE, HERE[0]])["/imu/data"].text
+def test_two_publishers_of_one_sensor_are_reported(watched):
+    watched.receive(1.0)
+    assert "2 publishers" in watched.review(1.5, [*HERE, HERE[0]])["/imu/data"].text
 
 
-def test_the_rate_is_that_of_the_last_messages_and_falls_in_silence(told):
+def test_the_rate_is_that_of_the_last_messages_and_falls_in_silence(watched):
     for k in range(300):
-        told.hear(1.0 + 0.01 * k, "/imu/data")
-    heard = told.watch.heard["/imu/data"]
+        watched.receive(1.0 + 0.01 * k, "/imu/data")
+    reception = watched.watch.received["/imu/data"]
     at_s = 1.0 + 0.01 * 299
-    assert heard.rate_hz(BEGAN_NS + round(at_s * SECOND_NS)) == pytest.approx(100.0, rel=1e-6)
-    assert heard.rate_hz(BEGAN_NS + round((at_s + 2.0) * SECOND_NS)) == pytest.approx(0.5, rel=1e-6)
-    assert told.watch.heard["/lidar"].rate_hz(BEGAN_NS) == 0.0
+    assert reception.rate_hz(BEGAN_NS + round(at_s * SECOND_NS)) == pytest.approx(100.0, rel=1e-6)
+    assert reception.rate_hz(BEGAN_NS + round((at_s + 2.0) * SECOND_NS)) == pytest.approx(0.5, rel=1e-6)
+    assert watched.watch.received["/lidar"].rate_hz(BEGAN_NS) == 0.0

@@ -1,19 +1,24 @@
 """A job runs its systems on one simulation, keeps what is done, and goes on after a failure."""
 
 import json
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import holdfast
 from holdfast.errors import ConfigError
 from holdfast.paper.curves import MAX_ROWS, rows_of, worst_since
-from holdfast.paper.evaluation import run_jobs
+from holdfast.paper.evaluation import SETTINGS, code_digest, evaluate, run_jobs
 from holdfast.paper.job import is_done, run_file, run_job
 from holdfast.paper.results import run_from_json
 from holdfast.paper.study import Disturbance, Job, Task, plan
 from holdfast.paper.systems import SYSTEMS, configured
+
+pytestmark = pytest.mark.slow
 
 SHORT = {
     "duration_s": 16.0,
@@ -111,8 +116,8 @@ def test_every_run_of_a_plan_has_a_file_of_its_own(tmp_path):
         assert {job.seed for job in planned if job.keep_curves} == {0}
 
 
-def test_a_system_runs_under_its_preset_and_the_machine_says_the_rest():
-    given = {"sensors": {"imu": {"topic": "/imu"}}, "graph": {"lag_s": 2.0}}
+def test_a_system_runs_under_its_preset_and_the_machine_gives_the_rest():
+    given = {"sensors": {"imu": {"kind": "imu", "topic": "/imu"}}, "graph": {"lag_s": 2.0}}
     assert configured("holdfast", given).graph.nodes == "measurement"
     paper = configured("paper", given)
     assert (paper.graph.nodes, paper.graph.lag_s) == ("imu", 2.0)
@@ -131,11 +136,31 @@ def test_rows_are_even_and_no_spike_is_lost():
 
 
 def test_a_folder_of_another_kind_of_run_is_refused(tmp_path):
-    from holdfast.paper.evaluation import SETTINGS, evaluate
-
     (tmp_path / SETTINGS).write_text(json.dumps({"quick": False, "scenarios": "other", "versions": {}}))
     with pytest.raises(ConfigError, match="other quick and scenarios and code and versions"):
         evaluate(tmp_path, 1, True, 1, "test")
+
+
+@pytest.mark.parametrize(
+    ("file", "counts"),
+    [
+        ("realtime/engine.py", True),  # it has rows in Table II
+        ("integrity/receiver.py", True),
+        ("chassis/kinematics.py", True),
+        ("bench/realtime.py", True),
+        ("messages.py", True),
+        ("paper/latency.py", True),
+        ("paper/page_tables.py", False),
+        ("cli/paper.py", False),
+    ],
+)
+def test_runs_are_stale_when_code_that_an_answer_comes_from_has_changed(tmp_path, file, counts):
+    root = tmp_path / "holdfast"
+    shutil.copytree(Path(holdfast.__file__).parent, root, ignore=shutil.ignore_patterns("__pycache__"))
+    before = code_digest(root)
+    with (root / file).open("a") as changed:
+        changed.write("# changed\n")
+    assert (code_digest(root) != before) is counts
 
 
 def test_a_wrong_option_is_one_line_and_code_2():

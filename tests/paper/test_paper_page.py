@@ -22,7 +22,7 @@ sys.path.append(str(Path(__file__).parents[1] / "report"))
 from chromium import DESKTOP, PHONE, check_page, needs_chromium
 
 TIMES = {"count": 100.0, "mean": 12.0, "std": 3.0, "median": 11.0, "p90": 15.0, "p99": 20.0, "max": 50.0}
-SHARE = Closeness(points=1000, area_m2=500.0, median_m=0.01, p95_m=0.04, rms_m=0.02, share_within=0.97)
+CLOSENESS = Closeness(points=1000, area_m2=500.0, median_m=0.01, p95_m=0.04, rms_m=0.02, fraction_within=0.97)
 
 
 def statistics(value: float) -> Statistics:
@@ -66,7 +66,7 @@ def results() -> Results:
         runs += [run("sensitivity", "construction", system)]
         runs += [run("sensitivity", "construction", system, sensor="gnss", delay_s=delay) for delay in (0.1, 0.3)]
         runs += [run("sensitivity", "construction", system, sensor="lidar", clock_s=0.05)]
-    quantiles = tuple((share, 10.0 + 30.0 * share) for share in (0.0, 0.5, 0.9, 1.0))
+    quantiles = tuple((q, 10.0 + 30.0 * q) for q in (0.0, 0.5, 0.9, 1.0))
     return Results(
         command="holdfast paper -o out --seeds 2",
         quick=False,
@@ -88,7 +88,7 @@ def maps() -> tuple[MapScore, ...]:
     errors = np.full((40, 60), 0.02)
     errors[:10] = np.nan
     view = View(errors, (-5.0, -3.0), 0.5)
-    return tuple(MapScore(task, s, "", 100, 1, {"all": SHARE}, view) for task in TASKS for s in ("truth", *SYSTEMS))
+    return tuple(MapScore(task, s, "", 100, 1, {"all": CLOSENESS}, view) for task in TASKS for s in ("truth", *SYSTEMS))
 
 
 def blocks(of: Results, made: tuple[MapScore, ...] | None = None) -> dict[str, Table | Figure]:
@@ -141,11 +141,11 @@ def notes(of: Results, made: tuple[MapScore, ...] | None = None) -> str:
 
 def test_where_ours_loses_words_name_the_row_the_rival_and_both_values():
     assert "In construction no baseline does better than ours in any row." in notes(results())
-    said = notes(worse(results(), navigation=0.045))  # MSF has 30 mm, TSIF 40, the lidar alone 50
-    assert "In construction no baseline does better" in said
-    assert f"In navigation ours loses {len(QUANTITIES)} of {len(QUANTITIES)} rows to a baseline" in said
-    assert "GNSS lost: vertical (MSF 30.0, TSIF 40.0, ours 45.0 mm);" in said
-    assert "Lidar odometry alone" not in said
+    text = notes(worse(results(), navigation=0.045))  # MSF has 30 mm, TSIF 40, the lidar alone 50
+    assert "In construction no baseline does better" in text
+    assert f"In navigation ours loses {len(QUANTITIES)} of {len(QUANTITIES)} rows to a baseline" in text
+    assert "GNSS lost: vertical (MSF 30.0, TSIF 40.0, ours 45.0 mm);" in text
+    assert "Lidar odometry alone" not in text
     assert f"In {len(QUANTITIES)} of {2 * len(QUANTITIES)} rows" in paper_page(worse(results(), navigation=0.045)).lead
 
 
@@ -160,19 +160,19 @@ def test_ours_without_a_verdict_is_no_victory():
     assert f"In {len(QUANTITIES)} of {2 * len(QUANTITIES)} rows" in paper_page(page).lead
 
 
-def test_a_loss_within_the_spread_of_the_seeds_is_told_as_such():
+def test_a_loss_within_the_std_of_the_seeds_is_marked_as_such():
     whole = results()
 
-    def spread(run: Run) -> Run:
+    def varied(run: Run) -> Run:
         is_ours = run.study == "accuracy" and run.scenario == "navigation" and run.system == "holdfast"
         errors = {key: statistics(0.025 + 0.02 * run.seed) for key in run.errors}  # 35 +- 10 mm; MSF has 30
         return replace(run, errors=errors) if is_ours else run
 
-    said = notes(replace(whole, runs=tuple(spread(run) for run in whole.runs)))
-    assert "GNSS lost: vertical (MSF 30.0, ours 35.0 mm, which is less than the spread over the seeds)" in said
+    text = notes(replace(whole, runs=tuple(varied(run) for run in whole.runs)))
+    assert "GNSS lost: vertical (MSF 30.0, ours 35.0 mm, which is less than the std over the seeds)" in text
 
 
-def test_slower_answers_inconsistency_and_worse_maps_are_told_in_words():
+def test_slower_answers_inconsistency_and_worse_maps_are_put_into_words():
     whole = results()
     latency = tuple(
         replace(one, imu_cpu_us=TIMES | {"mean": 9.0}) if one.system == "msf" else one for one in whole.latency
@@ -181,18 +181,18 @@ def test_slower_answers_inconsistency_and_worse_maps_are_told_in_words():
         replace(run, corrections_m=statistics(0.1)) if run.system == "holdfast" and run.corrections_m else run
         for run in whole.runs
     )
-    poor = replace(SHARE, share_within=0.9)
+    poor = replace(CLOSENESS, fraction_within=0.9)
     made = tuple(replace(one, closeness={"all": poor}) if one.system == "holdfast" else one for one in maps())
-    said = notes(replace(whole, latency=latency, runs=inconsistent), made)
-    told = "On samples without an update MSF answers sooner than Holdfast"
-    assert f"{told}: after 9.0 us of the processor, ours after 12.0 us." in said
-    assert f"{told}, optimiser in its own process: after 9.0 us" in said
-    assert "updates too" not in said  # on average of all samples they are equal
-    assert "Ours misses its target: 50.00 mm mean" in said
-    assert "MSF is nearer to its optimised states: 1.50 mm mean, ours 50.00 mm." in said
-    assert "In construction the map of MSF is better: 97.00 % within 5 cm, ours 90.00 %." in said
-    assert "In navigation our map misses its target: 90.00 % within 5 cm, that of the true poses 97.00." in said
-    for silence in ("answers sooner", "misses its target", "is better", "is nearer"):
+    text = notes(replace(whole, latency=latency, runs=inconsistent), made)
+    faster = "On samples without an update MSF answers sooner than Holdfast"
+    assert f"{faster}: after 9.0 us of CPU time, ours after 12.0 us." in text
+    assert f"{faster}, optimiser in its own process: after 9.0 us" in text
+    assert "updates too" not in text  # on average of all samples they are equal
+    assert "Ours does not reach its target: 50.00 mm mean" in text
+    assert "MSF is nearer to its optimised states: 1.50 mm mean, ours 50.00 mm." in text
+    assert "In construction the map of MSF is better: 97.00 % within 5 cm, ours 90.00 %." in text
+    assert "In navigation our map does not reach its target: 90.00 % within 5 cm, the true poses 97.00." in text
+    for silence in ("answers sooner", "reach its target", "is better", "is nearer"):
         assert silence not in notes(whole, maps())
 
 
@@ -205,10 +205,10 @@ def test_the_tables_hold_the_mean_over_the_seeds_in_the_unit_that_they_tell():
     rows = {row[0]: dict(zip(latency.columns, row, strict=True)) for row in latency.rows}
     assert rows["Lidar odometry alone"]["mean [us]"] is None  # it has no IMU path
     assert rows["Holdfast, optimiser in its own process"]["mean [us]"] == TIMES["mean"]
-    assert rows["MSF"]["the paper says [us]"] == "32.9 ± 18.7"
+    assert rows["MSF"]["paper [us]"] == "32.9 ± 18.7"
 
 
-def test_a_run_without_a_verdict_is_told(tmp_path: Path):
+def test_a_run_without_a_verdict_is_listed(tmp_path: Path):
     whole = results()
     failed = replace(whole.runs[0], failure="ValueError: what went wrong", seed=7)
     write_report(replace(whole, runs=(*whole.runs, failed)), tmp_path)
@@ -230,7 +230,7 @@ def test_a_task_in_which_every_system_failed_costs_the_page_nothing_but_its_figu
     assert f"In {rows} of {2 * len(QUANTITIES)} rows" in numbers["lead"]
 
 
-def test_a_system_without_a_map_is_told(tmp_path: Path):
+def test_a_system_without_a_map_is_listed(tmp_path: Path):
     from holdfast.report.page import render
 
     failed = replace(maps()[1], failure="the trajectory covers none of the 9 scans", closeness={}, view=None)
@@ -300,10 +300,10 @@ def test_every_system_has_a_map_and_none_is_better_than_that_of_the_true_poses(
     map_task("construction", tmp_path, True)
     loaded = load_maps(tmp_path)
     assert loaded is not None
-    shares = {score.system: score.closeness["all"].share_within for score in loaded}
-    assert list(shares) == ["truth", *SYSTEMS]
-    assert shares["truth"] == max(shares.values())
-    assert shares["truth"] > 0.99  # the noise of the ranges is 2 cm along the ray
+    fractions = {score.system: score.closeness["all"].fraction_within for score in loaded}
+    assert list(fractions) == ["truth", *SYSTEMS]
+    assert fractions["truth"] == max(fractions.values())
+    assert fractions["truth"] > 0.99  # the noise of the ranges is 2 cm along the ray
     for score in loaded:
         assert (tmp_path / "maps" / "construction" / f"{score.system}.ply").stat().st_size > 10_000
         assert score.view is not None

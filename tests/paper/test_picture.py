@@ -36,7 +36,7 @@ def test_the_same_results_give_the_same_picture(tmp_path):
     assert draw_picture(results(), tmp_path).read_bytes() == once
 
 
-def test_a_picture_of_nothing_and_a_place_where_it_cannot_be_written_are_told(tmp_path):
+def test_a_picture_of_nothing_and_a_folder_where_it_cannot_be_written_are_refused(tmp_path):
     from dataclasses import replace
 
     empty: Results = replace(results(), curves={})

@@ -24,7 +24,7 @@ FIGURES = {
     *(f"{figure}-{task}" for figure in ("track", "nees", "steps", "chassis", "gate") for task in TASKS),
     *(f"map-construction-{poses}" for poses in ("truth", *SYSTEMS)),
     *("latencies", "figure-3-error", "figure-3-z", "figure-4", "figure-6", "growth"),
-    *("sensitivity-delay-gnss", "sensitivity-clock-lidar"),
+    *("sensitivity-delay-gnss", "sensitivity-clock-odometry"),
 }
 LIMIT_S = 1200.0  # of a machine that runs the other tests beside it
 
@@ -73,8 +73,8 @@ def test_the_quick_evaluation_goes_on_after_ctrl_c_and_its_report_is_complete(tm
         assert time.monotonic() < deadline
         time.sleep(0.2)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all
-    _, said = process.communicate(timeout=60.0)
-    assert (process.returncode, said.strip()) == (130, "interrupted")
+    _, errors = process.communicate(timeout=60.0)
+    assert (process.returncode, errors.strip()) == (130, "interrupted")
     assert is_gone(process.pid)
     assert not list(scratch.iterdir())
     kept = age_of_runs(folder)
@@ -82,8 +82,8 @@ def test_the_quick_evaluation_goes_on_after_ctrl_c_and_its_report_is_complete(tm
     assert not (folder / "report.html").exists()
 
     process = start(folder, scratch)
-    printed, said = process.communicate(timeout=LIMIT_S)
-    assert (process.returncode, said) == (0, "")
+    printed, errors = process.communicate(timeout=LIMIT_S)
+    assert (process.returncode, errors) == (0, "")
     assert {name: age for name, age in age_of_runs(folder).items() if name in kept} == kept
     assert not list(scratch.iterdir())
     check_results(folder, printed, tmp_path)
@@ -120,9 +120,9 @@ def check_results(folder: Path, printed: str, scratch: Path) -> None:
 def test_an_output_that_cannot_be_written_is_one_line_and_code_2(tmp_path: Path):
     (tmp_path / "file").write_text("here is no folder")
     process = start(tmp_path / "file" / "paper", tmp_path)
-    printed, said = process.communicate(timeout=120.0)
+    printed, errors = process.communicate(timeout=120.0)
     assert process.returncode == 2
     assert printed == ""
-    (line,) = said.splitlines()
+    (line,) = errors.splitlines()
     assert line.startswith(f"error: {tmp_path}/file/paper")
     assert "cannot be written (Not a directory)" in line

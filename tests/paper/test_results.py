@@ -1,4 +1,4 @@
-"""Results come back as they were written, and the tables say what is in them."""
+"""Results come back as they were written, and the tables show them."""
 
 import json
 from dataclasses import replace
@@ -106,10 +106,10 @@ def test_a_folder_without_results_is_refused_in_one_line(tmp_path):
         load(tmp_path)
 
 
-def test_a_cell_is_the_mean_over_seeds_with_its_spread():
+def test_a_cell_is_the_mean_over_seeds_with_its_std():
     found = results(run("msf", 0, 0.010), run("msf", 1, 0.014), run("msf", 2, failure="x"), run("tsif", 0, 9.0))
     one = cell(found, "construction", "msf", HORIZONTAL, "rms")
-    assert (one.mean, one.spread, one.worst, one.runs) == (
+    assert (one.mean, one.std, one.worst, one.runs) == (
         pytest.approx(12.0),
         pytest.approx(2.0),
         pytest.approx(14.0),
@@ -160,7 +160,7 @@ def test_tables_have_a_row_for_everything_and_dashes_for_nothing():
     assert [row[0] for row in consistency_table(results(run("msf", scenario="navigation")))] == ["", "MSF"]
 
 
-def test_failures_are_told():
+def test_failures_are_listed():
     (line,) = failures(results(run("holdfast"), run("tsif", 3, failure="never started: why")))
     assert "tsif" in line
     assert "seed 3" in line

@@ -1,12 +1,25 @@
-"""What happens to messages on their way: later arrivals, other stamps, nothing lost."""
+"""Disturbed messages: later arrivals, other stamps, nothing lost."""
 
 import numpy as np
 
+from holdfast.config.load import parse_config
 from holdfast.messages import FixStatus, GnssFix, ImuSample, JointAngle
 from holdfast.paper.stream import disturbed
 from holdfast.paper.study import Disturbance
 
 MS = 1_000_000
+CONFIG = parse_config(
+    """
+sensors:
+  imu: {kind: imu, topic: /imu}
+  gnss: {kind: gnss, topic: /left}
+  gnss_right: {kind: gnss, topic: /right}
+  joint: {kind: joint, topic: /joint}
+extrinsics:
+  - {parent: imu, child: gnss}
+  - {parent: imu, child: gnss_right, translation_m: [1, 0, 0]}
+"""
+)
 
 
 def messages():
@@ -22,12 +35,12 @@ def messages():
 
 def test_without_a_disturbance_the_messages_are_the_same():
     given = messages()
-    assert list(disturbed(given, None)) == given
+    assert list(disturbed(given, None, CONFIG)) == given
 
 
 def test_a_delay_moves_both_antennas_and_nothing_else():
     given = messages()
-    found = list(disturbed(given, Disturbance("gnss", delay_s=0.3)))
+    found = list(disturbed(given, Disturbance("gnss", delay_s=0.3), CONFIG))
     arrivals = [message.arrival_ns for message in found]
     assert arrivals == sorted(arrivals)
     assert len(found) == len(given)
@@ -41,7 +54,8 @@ def test_a_delay_moves_both_antennas_and_nothing_else():
 
 def test_a_wrong_clock_moves_stamps_and_not_arrivals():
     given = messages()
-    found = list(disturbed(given, Disturbance("joint", clock_s=0.05)))
+    found = list(disturbed(given, Disturbance("joint", clock_s=0.05), CONFIG))
     assert [m.arrival_ns for m in found] == [m.arrival_ns for m in given]
+    assert [m.values() for m in found] == [m.values() for m in given]
     shifts = {m.stamp_ns - o.stamp_ns for m, o in zip(found, given, strict=True) if m.sensor == "joint"}
     assert shifts == {50 * MS}

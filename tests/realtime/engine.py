@@ -31,8 +31,8 @@ class Drive(NamedTuple):
         return self.until(end_s)[len(self.until(begin_s)) :]
 
 
-def simulated(folder: Path) -> Drive:
-    write_simulation(load_scenario("quick", {}), 0, folder)
+def simulated(folder: Path, scenario: str = "quick", **changes) -> Drive:
+    write_simulation(load_scenario(scenario, changes), 0, folder)
     config = load_config(folder / "config.yaml")
     with open_recording(folder) as recording:
         messages = list(recording.read(subscriptions(config)))

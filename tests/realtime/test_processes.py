@@ -106,9 +106,9 @@ def test_ctrl_c_in_a_replay_writes_what_came_and_ends_both(drive, tmp_path):
     others = children(process.pid)
     assert others
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=30)
+    _, printed = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert "Traceback" not in said
+    assert "Traceback" not in printed
     assert not any(is_running(pid) for pid in others)
     summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     assert summary["finished"] is False
@@ -120,7 +120,8 @@ def test_ctrl_c_in_a_replay_writes_what_came_and_ends_both(drive, tmp_path):
         json.loads(line)
 
 
-def test_a_realtime_replay_tells_the_same_story(drive, tmp_path):
+@pytest.mark.slow
+def test_a_realtime_replay_comes_to_the_same_summary(drive, tmp_path):
     done = subprocess.run(
         [*replay(drive, tmp_path), "--rate", "4", "--duration", "10"],
         capture_output=True,
@@ -138,6 +139,7 @@ def test_a_realtime_replay_tells_the_same_story(drive, tmp_path):
     assert summary["timing"]["wall_s"] > 2.4
 
 
+@pytest.mark.slow
 def test_each_process_runs_where_the_configuration_puts_it(drive):
     allowed = sorted(os.sched_getaffinity(0))
     if len(allowed) < 2:
@@ -181,10 +183,10 @@ def test_the_example_runs_without_a_guard_for_its_main_module(drive):
         text=True,
     )
     try:
-        said = next(line for line in process.stdout if " m +- " in line)
+        line = next(line for line in process.stdout if " m +- " in line)
     finally:
         process.kill()
         process.wait()
-    east, north, up, *_ = (float(word) for word in said.split()[:3])
+    east, north, up, *_ = (float(word) for word in line.split()[:3])
     assert abs(east) + abs(north) + abs(up) < 20.0  # the machine has hardly left the datum
     assert process.stderr.read() == ""

@@ -1,4 +1,4 @@
-"""`holdfast bench realtime` measures what it says, and refuses what it cannot do in one line."""
+"""`holdfast bench realtime` measures what it prints, and refuses what it cannot do in one line."""
 
 import json
 import subprocess
@@ -6,6 +6,8 @@ import sys
 
 import pytest
 from engine import Drive
+
+pytestmark = pytest.mark.slow
 
 COMMAND = [sys.executable, "-c", "from holdfast.cli import main; main()", "bench", "realtime"]
 
@@ -50,15 +52,15 @@ def test_what_is_printed_fits_into_a_terminal(result):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "reason"),
     [
         (["--duration", "-1"], "--duration -1: must be > 0"),
         (["--recording", "nowhere"], "--recording and -c belong together"),
         (["--json", "no/such/folder/x.json"], "its folder does not exist"),
     ],
 )
-def test_a_mistake_is_one_line(arguments, says):
+def test_a_mistake_is_one_line(arguments, reason):
     done = bench(*arguments)
     assert done.returncode == 2
-    assert says in done.stderr
+    assert reason in done.stderr
     assert len(done.stderr.splitlines()) == 1

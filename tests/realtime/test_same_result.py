@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from engine import bits, events_of, play, shifted, with_settings
+from engine import bits, events_of, play, shifted, simulated, with_settings
 
 from holdfast.estimator.estimator import Estimator
 from holdfast.geometry.earth import Geodetic
@@ -37,6 +37,14 @@ def compare(config, messages, meanwhile=None):
 def test_every_estimate_and_state_is_the_same_through_a_loss_of_gnss(drive, nodes):
     updates = compare(with_settings(drive.config, graph={"nodes": nodes}), drive.until(16.0))
     assert updates > 300  # two antennas at 20 Hz, a lidar at 5 Hz
+
+
+def test_every_kind_of_sensor_gives_the_same(tmp_path):
+    """Wheels on the chassis below the encoder, no slip, a map matcher, a prism and a height beside GNSS."""
+    machine = simulated(tmp_path, "new-sensors", duration_s=9.0, faults=[])
+    kinds = {section.kind for section in machine.config.sensors.values()}
+    assert {"twist", "nonholonomic", "pose", "prism", "height", "joint"} <= kinds
+    assert compare(machine.config, machine.messages) > 100
 
 
 def test_a_clock_that_goes_back_starts_both_over_alike(drive):

@@ -62,16 +62,36 @@ def pose(store, position=(1.0, 2.0, 3.0), xyzw=(0.0, 0.0, 0.0, 1.0)):
     return store.types["geometry_msgs/msg/Pose"](point, quaternion(store, xyzw))
 
 
-def odometry(store, stamp_ns, cov=None, **kw):
+def pose_with_covariance(store, cov=None, **kw):
     cov = np.zeros(36) if cov is None else np.array(cov, dtype=float)
-    types = store.types
-    twist = types["geometry_msgs/msg/Twist"](vector(store, (0, 0, 0)), vector(store, (0, 0, 0)))
-    return types["nav_msgs/msg/Odometry"](
+    return store.types["geometry_msgs/msg/PoseWithCovariance"](pose(store, **kw), cov)
+
+
+def twist(store, linear=(0.0, 0.0, 0.0), angular=(0.0, 0.0, 0.0)):
+    return store.types["geometry_msgs/msg/Twist"](vector(store, linear), vector(store, angular))
+
+
+def twist_with_covariance(store, cov=None, **kw):
+    cov = np.zeros(36) if cov is None else np.array(cov, dtype=float)
+    return store.types["geometry_msgs/msg/TwistWithCovariance"](twist(store, **kw), cov)
+
+
+def odometry(store, stamp_ns, cov=None, moving=None, **kw):
+    return store.types["nav_msgs/msg/Odometry"](
         header(store, stamp_ns),
         "child",
-        types["geometry_msgs/msg/PoseWithCovariance"](pose(store, **kw), cov),
-        types["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36)),
+        pose_with_covariance(store, cov, **kw),
+        moving or twist_with_covariance(store),
     )
+
+
+def stamped(store, stamp_ns, type_name, content):
+    """A message of a header and one field, such as geometry_msgs/TwistStamped."""
+    return store.types[f"geometry_msgs/msg/{type_name}"](header(store, stamp_ns), content)
+
+
+def point(store, xyz):
+    return stamped(store, START_NS, "PointStamped", store.types["geometry_msgs/msg/Point"](*xyz))
 
 
 def joints(store, stamp_ns, names=("turn",), positions=(0.5,)):

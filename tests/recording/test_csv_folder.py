@@ -47,12 +47,47 @@ def test_every_kind_of_file_is_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(known.covariance, np.diag([0.01, 0.04, 0.09]))
     assert unknown.covariance is None
     assert unknown.status is FixStatus.UNKNOWN
-    (pose,), _ = read(tmp_path, "lidar", "lidar")
+    (pose,), _ = read(tmp_path, "lidar", "odometry")
     assert (pose.stamp_ns, pose.position.tolist(), pose.quaternion.tolist()) == (15, [1, 2, 3], [0, 0, 0, 1])
     headings, _ = read(tmp_path, "heading", "heading")
     assert [(h.yaw_rad, h.sigma_rad) for h in headings] == [(0.5, 0.01), (0.6, None)]
     (joint,), _ = read(tmp_path, "joint", "joint")
     assert joint.angle_rad == 1.5
+
+
+def test_files_of_velocities_positions_and_heights_are_read_with_and_without_sigmas(tmp_path: Path) -> None:
+    folder(
+        tmp_path,
+        wheels="stamp_ns,vx_m_s,vy_m_s,vz_m_s\n1,2,0.1,0\n",
+        tracks="stamp_ns,vx_m_s,vy_m_s,vz_m_s,wx_rad_s,wy_rad_s,wz_rad_s,sigma_vx_m_s,sigma_vy_m_s,sigma_vz_m_s\n"
+        "1,2,0,0,0,0,0.5,0.1,0.2,0.3\n2,2,0,0,0,0,0.5,,,\n",
+        prism="stamp_ns,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m\n1,4,5,6,0.1,0.2,0.3\n",
+        laser="stamp_ns,height_m,sigma_m\n1,7,0.02\n2,8,\n",
+    )
+    (wheels,), _ = read(tmp_path, "wheels", "twist")
+    assert wheels.linear.tolist() == [2.0, 0.1, 0.0]
+    assert np.isnan(wheels.angular).all()  # nobody measured it
+    assert wheels.covariance is None
+    (known, unknown), _ = read(tmp_path, "tracks", "twist")
+    assert known.angular.tolist() == [0.0, 0.0, 0.5]
+    np.testing.assert_allclose(known.covariance, np.diag([0, 0, 0, 0.01, 0.04, 0.09]))
+    assert unknown.covariance is None
+    (prism,), _ = read(tmp_path, "prism", "prism")
+    assert prism.position.tolist() == [4.0, 5.0, 6.0]
+    np.testing.assert_allclose(prism.covariance, np.diag([0.01, 0.04, 0.09]))
+    heights, _ = read(tmp_path, "laser", "height")
+    assert [(one.height_m, one.sigma_m) for one in heights] == [(7.0, 0.02), (8.0, None)]
+
+
+def test_a_file_serves_every_kind_that_has_its_columns(tmp_path: Path) -> None:
+    folder(tmp_path, track="stamp_ns,x_m,y_m,z_m,qx,qy,qz,qw\n1,1,2,3,0,0,0,1\n", imu=IMU + "1,0,0,0,0,0,9.8\n")
+    for kind in ("odometry", "pose"):
+        (pose,), _ = read(tmp_path, "track", kind)
+        assert pose.position.tolist() == [1.0, 2.0, 3.0]
+    for kind in ("imu", "base_imu"):
+        assert len(read(tmp_path, "imu", kind)[0]) == 1
+    with pytest.raises(RecordingError, match="with the columns of odometry or pose, which is no prism"):
+        read(tmp_path, "track", "prism")
 
 
 @given(rows=st.lists(st.tuples(st.integers(0, 2**63 - 1), *[FLOATS] * 6), min_size=1, max_size=20))
@@ -102,6 +137,9 @@ def test_the_header_of_euroc_is_understood(tmp_path: Path) -> None:
     [
         ("stamp_ns,speed\n1,2\n", "imu.csv:1: the header names no known column"),
         (IMU.replace("wy_rad_s", "wy_deg_s"), "imu.csv:1: column wy_rad_s is missing"),
+        ("stamp_ns,vx_m_s,vy_m_s,w_m_s,wx_rad_s,wy_rad_s,wz_rad_s\n", "imu.csv:1: column vz_m_s is missing"),
+        ("stamp_ns,vx_m_s,vy_m_s,vz_m_s,wz_rad_s\n", "imu.csv:1: column wx_rad_s is missing (a file of kind twist"),
+        ("stamp_ns,x_m,y_m,z_m,qx,qy,qz\n", "imu.csv:1: column qw is missing (a file of kind odometry"),
         (IMU.replace("stamp_ns,", ""), "imu.csv:1: column stamp_ns is missing"),
         ("temperature," + IMU, "imu.csv:1: column 'temperature' is unknown or there twice"),
         (IMU + "1,0,0,0,0,0,0\n2,0,zero,0,0,0,0\n", "imu.csv:3: column wy_rad_s is 'zero' (allowed: a number"),
@@ -129,7 +167,7 @@ def test_a_last_line_that_was_cut_off_is_left_out_with_a_warning(tmp_path: Path)
 
 def test_a_pose_without_a_rotation_is_skipped_and_counted(tmp_path: Path) -> None:
     folder(tmp_path, lidar="stamp_ns,x_m,y_m,z_m,qx,qy,qz,qw\n1,0,0,0,0,0,0,0\n2,0,0,0,0,0,0,1\n")
-    messages, (warning,) = read(tmp_path, "lidar", "lidar")
+    messages, (warning,) = read(tmp_path, "lidar", "odometry")
     assert [m.stamp_ns for m in messages] == [2]
     assert "1 message of lidar could not be decoded" in warning
 

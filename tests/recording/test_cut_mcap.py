@@ -14,7 +14,7 @@ from holdfast.errors import RecordingError
 from holdfast.recording.source import Subscription, open_recording
 
 IMU = Subscription("/imu", "imu", "imu")
-LIDAR = Subscription("/lidar/odometry", "lidar", "lidar")
+LIDAR = Subscription("/lidar/odometry", "lidar", "odometry")
 
 
 def mcap_bytes(rows, *, close=True, profile="ros2", **options) -> bytes:

@@ -4,13 +4,29 @@ from math import atan2, cos, inf, nan, pi, sin
 
 import numpy as np
 import pytest
-from bags import HUMBLE, NOETIC, START_NS, fix, header, imu, joints, odometry, pose, quaternion
+from bags import (
+    HUMBLE,
+    NOETIC,
+    START_NS,
+    fix,
+    imu,
+    joints,
+    odometry,
+    point,
+    pose,
+    pose_with_covariance,
+    quaternion,
+    stamped,
+    twist,
+    twist_with_covariance,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 
 from holdfast.errors import RecordingError
 from holdfast.messages import FixStatus
-from holdfast.recording.decode import DECODERS, UndecodableError, make_decoder
+from holdfast.recording.decode import UndecodableError
+from holdfast.recording.kinds import KINDS, make_decoder
 from holdfast.recording.source import Subscription
 
 STORES = (NOETIC, HUMBLE)
@@ -72,31 +88,89 @@ def test_gnss_covariance_is_a_writable_matrix_of_its_own() -> None:
     covariance[0, 0] = 1.0
 
 
-@pytest.mark.parametrize("store", STORES)
-def test_odometry_covariance_is_permuted_to_rotation_first(store) -> None:
+def asymmetric():
     ros = np.arange(36.0).reshape(6, 6) + 1
-    ros = ros + ros.T
-    gtsam = decode("lidar", odometry(store, START_NS, cov=ros.ravel()), store=store).covariance
+    return ros + ros.T
+
+
+def assert_rotation_first(gtsam, ros):
     np.testing.assert_array_equal(gtsam[:3, :3], ros[3:, 3:])
     np.testing.assert_array_equal(gtsam[3:, 3:], ros[:3, :3])
     np.testing.assert_array_equal(gtsam[:3, 3:], ros[3:, :3])
     np.testing.assert_array_equal(gtsam[3:, :3], ros[:3, 3:])
 
 
-def test_a_covariance_of_zeros_is_unknown() -> None:
-    assert decode("lidar", odometry(HUMBLE, START_NS)).covariance is None
+@pytest.mark.parametrize("store", STORES)
+@pytest.mark.parametrize("kind", ["odometry", "pose"])
+def test_the_covariance_of_a_pose_is_permuted_to_rotation_first(kind, store) -> None:
+    message = odometry(store, START_NS, cov=asymmetric().ravel())
+    assert_rotation_first(decode(kind, message, store=store).covariance, asymmetric())
+
+
+@pytest.mark.parametrize("store", STORES)
+def test_twists_of_all_three_types_decode_alike_and_their_covariance_is_angular_first(store) -> None:
+    motion = {"linear": (1.0, 2.0, 3.0), "angular": (0.1, 0.2, 0.3)}
+    known = twist_with_covariance(store, asymmetric().ravel(), **motion)
+    plain = decode("twist", stamped(store, START_NS, "TwistStamped", twist(store, **motion)), store=store)
+    with_covariance = decode("twist", stamped(store, START_NS, "TwistWithCovarianceStamped", known), store=store)
+    of_odometry = decode("twist", odometry(store, START_NS, moving=known), store=store)
+    for decoded in (plain, with_covariance, of_odometry):
+        assert decoded.linear.tolist() == [1.0, 2.0, 3.0]
+        assert decoded.angular.tolist() == [0.1, 0.2, 0.3]
+        assert (decoded.stamp_ns, decoded.arrival_ns, decoded.sensor) == (START_NS, 7, "sensor")
+    assert plain.covariance is None
+    assert_rotation_first(with_covariance.covariance, asymmetric())
+    assert_rotation_first(of_odometry.covariance, asymmetric())
+
+
+def test_a_twist_that_is_not_finite_is_passed_on_to_be_counted() -> None:
+    message = stamped(HUMBLE, START_NS, "TwistStamped", twist(HUMBLE, linear=(nan, 0.0, inf)))
+    np.testing.assert_array_equal(decode("twist", message).linear, [nan, 0.0, inf])
+
+
+def test_a_prism_is_a_point_or_the_position_of_a_pose_whose_rotation_does_not_matter() -> None:
+    plain = decode("prism", point(HUMBLE, (4.0, 5.0, 6.0)))
+    assert (plain.position.tolist(), plain.covariance) == ([4.0, 5.0, 6.0], None)
+    ros = asymmetric()
+    ros[3:, 3:] = -1.0  # a station has no rotation and may mark it so
+    content = pose_with_covariance(HUMBLE, ros.ravel(), xyzw=(0.0, 0.0, 0.0, 0.0))
+    known = decode("prism", stamped(HUMBLE, START_NS, "PoseWithCovarianceStamped", content))
+    assert known.position.tolist() == [1.0, 2.0, 3.0]
+    np.testing.assert_array_equal(known.covariance, ros[:3, :3])
+
+
+def test_a_height_is_the_z_of_three_types() -> None:
+    covariance = np.zeros((6, 6))
+    covariance[2, 2] = 0.04
+    content = pose_with_covariance(HUMBLE, covariance.ravel())
+    messages = (
+        point(HUMBLE, (1.0, 2.0, 3.0)),
+        stamped(HUMBLE, START_NS, "PoseStamped", pose(HUMBLE)),
+        stamped(HUMBLE, START_NS, "PoseWithCovarianceStamped", content),
+    )
+    decoded = [decode("height", message) for message in messages]
+    assert [(one.height_m, one.sigma_m) for one in decoded] == [(3.0, None), (3.0, None), (3.0, pytest.approx(0.2))]
+
+
+@pytest.mark.parametrize("cov", [np.zeros(36), [-1.0, *[0.0] * 35], [nan] * 36], ids=["zeros", "minus one", "nan"])
+def test_a_covariance_that_means_nothing_is_unknown_for_every_kind(cov) -> None:
+    assert decode("pose", odometry(HUMBLE, START_NS, cov=cov)).covariance is None
+    assert decode("twist", odometry(HUMBLE, START_NS, moving=twist_with_covariance(HUMBLE, cov))).covariance is None
+    message = stamped(HUMBLE, START_NS, "PoseWithCovarianceStamped", pose_with_covariance(HUMBLE, cov))
+    assert decode("prism", message).covariance is None
+    assert decode("height", message).sigma_m is None
 
 
 def test_poses_of_all_three_types_decode_alike() -> None:
     half = 0.5**0.5
-    types = HUMBLE.types
-    ros = pose(HUMBLE, xyzw=(0.0, 0.0, half, half))
-    stamped = types["geometry_msgs/msg/PoseStamped"](header(HUMBLE, START_NS), ros)
-    with_covariance = types["geometry_msgs/msg/PoseWithCovarianceStamped"](
-        header(HUMBLE, START_NS), types["geometry_msgs/msg/PoseWithCovariance"](ros, np.zeros(36))
-    )
-    for message in (stamped, with_covariance, odometry(HUMBLE, START_NS, xyzw=(0.0, 0.0, half, half))):
-        decoded = decode("lidar", message)
+    xyzw = (0.0, 0.0, half, half)
+    with_covariance = pose_with_covariance(HUMBLE, xyzw=xyzw)
+    for message in (
+        stamped(HUMBLE, START_NS, "PoseStamped", pose(HUMBLE, xyzw=xyzw)),
+        stamped(HUMBLE, START_NS, "PoseWithCovarianceStamped", with_covariance),
+        odometry(HUMBLE, START_NS, xyzw=xyzw),
+    ):
+        decoded = decode("odometry", message)
         assert decoded.position.tolist() == [1.0, 2.0, 3.0]
         np.testing.assert_allclose(decoded.quaternion, [0, 0, half, half], atol=1e-15)
         assert decoded.covariance is None
@@ -105,7 +179,7 @@ def test_poses_of_all_three_types_decode_alike() -> None:
 @given(xyzw=st.tuples(ANY_FLOAT, ANY_FLOAT, ANY_FLOAT, ANY_FLOAT), position=st.tuples(ANY_FLOAT, ANY_FLOAT, ANY_FLOAT))
 def test_a_lidar_pose_has_unit_norm_and_is_finite_or_it_is_refused(xyzw, position) -> None:
     try:
-        decoded = decode("lidar", odometry(HUMBLE, START_NS, xyzw=xyzw, position=position))
+        decoded = decode("odometry", odometry(HUMBLE, START_NS, xyzw=xyzw, position=position))
     except UndecodableError:
         return
     assert abs(np.linalg.norm(decoded.quaternion) - 1) < 1e-12
@@ -115,14 +189,14 @@ def test_a_lidar_pose_has_unit_norm_and_is_finite_or_it_is_refused(xyzw, positio
 @given(scale=st.floats(0.9901, 1.0099), yaw=st.floats(-pi, pi))
 def test_a_quaternion_rounded_by_its_sender_is_normalised(scale, yaw) -> None:
     xyzw = (0.0, 0.0, scale * sin(yaw / 2), scale * cos(yaw / 2))
-    quaternion = decode("lidar", odometry(HUMBLE, START_NS, xyzw=xyzw)).quaternion
+    quaternion = decode("odometry", odometry(HUMBLE, START_NS, xyzw=xyzw)).quaternion
     np.testing.assert_allclose(quaternion, (0, 0, sin(yaw / 2), cos(yaw / 2)), atol=1e-12)
 
 
 @pytest.mark.parametrize("xyzw", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.02), (nan, 0.0, 0.0, 1.0), (inf, 0, 0, 0)])
 def test_a_quaternion_far_from_unit_norm_is_refused(xyzw) -> None:
     with pytest.raises(UndecodableError, match="norm"):
-        decode("lidar", odometry(HUMBLE, START_NS, xyzw=xyzw))
+        decode("odometry", odometry(HUMBLE, START_NS, xyzw=xyzw))
 
 
 @given(yaw=st.floats(-3.1, 3.1), pitch=st.floats(-1.5, 1.5), roll=st.floats(-3.1, 3.1))
@@ -134,8 +208,8 @@ def test_heading_is_the_yaw_of_the_x_axis_whatever_roll_and_pitch(yaw, pitch, ro
         cr * cp * sy - sr * sp * cy,
         cr * cp * cy + sr * sp * sy,
     )
-    stamped = HUMBLE.types["geometry_msgs/msg/QuaternionStamped"](header(HUMBLE, START_NS), quaternion(HUMBLE, xyzw))
-    for message in (stamped, imu(HUMBLE, START_NS, xyzw=xyzw)):
+    alone = stamped(HUMBLE, START_NS, "QuaternionStamped", quaternion(HUMBLE, xyzw))
+    for message in (alone, imu(HUMBLE, START_NS, xyzw=xyzw)):
         error = decode("heading", message).yaw_rad - yaw
         assert abs(atan2(sin(error), cos(error))) < 1e-9
 
@@ -148,7 +222,7 @@ def test_heading_sigma_comes_from_the_yaw_variance_and_zero_is_unknown() -> None
         assert decode("heading", unknown).sigma_rad is None
 
 
-def test_an_imu_that_says_it_has_no_orientation_gives_no_heading() -> None:
+def test_an_imu_that_reports_no_orientation_gives_no_heading() -> None:
     with pytest.raises(UndecodableError, match="no orientation"):
         decode("heading", imu(HUMBLE, START_NS, orientation_cov=[-1] + [0] * 8))
 
@@ -182,8 +256,8 @@ def test_a_message_without_the_joint_is_refused(names, positions) -> None:
 
 
 def test_every_kind_refuses_types_of_other_kinds() -> None:
-    types = {name for allowed in DECODERS.values() for name in allowed} | {"std_msgs/msg/String"}
-    for kind, allowed in DECODERS.items():
-        for name in types - set(allowed):
-            with pytest.raises(RecordingError, match=f"file: topic '/t' is {name}, which is no {kind}"):
-                make_decoder(Subscription("/t", "s", kind), name, "file")
+    types = {name for kind in KINDS.values() for name in kind.types} | {"std_msgs/msg/String"}
+    for kind in KINDS.values():
+        for name in types - set(kind.types):
+            with pytest.raises(RecordingError, match=f"file: topic '/t' is {name}, which is no {kind.name} "):
+                make_decoder(Subscription("/t", "s", kind.name), name, "file")

@@ -1,4 +1,4 @@
-"""What is wrong with a recording, found and said."""
+"""What is wrong with a recording, found and reported."""
 
 from pathlib import Path
 
@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from bags import HUMBLE, START_NS, drive, fix, imu, write_bag
 
-from holdfast.recording.inspection import Inspection, TopicFindings, are_interleaved, inspect, straight_lines
+from holdfast.recording.inspection import Inspection, TopicFindings, are_interleaved, inspect
+from holdfast.recording.kinds.imu import straight_lines
 from holdfast.recording.problems import list_problems
 from holdfast.recording.source import open_recording
 
@@ -38,8 +39,8 @@ def test_a_sound_recording_has_no_problems(tmp_path: Path) -> None:
     assert topics["/imu"].duration_s == pytest.approx(1.99)
     assert topics["/imu"].latency_mean_s == pytest.approx(0.002)
     assert topics["/imu"].latency_sigma_s == pytest.approx(0, abs=1e-9)
-    assert topics["/gnss/fix"].gnss.statuses == {"gbas": 20}
-    assert topics["/gnss/fix"].gnss.largest_sigma_m == pytest.approx(np.sqrt(0.02))
+    assert topics["/gnss/fix"].values.statuses == {"gbas": 20}
+    assert topics["/gnss/fix"].values.largest_sigma_m == pytest.approx(np.sqrt(0.02))
 
 
 def test_gaps_are_counted_and_the_longest_is_placed(tmp_path: Path) -> None:
@@ -50,7 +51,7 @@ def test_gaps_are_counted_and_the_longest_is_placed(tmp_path: Path) -> None:
     assert topics["/imu"].longest_gap_at_s == pytest.approx(0.988)
     assert problems == [
         "/imu: 2 gap(s) longer than 5 periods, the longest 1.010 s at 1.0 s; "
-        "no IMU factor spans a gap, so lidar and GNSS must bridge it"
+        "no IMU factor spans a gap, so the other sensors must bridge it"
     ]
 
 
@@ -90,7 +91,7 @@ def test_an_imu_message_without_rates_and_forces_is_judged_as_a_heading(tmp_path
     rows = imu_rows(START_NS + k * 10 * MS for k in range(500))
     rows += [("/gnss/heading", stamp + 60 * MS, imu(HUMBLE, stamp, **nothing)) for stamp in stamps]
     topics, problems, _ = look(tmp_path, rows)
-    assert topics["/gnss/heading"].imu is None
+    assert topics["/gnss/heading"].kind == "heading"
     assert len(problems) == 1
     assert problems[0].endswith("the gyroscope carries the heading meanwhile")
 
@@ -120,7 +121,7 @@ def test_lines_drawn_by_a_logger_repeats_and_nan_are_found(tmp_path: Path) -> No
         for k, v in enumerate(values)
     ]
     topics, problems, _ = look(tmp_path, rows)
-    findings = topics["/imu"].imu
+    findings = topics["/imu"].values
     assert (findings.repeats, findings.lines, findings.line_samples, findings.not_finite) == (4, 1, 52, 1)
     assert findings.longest_line_at_s == pytest.approx(0.99)
     assert findings.longest_line_s == pytest.approx(0.51)
@@ -140,7 +141,7 @@ def test_fixes_without_covariance_and_without_rtk_are_problems(tmp_path: Path) -
     rows = imu_rows(START_NS + k * 10 * MS for k in range(50))
     rows += [("/gnss/fix", START_NS + k * MS, fix(HUMBLE, START_NS + k * MS, status=0, cov_type=0)) for k in range(3)]
     topics, problems, _ = look(tmp_path, rows)
-    assert topics["/gnss/fix"].gnss.smallest_sigma_m is None
+    assert topics["/gnss/fix"].values.smallest_sigma_m is None
     assert any("3 of 3 fixes have no covariance" in problem for problem in problems)
     assert any("no fix has the status gbas (only fix)" in problem for problem in problems)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from holdfast.geometry.earth import Geodetic, geodetic_to_enu
+from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.messages import FixStatus, GnssFix, ImuSample
 from holdfast.recording.kitti import DATUM
 from holdfast.recording.source import Subscription, open_recording
@@ -25,7 +25,7 @@ def drive():
 
 
 def enu(fix: GnssFix, datum: Geodetic):
-    return geodetic_to_enu(Geodetic(fix.latitude_deg, fix.longitude_deg, fix.altitude_m), datum)
+    return LocalFrame(datum).to_enu(Geodetic(fix.latitude_deg, fix.longitude_deg, fix.altitude_m))
 
 
 def test_the_whole_drive_is_there_in_order_of_arrival(drive) -> None:

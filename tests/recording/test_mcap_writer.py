@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 
 from holdfast.errors import RecordingError
-from holdfast.recording.cdr import OdometryEncoder, TransformEncoder
 from holdfast.recording.mcap_writer import McapWriter
 from holdfast.recording.source import Subscription, open_recording
+from holdfast.ros.cdr import OdometryEncoder, TransformEncoder
 
 NAMES = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
 STAMPS = st.integers(0, 2**31 * 10**9 - 1)
@@ -118,7 +118,7 @@ def test_a_crash_loses_at_most_the_last_chunk(tmp_path: Path) -> None:
     counts = []
     for path in (left, flushed):
         with open_recording(path) as recording:
-            counts.append(len(list(recording.read([Subscription("/odometry", "l", "lidar")]))))
+            counts.append(len(list(recording.read([Subscription("/odometry", "l", "odometry")]))))
             assert "is cut off or was never closed" in recording.warnings[0]
     assert 2000 - (1 << 18) / 700 - 1 < counts[0] < 2000
     assert counts[1] == 2000

@@ -5,18 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bags import KINDS, START_NS, bare, drive, fix, imu, joints, odometry, store_of, write_bag
+from bags import HUMBLE, KINDS, START_NS, bare, drive, fix, imu, joints, odometry, store_of, write_bag
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 
 from holdfast.errors import RecordingError
-from holdfast.messages import GnssFix, ImuSample, LidarPose
+from holdfast.messages import GnssFix, ImuSample, SensorPose
 from holdfast.recording.source import Subscription, open_recording
 
 IMU = Subscription("/imu", "imu", "imu")
 GNSS = Subscription("/gnss/fix", "gnss", "gnss")
-LIDAR = Subscription("/lidar/odometry", "lidar", "lidar")
+LIDAR = Subscription("/lidar/odometry", "lidar", "odometry")
 ALL = (IMU, GNSS, LIDAR)
 
 
@@ -33,7 +33,7 @@ def test_every_kind_of_bag_gives_the_same_messages_in_order_of_arrival(tmp_path:
         assert recording.warnings == []
     assert [m.arrival_ns for m in messages] == sorted(arrival for _, arrival, _ in rows)
     kinds = [type(m) for m in messages]
-    assert [kinds.count(t) for t in (ImuSample, GnssFix, LidarPose)] == [100, 10, 10]
+    assert [kinds.count(t) for t in (ImuSample, GnssFix, SensorPose)] == [100, 10, 10]
     third = [m for m in messages if isinstance(m, ImuSample)][2]
     assert third.stamp_ns == START_NS + 20_000_000
     assert third.sensor == "imu"
@@ -249,3 +249,12 @@ def test_two_nodes_on_one_topic_are_told_apart_in_ros_1(tmp_path: Path) -> None:
     with open_recording(path) as recording:
         assert [header.publisher for header in recording.read_headers()] == ["/driver", "/relay"]
         assert len(list(recording.read([GNSS]))) == 2
+
+
+def test_one_odometry_serves_two_sensors_and_a_bad_pose_costs_the_twist_nothing(tmp_path: Path) -> None:
+    rows = [("/odom", START_NS + k, odometry(HUMBLE, START_NS + k, xyzw=(0.0, 0.0, 0.0, 1.0 - k))) for k in range(2)]
+    both = [Subscription("/odom", "wheels", "odometry"), Subscription("/odom", "speed", "twist")]
+    with open_recording(write_bag(tmp_path / "b", "mcap", rows)) as recording:
+        assert [message.sensor for message in recording.read(both)] == ["wheels", "speed", "speed"]
+        (warning,) = recording.warnings
+    assert "1 message of /odom could not be decoded" in warning

@@ -1,7 +1,7 @@
 """Twenty seconds of a machine that stands for three, then drives a circle; as a CSV folder, as an MCAP bag, and run.
 
-Everything is planar and in closed form: the way driven s(t) has a smooth start, the vehicle V turns by s / RADIUS_M.
-The IMU sits askew at the origin of V, so that no axis of I is one of the world.
+Everything is planar and in closed form: the distance driven s(t) has a smooth start, the vehicle V yaws by
+s / RADIUS_M. The IMU sits askew at the origin of V, so that no axis of I is one of the world.
 """
 
 import contextlib
@@ -20,7 +20,7 @@ sys.path.append(str(Path(__file__).parents[1] / "recording"))
 from bags import HUMBLE, fix, imu, odometry, write_bag
 
 from holdfast.cli import main
-from holdfast.geometry.earth import Geodetic, enu_to_geodetic
+from holdfast.geometry.earth import Geodetic, LocalFrame
 
 DATUM = Geodetic(47.4, 8.5, 450.0)
 EPOCH_NS = 1_700_000_000_000_000_000
@@ -39,8 +39,8 @@ TRACKS = ("imu_in_world", "imu_in_odom", "optimized_in_world", "smoothed_in_worl
 FILES = {*(f"{track}.tum" for track in TRACKS), "estimates.mcap", "events.jsonl", "summary.json"}
 
 
-def way(t):
-    """Way driven and its first two derivatives [m, m/s, m/s^2]; the speed is a smooth step from 0 to SPEED_M_S."""
+def distance(t):
+    """Distance driven and its first two derivatives [m, m/s, m/s^2]; the speed is a smooth step from 0 to SPEED_M_S."""
     x = min(max((t - STAND_S) / RAMP_S, 0.0), 1.0)
     beyond = max(0.0, t - STAND_S - RAMP_S)
     driven = RAMP_S * (x**3 - 0.5 * x**4) + beyond
@@ -49,7 +49,7 @@ def way(t):
 
 def pose(t):
     """T_W_I."""
-    yaw = YAW_RAD + way(t)[0] / RADIUS_M
+    yaw = YAW_RAD + distance(t)[0] / RADIUS_M
     x, y = RADIUS_M * (np.sin(yaw) - np.sin(YAW_RAD)), RADIUS_M * (np.cos(YAW_RAD) - np.cos(yaw))
     return gtsam.Pose3(gtsam.Rot3.Yaw(yaw) * R_V_I, np.array([x, y, 0.0]))
 
@@ -61,7 +61,7 @@ def antenna(t):
 
 def readings(t):
     """Angular velocity [rad/s] and specific force [m/s^2] of I."""
-    _, speed, acceleration = way(t)
+    _, speed, acceleration = distance(t)
     rate = np.array([0.0, 0.0, speed / RADIUS_M])
     force = np.array([acceleration, speed**2 / RADIUS_M, GRAVITY])
     return R_V_I.unrotate(rate), R_V_I.unrotate(force)
@@ -91,7 +91,7 @@ def make_rows(seconds=SECONDS, gnss_noise=1.0):
         rows.imu.append((stamp(t), stamp(t) + IMU_DELAY_NS, values))
     for k in range(round(seconds * 5)):
         t = 0.004 + k / 5
-        point = enu_to_geodetic(antenna(t) + gnss_noise * rng.normal(0, SIGMAS_M, 3), DATUM)
+        point = LocalFrame(DATUM).to_geodetic(antenna(t) + gnss_noise * rng.normal(0, SIGMAS_M, 3))
         rows.gnss.append((stamp(t), stamp(t) + GNSS_DELAY_NS, (*point, 2, *SIGMAS_M)))
     start = pose(0.0) * T_I_L
     for k in range(round(seconds * 10)):
@@ -145,9 +145,9 @@ def extrinsic(child, T):
 def config_text(base=False, datum=True, **sensors):
     """The configuration as YAML (JSON is YAML); keyword arguments change or, with None, drop a sensor."""
     settings = {
-        "imu": {"topic": "imu"},
-        "gnss": {"topic": "gnss"},
-        "lidar": {"topic": "lidar"},
+        "imu": {"kind": "imu", "topic": "imu"},
+        "gnss": {"kind": "gnss", "topic": "gnss"},
+        "lidar": {"kind": "odometry", "topic": "lidar"},
     }
     for name, change in sensors.items():
         settings[name] = None if change is None else settings.get(name, {}) | change
@@ -175,7 +175,7 @@ def write_config(path, **changes):
 
 @dataclass(frozen=True)
 class Done:
-    """What a command answered."""
+    """Exit code and output of a command."""
 
     code: int
     out: str

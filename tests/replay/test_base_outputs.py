@@ -56,8 +56,8 @@ def stamp_of(header):
 
 
 def pose_of(translation, q):
-    place = np.array([translation.x, translation.y, translation.z])
-    return gtsam.Pose3(gtsam.Rot3.Quaternion(q.w, q.x, q.y, q.z), place)
+    position = np.array([translation.x, translation.y, translation.z])
+    return gtsam.Pose3(gtsam.Rot3.Quaternion(q.w, q.x, q.y, q.z), position)
 
 
 def transform_of(message):
@@ -82,18 +82,18 @@ def test_the_cabin_turns_on_the_chassis_as_the_truth_does(replayed, motion):
     times_s = (stamps - START_NS) * 1e-9
     cabin, chassis = (motion.frame(frame, times_s) for frame in ("imu", "base_link"))
     angles, _ = motion.joint(times_s)
-    assert np.ptp(angles) > np.radians(50.0)  # or this says nothing
-    misses = []
+    assert np.ptp(angles) > np.radians(50.0)  # or this tests nothing
+    residuals = []
     for row, at in enumerate(stamps.tolist()):
         T_W_I, T_W_B = (gtsam.Pose3(gtsam.Rot3(m.R_W_F[row]), m.p_W[row]) for m in (cabin, chassis))
-        miss = T_W_I.between(T_W_B).between(imu[at].between(base[at]))
-        misses.append([*gtsam.Rot3.Logmap(miss.rotation()), *miss.translation()])
-    turns, shifts = np.split(np.array(misses), 2, axis=1)
+        residual = T_W_I.between(T_W_B).between(imu[at].between(base[at]))
+        residuals.append([*gtsam.Rot3.Logmap(residual.rotation()), *residual.translation()])
+    rotations, shifts = np.split(np.array(residuals), 2, axis=1)
     assert np.sqrt((shifts**2).sum(axis=1).mean()) <= 0.015
     # the encoder's zero is off by 2 mrad (one sigma), which nobody calibrated here: three sigmas about the axis
-    assert np.sqrt((turns[:, :2] ** 2).sum(axis=1).mean()) <= np.radians(0.1)
-    assert abs(turns[:, 2]).max() <= 6e-3
-    assert turns[:, 2].std() <= np.radians(0.1)
+    assert np.sqrt((rotations[:, :2] ** 2).sum(axis=1).mean()) <= np.radians(0.1)
+    assert abs(rotations[:, 2]).max() <= 6e-3
+    assert rotations[:, 2].std() <= np.radians(0.1)
 
 
 def test_odometry_of_the_base_names_its_frames_and_has_its_twist_in_the_base(replayed, messages, motion):
@@ -114,7 +114,7 @@ def test_odometry_of_the_base_names_its_frames_and_has_its_twist_in_the_base(rep
     slewing = abs(motion.joint(times_s[times_s > 2.0])[1]) > 0.3
     assert slewing.sum() > 100
     for part in (settled, settled[slewing]):
-        assert np.sqrt((part[:, 5] ** 2).mean()) <= 0.005  # although the cabin turns at up to 0.6 rad/s
+        assert np.sqrt((part[:, 5] ** 2).mean()) <= 0.005  # although the cabin rotations at up to 0.6 rad/s
         assert np.sqrt((part[:, :3] ** 2).sum(axis=1).mean()) <= 0.05
 
 

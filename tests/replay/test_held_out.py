@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 import pytest
 from small_drive import (
@@ -24,12 +25,13 @@ from small_drive import (
 from holdfast.config.load import parse_config
 from holdfast.errors import ConfigError
 from holdfast.geometry.earth import Geodetic, LocalFrame
-from holdfast.messages import GnssFix
+from holdfast.messages import FixStatus, GnssFix, PointPosition
 from holdfast.recording.source import open_recording
 from holdfast.recording.subscriptions import subscriptions
 from holdfast.recording.tum import read_tum
-from holdfast.replay.held_out import HoldOut, HoldOutFilter
+from holdfast.replay.held_out import HeldOutJudge, HoldOut, HoldOutFilter
 from holdfast.replay.runner import Replay
+from holdfast.state import Estimate
 
 FIXES = round(SECONDS * 5)
 
@@ -70,7 +72,7 @@ def errors_by_hand(folder, rows):
 def assert_errors_are(part, errors):
     """`part` of a summary against errors (N, 3) computed otherwise."""
     horizontal = np.hypot(errors[:, 0], errors[:, 1])
-    # linear interpolation of the antenna and that along the turn differ by r (w dt)^2 / 8 < 3e-6 m here
+    # linear interpolation of the antenna and that along the arc differ by r (w dt)^2 / 8 < 3e-6 m here
     near = {"rel": 0, "abs": 1e-5}
     assert part["horizontal_m"]["count"] == part["vertical_m"]["count"] == len(errors)
     assert part["horizontal_m"]["rms"] == pytest.approx(np.sqrt(np.mean(horizontal**2)), **near)
@@ -130,9 +132,9 @@ def test_the_last_judgement_of_an_outage_is_its_end_error(clean_drive, clean_row
     at, _, values = [row for row in clean_rows.gnss if row[0] < stamp(16.0)][-1]
     assert (end.stamp_ns, end.sensor, end.in_outage, end.imu_silent) == (at, "gnss", True, False)
     before, after = max(s for s in track if s < at), min(s for s in track if s >= at)
-    share = (at - before) / (after - before)
+    fraction = (at - before) / (after - before)
     antennas = [track[s].transformFrom(ARM) for s in (before, after)]
-    expected = (1 - share) * antennas[0] + share * antennas[1] - LocalFrame(DATUM).to_enu(Geodetic(*values[:3]))
+    expected = (1 - fraction) * antennas[0] + fraction * antennas[1] - LocalFrame(DATUM).to_enu(Geodetic(*values[:3]))
     np.testing.assert_allclose(end.error, expected, rtol=0, atol=1e-5)
 
 
@@ -198,6 +200,46 @@ def test_smoothed_track_is_judged_by_the_same_fixes(clean_drive, tmp_path):
     assert result["smoothed"]["outage"]["horizontal_m"]["count"] == 20
     assert result["smoothed"]["outage"]["horizontal_m"]["max"] < SIGMAS_M[1]  # fixes on both sides, lidar between
     assert result["smoothed"]["outage"]["nees_per_dof"] is None  # its nodes have left with their covariance
+
+
+def test_a_held_out_prism_judges_through_its_lever_arm_and_its_latency():
+    config = parse_config(
+        """
+sensors:
+  imu: {kind: imu, topic: imu}
+  mast: {kind: prism, topic: mast, latency_s: 0.1, grid_position_m: [100, 0, 0], grid_yaw_deg: 90, sigma_m: 0.01}
+extrinsics:
+  - {parent: imu, child: mast, translation_m: [0, 0, 2]}
+"""
+    )
+    messages = [
+        PointPosition(stamp(t + 0.1), stamp(t + 0.2), "mast", np.array([2 * t, 0.0, 5.0]), None) for t in (1, 2)
+    ]
+    splitter = HoldOutFilter([HoldOut.parse_every("mast=2")], config)
+    assert list(splitter.split(messages)) == messages[:1]
+    judge = HeldOutJudge(config)
+    judge.add_message(*splitter.held[0])
+    for t in (1.9, 2.1):  # the machine goes north at 2 m/s, 1 m beside the prism's track and 3 m below it
+        nav = gtsam.NavState(gtsam.Rot3.Yaw(np.pi / 2), np.array([101.0, 2 * t, 3.0]), np.zeros(3))
+        estimate = Estimate(
+            stamp(t), nav, gtsam.Pose3(), gtsam.imuBias.ConstantBias(), np.eye(9) * 1e-4, np.zeros(3), True
+        )
+        judge.add_estimate(estimate, None)
+    (judged,) = judge.judgements
+    assert (judged.stamp_ns, judged.sensor, judged.in_outage) == (stamp(2.0), "mast", False)
+    np.testing.assert_allclose(judged.position, [100.0, 4.0, 5.0], atol=1e-9)
+    np.testing.assert_allclose(judged.error, [1.0, 0.0, 0.0], atol=1e-6)
+    # east of W is across the mast: its tilt adds 4 times the rotation's variance
+    assert judged.nees == pytest.approx(1.0 / (1e-4 + 4e-4 + 1e-4), rel=1e-6)
+
+
+def test_a_fix_cannot_judge_a_world_without_a_datum(config):
+    judge = HeldOutJudge(config)
+    fix = GnssFix(stamp(1.0), stamp(1.1), "gnss", *DATUM, np.eye(3), FixStatus.GBAS)
+    judge.add_message(fix, False)
+    for t in (0.9, 1.1):
+        judge.add_smoothed(stamp(t), gtsam.NavState(), None)
+    assert judge.judgements == []
 
 
 def test_without_hold_out_nothing_is_judged(replayed):

@@ -1,4 +1,4 @@
-"""Ctrl-C is heard between two pieces of work."""
+"""Ctrl-C interrupts between two pieces of work."""
 
 import signal
 
@@ -7,7 +7,7 @@ import pytest
 from holdfast.replay.interrupts import Uninterrupted
 
 
-def test_work_that_has_begun_is_finished_before_ctrl_c_is_heard():
+def test_work_that_has_begun_is_finished_before_ctrl_c_interrupts():
     uninterrupted, done = Uninterrupted(), []
     uninterrupted.start()
     try:

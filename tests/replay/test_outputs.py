@@ -107,7 +107,7 @@ def test_world_to_odometry_times_odometry_to_imu_is_world_to_imu(replayed, witho
         assert_same_pose(array(T_O_I.translation), array(T_O_I.rotation), odom[at])
         corrections.append(np.linalg.norm(array(T_W_O.translation)))
     assert len(corrections) == len(world)
-    assert max(corrections) > 1e-3  # corrections went into T_W_O, or the above says nothing
+    assert max(corrections) > 1e-3  # corrections went into T_W_O, or the above tests nothing
 
 
 def pose_of(point, quaternion):
@@ -165,9 +165,9 @@ def test_covariances_are_symmetric_positive_and_the_same_in_both_frames(replayed
             assert np.linalg.eigvalsh(0.5 * (P + P.T))[0] > 0.0
         R_W_I = pose_of(in_world.pose.pose.position, in_world.pose.pose.orientation).rotation().matrix()
         R_O_I = pose_of(in_odom.pose.pose.position, in_odom.pose.pose.orientation).rotation().matrix()
-        turn = np.kron(np.eye(2), R_W_I @ R_O_I.T)
+        rotation = np.kron(np.eye(2), R_W_I @ R_O_I.T)
         P_W, P_O = covariance(in_world.pose), covariance(in_odom.pose)
-        np.testing.assert_allclose(P_W, turn @ P_O @ turn.T, rtol=0, atol=1e-9 * abs(P_W).max())
+        np.testing.assert_allclose(P_W, rotation @ P_O @ rotation.T, rtol=0, atol=1e-9 * abs(P_W).max())
         np.testing.assert_array_equal(covariance(in_world.twist), covariance(in_odom.twist))
 
 
@@ -181,11 +181,11 @@ def test_published_uncertainty_is_that_of_the_position(replayed):
 
 
 def test_twist_is_in_the_body(replayed):
-    from small_drive import R_V_I, way
+    from small_drive import R_V_I, distance
 
     for _, message in messages(replayed, "/holdfast/odometry/world")[::50]:
         t = (stamp_of(message.header) - EPOCH_NS) * 1e-9
-        speed = way(t)[1]
+        speed = distance(t)[1]
         np.testing.assert_allclose(array(message.twist.twist.linear), R_V_I.unrotate([speed, 0, 0]), rtol=0, atol=0.15)
         np.testing.assert_allclose(
             array(message.twist.twist.angular), R_V_I.unrotate([0, 0, speed / 6.0]), rtol=0, atol=0.01
@@ -197,9 +197,9 @@ def test_diagnostics_come_once_a_second_and_count(replayed):
     assert abs(len(found) - SECONDS) <= 1
     status = found[-1][1].status[0]
     assert status.message == "nominal" and status.level == 0
-    told = {value.key: value.value for value in status.values}
-    assert told["fused"].split()[0] == "imu"
-    final = {key: int(value) for key, value in told.items() if key.startswith("imu ")}
+    reported = {value.key: value.value for value in status.values}
+    assert reported["fused"].split()[0] == "imu"
+    final = {key: int(value) for key, value in reported.items() if key.startswith("imu ")}
     counts = summary(replayed)["counts"]
     assert 0.9 * counts["imu"]["used"] < final["imu used"] <= counts["imu"]["used"]
     assert found[-1][1].status[0].message == "nominal"
@@ -229,7 +229,9 @@ def test_summary_counts_every_message_of_the_recording(replayed):
     assert content["waiting_for"] is None
     assert content["warnings"] == []
     assert content["datum"]["latitude_deg"] == 47.4
-    assert content["config"]["sensors"]["gnss"]["gate_sigma"] == GnssConfig(topic="gnss").gate_sigma  # as resolved
+    assert (
+        content["config"]["sensors"]["gnss"]["gate_sigma"] == GnssConfig(kind="gnss", topic="gnss").gate_sigma
+    )  # as resolved
     assert set(content["versions"]) >= {"holdfast", "gtsam", "numpy"}
     kinds = [event["kind"] for event in events(replayed)]
     assert content["events"] == {kind: kinds.count(kind) for kind in sorted(set(kinds))}
@@ -254,6 +256,7 @@ def test_events_name_stamp_kind_and_reason(replayed):
         assert event["reason"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drive", ["csv_drive", "bag_drive"])
 def test_replaying_twice_gives_the_same_bytes(drive, with_base, tmp_path, request):
     folders = [tmp_path / "once", tmp_path / "twice"]

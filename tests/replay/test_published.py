@@ -28,8 +28,8 @@ def test_a_standing_machine_is_published_at_imu_rate_and_does_not_accelerate(tmp
     stamps = published.world.poses.stamps_ns
     assert set(np.diff(stamps).tolist()) == {10_000_000}
     assert len(stamps) > 600
-    assert published.inertial.heard[1:].all()
-    assert not published.inertial.heard[0]
+    assert published.inertial.received[1:].all()
+    assert not published.inertial.received[0]
     # vibration of the idling engine is 0.08 m/s^2 per axis; gravity would be 9.8
     assert np.abs(published.inertial.acceleration.mean(axis=0)).max() < 0.02
     assert np.abs(published.inertial.acceleration).max() < 0.5
@@ -51,16 +51,16 @@ def test_a_clock_that_goes_back_begins_another_life(tmp_path):
     recorder = recorded(tmp_path, duration_s=12, faults=[step])
     first, second = recorder.lives()
     assert second.world.poses.stamps_ns[0] < first.world.poses.stamps_ns[-1]
-    assert not second.inertial.heard[0]
+    assert not second.inertial.received[0]
     stamps = recorder.published().world.poses.stamps_ns
     assert (np.diff(stamps) > 0).all()
     assert len(stamps) < len(first.world.poses.stamps_ns) + len(second.world.poses.stamps_ns)
 
 
-def test_a_silence_of_the_imu_is_not_heard(tmp_path):
+def test_a_drop_out_of_the_imu_is_marked_as_not_received(tmp_path):
     silence = {"kind": "silence", "sensors": ["imu"], "start_s": 4.0, "end_s": 4.5}
     published = recorded(tmp_path, faults=[silence]).published()
-    dumb = np.flatnonzero(~published.inertial.heard)[1:]
+    dumb = np.flatnonzero(~published.inertial.received)[1:]
     times_s = (published.world.poses.stamps_ns[dumb] - START_NS) * 1e-9
     assert len(dumb) >= 1
     assert ((times_s > 4.4) & (times_s < 4.6)).all()

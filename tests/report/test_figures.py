@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from holdfast.report.figures import (
-    MAX_POINTS,
+    MAX_POINTS_PER_LINE,
     Line,
     Panel,
     Span,
@@ -22,7 +22,7 @@ def test_a_spike_of_one_sample_survives_thinning():
     values = np.zeros(100_000)
     values[54_321], values[12_345] = 5.0, -7.0
     x, y = decimated(time_s, values)
-    assert len(x) <= MAX_POINTS + 4
+    assert len(x) <= MAX_POINTS_PER_LINE + 4
     assert (np.nanmax(y), np.nanmin(y)) == (5.0, -7.0)
     assert x[np.nanargmax(y)] == pytest.approx(543.21)
     assert (x[0], x[-1]) == (time_s[0], time_s[-1])
@@ -37,7 +37,7 @@ def test_a_line_is_broken_where_nothing_was_measured(count: int):
     assert x[np.isnan(y)][0] == pytest.approx(0.6 * time_s[-1], rel=0.02)
 
 
-def test_a_line_with_a_stretch_of_nan_keeps_its_other_values():
+def test_a_line_with_an_interval_of_nan_keeps_its_other_values():
     values = np.concatenate([np.arange(5000.0), np.full(5000, np.nan), np.arange(5000.0)])
     _, y = decimated(np.arange(15_000.0), values)
     assert np.nanmax(y) == 4999.0

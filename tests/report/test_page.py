@@ -114,7 +114,7 @@ def test_a_key_that_is_used_twice_is_refused():
         render(Page("", "", MADE, [Section("", [table, table])]))
 
 
-def test_a_page_that_cannot_be_written_is_told_by_name(tmp_path: Path):
+def test_a_page_that_cannot_be_written_is_named_in_the_error(tmp_path: Path):
     with pytest.raises(ConfigError, match=r"none.*report\.html.*cannot be written"):
         write_page(Page("", "", MADE, []), tmp_path / "none" / "report.html")
 

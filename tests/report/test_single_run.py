@@ -15,10 +15,10 @@ from holdfast.errors import ConfigError, HoldfastError, RecordingError
 from holdfast.recording.mcap_writer import McapWriter
 from holdfast.recording.tum import read_tum
 from holdfast.replay.results import read_run
-from holdfast.replay.ros_messages import BIAS_KEYS
 from holdfast.report.single_run import single_run_page
-from holdfast.report.timeline import antenna_stretches, health_stretches, lost_stretches
+from holdfast.report.timeline import health_intervals, lost_intervals, trust_intervals
 from holdfast.report.words import in_words
+from holdfast.ros.messages import BIAS_KEYS
 from holdfast.state import EventKind, Health, Outcome
 
 
@@ -56,19 +56,19 @@ def test_the_errors_are_those_that_evaluate_finds(page, simulated: Path, tmp_pat
 
 def test_the_outage_is_where_the_scenario_put_it(page, simulated: Path):
     run = read_run(simulated / "out", None)
-    (lost,) = lost_stretches(run.events, run.start_ns, run.end_s)
-    # GNSS is silent from 12 to 16 s; the gate waits some epochs before it says so, and some before it trusts again
+    (lost,) = lost_intervals(run.events, run.start_ns, run.end_s)
+    # GNSS is silent from 12 to 16 s; the gate waits some epochs before the loss, and some before it trusts again
     assert 12.0 < lost.start_s < 14.0
     assert 15.9 < lost.end_s < 18.0
     assert "1 outage." in page[1]["lead"]
 
 
 def test_every_switch_has_its_reason_in_words(page):
-    told = [row[1] for row in page[1]["tables"]["switches"]["rows"]]
-    assert any("GNSS is lost" in text and "fallback graph takes over" in text for text in told)
-    assert any("Antenna gnss_right is no longer trusted: it is silent" in text for text in told)
-    assert any("GNSS is back" in text for text in told)
-    assert not any("_" in text.replace("gnss_right", "") for text in told)  # no codes
+    texts = [row[1] for row in page[1]["tables"]["switches"]["rows"]]
+    assert any("GNSS is lost" in text and "fallback graph takes over" in text for text in texts)
+    assert any("gnss_right is no longer trusted: it is silent" in text for text in texts)
+    assert any("GNSS is back" in text for text in texts)
+    assert not any("_" in text.replace("gnss_right", "") for text in texts)  # no codes
 
 
 def test_the_odometry_frame_is_what_lies_between_both_tracks(simulated: Path):
@@ -86,7 +86,7 @@ def test_the_odometry_frame_is_what_lies_between_both_tracks(simulated: Path):
         assert run.correction[k, 3] == pytest.approx(yaw, abs=1e-6)
 
 
-def test_claimed_deviations_are_those_of_the_published_covariance(simulated: Path):
+def test_reported_deviations_are_those_of_the_published_covariance(simulated: Path):
     run = read_run(simulated / "out", None)
     assert len(run.sigma_times_s) > 100
     assert (run.sigmas["horizontal [m]"] > 0.0).all()
@@ -95,7 +95,7 @@ def test_claimed_deviations_are_those_of_the_published_covariance(simulated: Pat
     assert np.median(run.sigmas["horizontal [m]"][lost]) > np.median(run.sigmas["horizontal [m]"][good])
 
 
-def test_the_page_tells_the_command_the_seed_and_the_versions_that_made_it(page, simulated: Path):
+def test_the_page_names_the_command_the_seed_and_the_versions_that_made_it(page, simulated: Path):
     made = page[1]["provenance"]
     replayed, reported = made["command"].split("; ")
     assert replayed == f"holdfast replay {simulated} -c {simulated}/config.yaml -o {simulated}/out"
@@ -121,7 +121,7 @@ def test_errors_at_held_out_fixes_are_those_of_the_summary(simulated: Path, tmp_
     table = json.loads((tmp_path / "report.json").read_text())["tables"]["held-out"]
     row = dict(zip(table["columns"], table["rows"][0], strict=True))
     assert (row["track"], row["when"]) == ("causal", "all")
-    assert row["fixes"] == held_out["horizontal_m"]["count"] > 50
+    assert row["positions"] == held_out["horizontal_m"]["count"] > 50
     assert row["horizontal RMS [m]"] == pytest.approx(held_out["horizontal_m"]["rms"], rel=1e-6)
 
 
@@ -168,7 +168,7 @@ def test_a_replay_that_was_cut_off_still_has_a_report(simulated: Path, tmp_path:
 
 
 @pytest.mark.parametrize(
-    ("file", "content", "error", "said"),
+    ("file", "content", "error", "words"),
     [
         ("summary.json", None, ConfigError, "holdfast replay"),
         ("summary.json", "{", RecordingError, "no summary"),
@@ -177,16 +177,16 @@ def test_a_replay_that_was_cut_off_still_has_a_report(simulated: Path, tmp_path:
         ("imu_in_world.tum", "", RecordingError, "no poses"),
     ],
 )
-def test_what_is_no_replay_is_told_by_file(simulated: Path, tmp_path: Path, file, content, error, said):  # noqa: PLR0917
+def test_what_is_no_replay_is_named_by_file(simulated: Path, tmp_path: Path, file, content, error, words):  # noqa: PLR0917
     folder = tmp_path / "out"
     shutil.copytree(simulated / "out", folder)
     (folder / file).unlink() if content is None else (folder / file).write_text(content)
-    with pytest.raises(error, match=said) as caught:
+    with pytest.raises(error, match=words) as caught:
         call("report", folder)
     assert file in str(caught.value)
 
 
-def test_a_reference_of_another_time_and_a_wrong_name_are_told(simulated: Path, tmp_path: Path):
+def test_a_reference_of_another_time_and_a_wrong_name_are_refused(simulated: Path, tmp_path: Path):
     (tmp_path / "other.tum").write_text("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n")
     with pytest.raises(RecordingError, match=r"other\.tum: no overlap in time"):
         call("report", simulated / "out", "--reference", tmp_path / "other.tum")
@@ -198,51 +198,62 @@ def test_a_reference_of_another_time_and_a_wrong_name_are_told(simulated: Path, 
         call("report", simulated / "out", "-o", tmp_path / "report.pdf")
 
 
-def test_stretches_follow_the_events():
+def test_intervals_follow_the_events():
     def event(at_s: float, kind: str, sensor: str = "", reason: str = "") -> dict:
         return {"stamp_ns": round(at_s * 1e9), "kind": kind, "sensor": sensor, "reason": reason}
 
     events = [
         event(1.0, "initialised"),
         event(1.0, "health", reason="nominal"),
-        event(5.0, "antenna_lost", "gnss", "silent"),
-        event(5.0, "gnss_lost", "", "no antenna is trusted"),
+        event(5.0, "receiver_lost", "gnss", "silent"),
+        event(5.0, "gnss_lost", "", "no receiver is trusted"),
         event(5.0, "health", reason="fallback"),
-        event(8.0, "antenna_regained", "gnss", "5 good fixes in a row"),
+        event(8.0, "receiver_regained", "gnss", "5 good fixes in a row"),
         event(8.0, "gnss_regained", "", "5 fixes agree"),
         event(8.0, "health", reason="nominal"),
-        event(9.0, "gnss_lost", "", "no antenna is trusted"),
+        event(9.0, "gnss_lost", "", "no receiver is trusted"),
     ]
-    assert [s[:3] for s in health_stretches(events, 0, 10.0)] == [
+    assert [s[:3] for s in health_intervals(events, 0, 10.0)] == [
         (0.0, 1.0, "initialising"), (1.0, 5.0, "nominal"), (5.0, 8.0, "fallback"), (8.0, 10.0, "nominal"),
     ]  # fmt: skip
-    assert [s[:3] for s in antenna_stretches(events, 0, 10.0, {"gnss": {}})["gnss"]] == [
+    assert [s[:3] for s in trust_intervals(events, 0, 10.0, ["gnss"])["gnss"]] == [
         (1.0, 5.0, "trusted"), (5.0, 8.0, "lost"), (8.0, 10.0, "trusted"),
     ]  # fmt: skip
-    assert [s[:2] for s in lost_stretches(events, 0, 10.0)] == [(5.0, 8.0), (9.0, 10.0)]
+    assert [s[:2] for s in lost_intervals(events, 0, 10.0)] == [(5.0, 8.0), (9.0, 10.0)]
+
+
+def test_every_tested_sensor_has_its_own_trust():
+    def event(at_s: float, kind: str, sensor: str = "") -> dict:
+        return {"stamp_ns": round(at_s * 1e9), "kind": kind, "sensor": sensor, "reason": ""}
+
+    events = [event(0.0, "initialised"), event(2.0, "sensor_lost", "tracks"), event(3.0, "sensor_regained", "tracks")]
+    found = trust_intervals(events, 0, 5.0, ["tracks", "mast"])
+    assert [i[:3] for i in found["tracks"]] == [(0.0, 2.0, "trusted"), (2.0, 3.0, "lost"), (3.0, 5.0, "trusted")]
+    assert [i[:3] for i in found["mast"]] == [(0.0, 5.0, "trusted")]
+    assert trust_intervals(events[1:], 0, 5.0, ["tracks"]) == {}  # it never started
 
 
 @pytest.mark.parametrize("kind", EventKind)
 def test_every_kind_of_event_has_words(kind: EventKind):
-    said = in_words({"kind": str(kind), "sensor": "gnss", "reason": "some reason"})
-    assert "some reason" in said
+    words = in_words({"kind": str(kind), "sensor": "gnss", "reason": "some reason"})
+    assert "some reason" in words
     routine = kind in (EventKind.REJECTED, EventKind.LATE, EventKind.WAITING)
-    assert routine or (said.startswith(str(kind)) is False and "_" not in said)
+    assert routine or (not words.startswith(str(kind)) and "_" not in words)
 
 
 @pytest.mark.parametrize("health", Health)
 def test_every_health_has_words(health: Health):
-    said = in_words({"kind": "health", "sensor": "", "reason": str(health)})
-    assert health is Health.INITIALISING or "_" not in said
+    words = in_words({"kind": "health", "sensor": "", "reason": str(health)})
+    assert health is Health.INITIALISING or "_" not in words
 
 
 @pytest.mark.parametrize("outcome", [o for o in Outcome if o not in ("used", "ignored", "before_start")])
-def test_reasons_for_which_an_antenna_is_lost_have_words(outcome: Outcome):
+def test_reasons_for_which_a_receiver_is_lost_have_words(outcome: Outcome):
     reason = f"12 {outcome}, 1 innovation; gate power 0.13 m"
-    said = in_words({"kind": "antenna_lost", "sensor": "gnss", "reason": reason})
-    assert "12 fixes" in said or outcome not in GATED
-    assert "1 fix contradicting the estimate" in said
-    assert "any jump beyond 0.13 m" in said
+    words = in_words({"kind": "receiver_lost", "sensor": "gnss", "reason": reason})
+    assert "12 measurements" in words or outcome not in GATED
+    assert "1 measurement contradicting the estimate" in words
+    assert "any jump beyond 0.13 m" in words
 
 
 GATED = ("innovation", "too_fast", "baseline", "low_status", "no_covariance", "large_covariance", "walking", "late")

@@ -1,4 +1,5 @@
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "estimator"))  # where motion.py lies
+for room in ("estimator", "chassis"):  # where motion.py and slewing.py lie
+    sys.path.insert(0, str(Path(__file__).parents[1] / room))

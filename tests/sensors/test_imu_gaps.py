@@ -1,4 +1,4 @@
-"""The IMU buffer: which samples are believed, and where the IMU is taken for silent."""
+"""The IMU buffer: which samples are accepted, and where the IMU is taken for silent."""
 
 import itertools
 from dataclasses import replace
@@ -10,7 +10,7 @@ from motion import Drive, imu, machine, ns
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.state import Outcome
 
-CONFIG = machine().sensors.imu
+CONFIG = machine().imu
 DRIVING = Drive(start_s=-3.0)
 
 
@@ -23,9 +23,9 @@ def fed(samples, config=CONFIG):
     found = []
     for sample in samples:
         assert buffer.check(sample) is Outcome.USED
-        buffer.add(sample)
-        if buffer.gap_found_ns is not None:
-            found.append(buffer.gap_found_ns)
+        added = buffer.add(sample)
+        if added.line_since_ns is not None:
+            found.append(added.line_since_ns)
     return buffer, found
 
 
@@ -42,19 +42,19 @@ def drawn(samples, first, last, by=lambda samples: np.arange(len(samples), dtype
     at = by(samples)
     out = list(samples)
     for k in range(first + 1, last):
-        share = (at[k] - at[first]) / (at[last] - at[first])
+        fraction = (at[k] - at[first]) / (at[last] - at[first])
         fields = {}
         for name in ("specific_force", "angular_velocity"):
             a, b = getattr(samples[first], name), getattr(samples[last], name)
-            value = (1.0 - share) * a + share * b
+            value = (1.0 - fraction) * a + fraction * b
             fields[name] = value if digits is None else np.round(value, digits)
         out[k] = replace(samples[k], **fields)
     return out
 
 
-def jittered(samples, seed=7, share=0.2, hz=100.0):
+def jittered(samples, seed=7, fraction=0.2, hz=100.0):
     """Stamps that scatter as those of a busy driver do."""
-    shifts = np.random.default_rng(seed).uniform(-share, share, len(samples)) / hz
+    shifts = np.random.default_rng(seed).uniform(-fraction, fraction, len(samples)) / hz
     return [replace(s, stamp_ns=s.stamp_ns + round(d * 1e9)) for s, d in zip(samples, shifts, strict=True)]
 
 
@@ -218,7 +218,7 @@ def test_a_single_sample_from_ten_seconds_ahead_is_a_clock_jump():
 
 
 def test_the_time_offset_is_added_to_every_stamp():
-    config = machine(imu_={"time_offset_s": -0.25}).sensors.imu
+    config = machine(imu_={"time_offset_s": -0.25}).imu
     samples = noisy()
     buffer, _ = fed(samples, config)
     assert buffer.oldest_ns == ns(-0.25) and buffer.latest_ns == ns(3.75)

@@ -14,11 +14,11 @@ from holdfast.config.model import MotionModelConfig
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.preintegration import ImuNoise, MotionModel, preintegrate
 
-CONFIG = machine().sensors.imu
+CONFIG = machine().imu
 NO_BIAS = gtsam.imuBias.ConstantBias()
 NOISE = ImuNoise(CONFIG, 1e-4, G)
 DRIVING = Drive(start_s=-3.0)
-# GTSAM adds turns in the tangent space at the start of an interval: off by dt / 12 |w|^2 times the part of the turn
+# GTSAM adds rotations in the tangent space at the start of an interval: off by dt / 12 |w|^2 times the part of the one
 # that is not about the axis of w, which in 1 s of this drive is below 0.25 rad, at |w| < 1.1 rad/s
 CONING = 1.0 / 12.0 * 1.1**2 * 0.25
 
@@ -102,7 +102,7 @@ def test_bias_is_taken_from_the_readings():
 def test_noise_of_preintegration_is_that_of_its_densities():
     steps = filled(DRIVING, 0.0, 1.0, 100.0).steps(ns(0.0), ns(1.0))
     covariance = preintegrate(steps, NOISE, DRIVING.nav(0.0).attitude(), NO_BIAS).preintMeasCov()
-    # in the tangent space noise across a turn of 1 rad counts (0.5 / sin 0.5)^2 = 1.09 times
+    # in the tangent space noise across a rotation of 1 rad counts (0.5 / sin 0.5)^2 = 1.09 times
     # white noise over 1 s: rotation N_g, velocity N_a and (force 9.8 turned by a random walk) g N_g / sqrt(3)
     np.testing.assert_allclose(np.diag(covariance)[:3], 2e-4**2, rtol=0.1)
     up = np.hypot(2e-3, G * 2e-4 / np.sqrt(3.0))
@@ -118,9 +118,7 @@ def test_one_sample_gives_a_covariance_of_full_rank():
 
 
 def test_motion_makes_the_noise_grow_in_proportion_and_rest_does_not():
-    moving = ImuNoise(
-        machine(imu_={"accelerometer_error_ratio": 0.02, "gyroscope_error_ratio": 0.01}).sensors.imu, 1e-4, G
-    )
+    moving = ImuNoise(machine(imu_={"accelerometer_error_ratio": 0.02, "gyroscope_error_ratio": 0.01}).imu, 1e-4, G)
     R = gtsam.Rot3.RzRyRx(0.1, 0.2, 0.3)
     up = R.unrotate(np.array([0.0, 0.0, G]))
     at_rest = moving.params(up, np.zeros(3), R)
@@ -166,8 +164,8 @@ def test_the_motion_model_is_as_unsure_as_white_acceleration_and_turning_make_it
     config = MotionModelConfig()
     _, pim = coasted(duration_s, standing)
     sigma = np.sqrt(np.diag(pim.preintMeasCov()))
-    turn = config.angular_rate_density * np.sqrt(duration_s)
-    np.testing.assert_allclose(sigma[:3], turn, rtol=0.05)
+    rotation = config.angular_rate_density * np.sqrt(duration_s)
+    np.testing.assert_allclose(sigma[:3], rotation, rtol=0.05)
     # along gravity white acceleration alone; across it the tilt turns gravity into acceleration as well
     fall = gtsam.Rot3.RzRyRx(0.05, -0.08, 0.3).unrotate(np.array([0.0, 0.0, 1.0]))
     along_velocity = np.sqrt(fall @ pim.preintMeasCov()[6:9, 6:9] @ fall)

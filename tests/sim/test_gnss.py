@@ -3,9 +3,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from holdfast.sim.datasheets import FixQuality, SimulatedGnss
-from holdfast.sim.gnss import Antenna, Quality, fix_quality, gnss_readings
 from holdfast.sim.readings import generator
+from holdfast.sim.sensors.gnss import Antenna, FixQuality, Quality, SimulatedGnss, fix_quality, gnss_readings
 
 SLOW_ONLY = FixQuality(
     white_horizontal_m=0.0,
@@ -17,7 +16,7 @@ SLOW_ONLY = FixQuality(
 )
 
 
-SHEET = {"topic": "/gnss", "frame": "gnss", "rate_hz": 10.0, "shared_ratio": 0.3}
+SHEET = {"kind": "gnss", "topic": "/gnss", "frame": "gnss", "rate_hz": 10.0, "shared_ratio": 0.3}
 SKY = {"float_below": 0.75, "single_below": 0.5, "none_below": 0.2}
 
 
@@ -135,7 +134,7 @@ def test_position_is_truth_plus_error_and_nobody_lies_without_a_fault():
     (fixes,) = measure(4, where)
     np.testing.assert_array_equal(fixes["truth"], where.p_W)
     np.testing.assert_allclose(fixes["position"] - fixes["truth"], fixes["error"], atol=1e-12)
-    assert np.all(np.std(fixes["error"], axis=0) > 1e-3) and not fixes["lying"].any()
+    assert np.all(np.std(fixes["error"], axis=0) > 1e-3) and not fixes["faulty"].any()
 
 
 # --- the slow part ----------------------------------------------------------------------------------------------------

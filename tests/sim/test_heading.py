@@ -2,40 +2,39 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from holdfast.sim.datasheets import SimulatedHeading
-from holdfast.sim.gnss import Quality
-from holdfast.sim.heading import heading_readings
-from holdfast.sim.motion import FrameMotion
 from holdfast.sim.readings import generator
+from holdfast.sim.sensors.gnss import Antenna, Quality
+from holdfast.sim.sensors.heading import SimulatedHeading, heading_readings
 
 ARMS_M = {"left": [-0.5, 1.0, 2.0], "right": [-0.5, -1.0, 2.0]}
 
 
 def datasheet(**values):
     return SimulatedHeading(
-        **{"topic": "/heading", "frame": "gnss", "rate_hz": 10.0, "white_rad": 1.5e-3, "slow_rad": 8e-4} | values
+        **{
+            "kind": "heading",
+            "topic": "/heading",
+            "frame": "gnss",
+            "rate_hz": 10.0,
+            "white_rad": 1.5e-3,
+            "slow_rad": 8e-4,
+        }
+        | values
     )
 
 
-def antennas(attitude):
-    """Antennas on both sides of a body with these attitudes (N)."""
-    R = attitude.as_matrix()
-    for arm in ARMS_M.values():
-        p_W = R @ arm + np.array([10.0, 20.0, 30.0])
-        yield FrameMotion(R, p_W, np.zeros_like(p_W), np.zeros_like(p_W), np.zeros_like(p_W))
+def antenna(arm_m, attitude, quality):
+    """An antenna of a body with these attitudes (N)."""
+    p_W = attitude.as_matrix() @ arm_m + np.array([10.0, 20.0, 30.0])
+    return Antenna(None, np.arange(len(p_W)) * 0.1, p_W, np.broadcast_to(np.int64(quality), len(p_W)))
 
 
 def measure(yaw_rad, seed=0, left=Quality.RTK_FIXED, right=Quality.RTK_FIXED, roll_pitch_rad=(0.0, 0.0), **sheet):
     yaw_rad = np.asarray(yaw_rad)
     angles = np.stack([yaw_rad, *(np.full(yaw_rad.shape, angle) for angle in roll_pitch_rad[::-1])], axis=1)
-    return heading_readings(
-        datasheet(**sheet),
-        *antennas(Rotation.from_euler("ZYX", angles)),
-        np.arange(len(yaw_rad)) * 0.1,
-        left_quality=np.broadcast_to(np.int64(left), yaw_rad.shape),
-        right_quality=np.broadcast_to(np.int64(right), yaw_rad.shape),
-        rng=generator(seed, "heading"),
-    )
+    attitude = Rotation.from_euler("ZYX", angles)
+    ends = (antenna(ARMS_M[side], attitude, quality) for side, quality in (("left", left), ("right", right)))
+    return heading_readings(datasheet(**sheet), *ends, generator(seed, "heading"))
 
 
 def test_yaw_is_that_of_the_baseline_from_left_to_right():

@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
+from sampled import sampled
 from scipy.spatial.transform import Rotation
 from strapdown import integrate
 
 from holdfast.geometry.earth import EARTH_RATE_RAD_S, earth_rate_enu, gravity
-from holdfast.sim.datasheets import SimulatedImu
-from holdfast.sim.imu import imu_readings, true_signals
-from holdfast.sim.motion import FrameMotion
 from holdfast.sim.readings import generator
+from holdfast.sim.scene import FrameMotion
+from holdfast.sim.sensors.imu import SimulatedImu, true_signals
 from holdfast.sim.transport import sample_times_s
 
 LATITUDE_DEG = 47.4
@@ -30,7 +30,7 @@ NO_ERRORS = dict.fromkeys(
 
 def imu(rate_hz=100.0, **errors):
     """An IMU with the named errors only."""
-    return SimulatedImu(topic="/imu", frame="imu", rate_hz=rate_hz, **(NO_ERRORS | errors))
+    return SimulatedImu(kind="imu", topic="/imu", frame="imu", rate_hz=rate_hz, **(NO_ERRORS | errors))
 
 
 def slewing(times_s, vibration_m_s2=0.0, phase=TURNING_POINT):
@@ -90,7 +90,7 @@ def allan_over_seeds(sheet, duration_s, tau_s, seeds):
     times = sample_times_s(sheet.rate_hz, duration_s)
     squares = []
     for seed in range(seeds):
-        readings, _ = imu_readings(sheet, standing(len(times)), times, G, None, generator(seed, "imu"))
+        readings = sampled(sheet, standing(len(times)), times, generator(seed, "imu"))
         squares.append(
             [
                 np.mean(allan_deviation(readings.values[name], sheet.rate_hz, tau_s) ** 2)
@@ -150,11 +150,11 @@ def test_a_perfect_sheet_gives_the_true_signals_at_their_times():
     times = sample_times_s(100.0, 2.0)
     truth = slewing(times, 0.4)
     rate, force = true_signals(truth, G, EARTH)
-    readings, bias = imu_readings(imu(), truth, times, G, EARTH, generator(1, "imu"))
+    readings = sampled(imu(), truth, times, generator(1, "imu"), earth_rotation=True)
     assert np.array_equal(readings.times_s, times)
     assert readings.values["angular_velocity"] == pytest.approx(rate, abs=1e-15)
     assert readings.values["specific_force"] == pytest.approx(force, abs=1e-13)
-    assert not bias.accelerometer.any() and not bias.gyroscope.any()
+    assert not readings.values["accelerometer_bias"].any() and not readings.values["gyroscope_bias"].any()
 
 
 # --- noise and bias ---------------------------------------------------------------------------------------------------
@@ -163,7 +163,7 @@ def test_a_perfect_sheet_gives_the_true_signals_at_their_times():
 @pytest.mark.parametrize("rate_hz", [50.0, 100.0, 400.0])
 def test_allan_deviation_at_one_second_is_the_white_density_at_every_rate(rate_hz):
     """Of the whole default datasheet; 5 seeds x 3 axes x 200 s leave 1.5 % of chance."""
-    sheet = SimulatedImu(topic="/imu", frame="imu", rate_hz=rate_hz)
+    sheet = SimulatedImu(kind="imu", topic="/imu", frame="imu", rate_hz=rate_hz)
     half, one, two = (allan_over_seeds(sheet, 200.0, tau, seeds=5) for tau in (0.5, 1.0, 2.0))
     expected = [sheet.accelerometer_noise_density, sheet.gyroscope_noise_density]
     assert one == pytest.approx(expected, rel=0.1)
@@ -194,11 +194,11 @@ def test_reported_bias_is_what_a_reading_without_noise_is_wrong_by():
     times = sample_times_s(100.0, 20.0)
     truth = slewing(times)
     rate, force = true_signals(truth, G, EARTH)
-    readings, bias = imu_readings(sheet, truth, times, G, EARTH, generator(4, "imu"))
-    assert np.array_equal(bias.times_s, times)
-    assert bias.gyroscope == pytest.approx(readings.values["angular_velocity"] - rate, abs=1e-14)
-    assert bias.accelerometer == pytest.approx(readings.values["specific_force"] - force, abs=1e-13)
-    assert np.ptp(bias.accelerometer, axis=0).min() > 1e-3
+    readings = sampled(sheet, truth, times, generator(4, "imu"), earth_rotation=True)
+    assert np.array_equal(readings.times_s, times)
+    assert readings.values["gyroscope_bias"] == pytest.approx(readings.values["angular_velocity"] - rate, abs=1e-14)
+    assert readings.values["accelerometer_bias"] == pytest.approx(readings.values["specific_force"] - force, abs=1e-13)
+    assert np.ptp(readings.values["accelerometer_bias"], axis=0).min() > 1e-3
 
 
 def test_bias_at_power_on_has_the_datasheets_sigma_and_then_walks_with_the_square_root_of_time():
@@ -211,8 +211,8 @@ def test_bias_at_power_on_has_the_datasheets_sigma_and_then_walks_with_the_squar
         gyroscope_random_walk=2e-6,
     )
     times = sample_times_s(20.0, 50.0 + 1e-9)
-    runs = [imu_readings(sheet, standing(len(times)), times, G, None, generator(s, "imu"))[1] for s in range(300)]
-    both = np.array([np.hstack([b.accelerometer, b.gyroscope]) for b in runs])
+    runs = [sampled(sheet, standing(len(times)), times, generator(s, "imu")).values for s in range(300)]
+    both = np.array([np.hstack([run["accelerometer_bias"], run["gyroscope_bias"]]) for run in runs])
     start, walked = both[:, 0], both[:, -1] - both[:, 0]
     for values, sigmas in ((start, [0.03, 2e-3]), (walked, np.array([5e-5, 2e-6]) * np.sqrt(50.0))):
         assert [values[:, :3].std(), values[:, 3:].std()] == pytest.approx(sigmas, rel=0.1)
@@ -232,8 +232,8 @@ def test_scale_and_misalignment_are_one_matrix_per_run_with_the_datasheets_sigma
     signals = true_signals(truth, G, None)
     errors = {"angular_velocity": [], "specific_force": []}
     for seed in range(200):
-        readings, bias = imu_readings(sheet, truth, times, G, None, generator(seed, "imu"))
-        assert not bias.accelerometer.any() and not bias.gyroscope.any()
+        readings = sampled(sheet, truth, times, generator(seed, "imu"))
+        assert not readings.values["accelerometer_bias"].any() and not readings.values["gyroscope_bias"].any()
         for (name, found), signal in zip(errors.items(), signals, strict=True):
             solution = np.linalg.lstsq(signal, readings.values[name] - signal, rcond=None)[0]
             assert readings.values[name] == pytest.approx(signal + signal @ solution, abs=1e-12)
@@ -251,7 +251,7 @@ def test_readings_are_multiples_of_the_resolution_and_nearest_to_the_truth():
     truth = slewing(times, 0.4)
     rate, force = true_signals(truth, G, None)
     sheet = imu(accelerometer_resolution=0.02, gyroscope_resolution=3e-3)
-    values = imu_readings(sheet, truth, times, G, None, generator(1, "imu"))[0].values
+    values = sampled(sheet, truth, times, generator(1, "imu")).values
     for reading, signal, step in ((values["specific_force"], force, 0.02), (values["angular_velocity"], rate, 3e-3)):
         assert reading / step == pytest.approx(np.round(reading / step), abs=1e-9)
         assert np.abs(reading - signal).max() <= step / 2.0 + 1e-12
@@ -266,7 +266,7 @@ def test_readings_saturate_at_the_range_on_both_sides_and_never_pass_it():
     rate, force = true_signals(truth, G, None)
     # 7.3 / 3e-3 is no whole number: rounding alone would pass the range
     sheet = imu(gyroscope_range=7.3, gyroscope_resolution=3e-3)
-    values = imu_readings(sheet, truth, times, G, None, generator(1, "imu"))[0].values
+    values = sampled(sheet, truth, times, generator(1, "imu")).values
     for reading, signal, bound in ((values["specific_force"], force, 78.0), (values["angular_velocity"], rate, 7.3)):
         beyond = np.abs(signal) > bound + 0.01
         assert beyond.sum() > 10 and (~beyond).sum() > 100
@@ -279,10 +279,15 @@ def test_readings_saturate_at_the_range_on_both_sides_and_never_pass_it():
 
 
 def whole_imu(seed=3, **changes):
-    sheet = SimulatedImu(topic="/imu", frame="imu", rate_hz=100.0, **changes)
+    sheet = SimulatedImu(kind="imu", topic="/imu", frame="imu", rate_hz=100.0, **changes)
     times = sample_times_s(100.0, 3.0)
-    readings, bias = imu_readings(sheet, slewing(times), times, G, EARTH, generator(seed, "imu"))
-    return [readings.values["specific_force"], readings.values["angular_velocity"], bias.accelerometer, bias.gyroscope]
+    readings = sampled(sheet, slewing(times), times, generator(seed, "imu"), earth_rotation=True)
+    return [
+        readings.values["specific_force"],
+        readings.values["angular_velocity"],
+        readings.values["accelerometer_bias"],
+        readings.values["gyroscope_bias"],
+    ]
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others():
@@ -300,7 +305,7 @@ def test_switching_one_error_off_leaves_the_others_as_they_were():
 
 
 def test_every_error_of_the_datasheet_reaches_the_readings():
-    ignored = {"topic", "frame", "rate_hz", "transport", "clock", "accelerometer_range", "gyroscope_range"}
+    ignored = {"kind", "topic", "frame", "rate_hz", "transport", "clock", "accelerometer_range", "gyroscope_range"}
     plain = whole_imu()
     for name in SimulatedImu.model_fields.keys() - ignored:
         changed = whole_imu(**{name: 0.0})

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from sampled import sampled
 
-from holdfast.sim.datasheets import SimulatedJoint
-from holdfast.sim.joint import joint_readings
 from holdfast.sim.readings import generator
+from holdfast.sim.sensors.joint import SimulatedJoint
 from holdfast.sim.transport import sample_times_s
 
 TIMES = sample_times_s(50.0, 20.0)
@@ -15,20 +15,20 @@ ANGLES = 0.6 * TIMES - 3.0
 def joint(**errors):
     """An encoder with the named errors only."""
     perfect = {"bias_sigma_rad": 0.0, "noise_rad": 0.0, "resolution_rad": 0.0}
-    return SimulatedJoint(topic="/joint", frame="cabin", rate_hz=50.0, **(perfect | errors))
+    return SimulatedJoint(kind="joint", topic="/joint", frame="cabin", rate_hz=50.0, **(perfect | errors))
 
 
 def read(seed=1, **errors):
-    readings, bias = joint_readings(joint(**errors), ANGLES, TIMES, generator(seed, "joint"))
-    return readings.values["angle_rad"], bias
+    readings = sampled(joint(**errors), None, TIMES, generator(seed, "joint"), joint_rad=ANGLES)
+    return readings.values["angle_rad"], readings.constants["zero_offset_rad"]
 
 
-def test_a_perfect_encoder_reads_the_angle_beyond_half_a_turn():
-    readings, bias = joint_readings(joint(), ANGLES, TIMES, generator(1, "joint"))
+def test_a_perfect_encoder_reads_the_angle_beyond_half_a_revolution():
+    readings = sampled(joint(), None, TIMES, generator(1, "joint"), joint_rad=ANGLES)
     assert np.array_equal(readings.times_s, TIMES)
     assert np.array_equal(readings.values["angle_rad"], ANGLES)
     assert ANGLES.max() > np.pi
-    assert bias == 0.0
+    assert readings.constants == {"zero_offset_rad": 0.0}
 
 
 def test_bias_is_constant_returned_and_of_the_datasheets_sigma():

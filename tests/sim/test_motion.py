@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from holdfast.sim.motion import FrameMotion, Motion
+from holdfast.sim.motion import Motion
 from holdfast.sim.scenario import load_scenario, shipped
+from holdfast.sim.scene import FrameMotion
 from holdfast.sim.terrain import Terrain
 
 STEP_S = 1e-4

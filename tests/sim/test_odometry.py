@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
+from sampled import sampled
 from scipy.spatial.transform import Rotation
 
-from holdfast.sim.datasheets import SimulatedLidarOdometry
-from holdfast.sim.motion import FrameMotion
-from holdfast.sim.odometry import odometry_readings
 from holdfast.sim.readings import generator
+from holdfast.sim.scene import FrameMotion
+from holdfast.sim.sensors.odometry import SimulatedOdometry
 
 PERFECT = {
     "jitter_m": 0.0,
@@ -17,7 +17,9 @@ PERFECT = {
 
 
 def datasheet(**values):
-    return SimulatedLidarOdometry(**{"topic": "/lidar", "frame": "lidar", "rate_hz": 5.0} | PERFECT | values)
+    return SimulatedOdometry(
+        **{"kind": "odometry", "topic": "/lidar", "frame": "lidar", "rate_hz": 5.0} | PERFECT | values
+    )
 
 
 def motion(attitude, p_W):
@@ -25,21 +27,21 @@ def motion(attitude, p_W):
     return FrameMotion(attitude.as_matrix(), p_W, zero, zero, zero)
 
 
-def straight(way_m, count, tilted=True):
-    """A drive of `way_m` along the lidar's x axis, which points anywhere in W."""
+def straight(distance_m, count, tilted=True):
+    """A drive of `distance_m` along the lidar's x axis, which points anywhere in W."""
     attitude = Rotation.from_euler("ZYX", [0.7, -0.2, 0.1] if tilted else [0.0, 0.0, 0.0])
-    p_L0 = np.outer(np.linspace(0.0, way_m, count), [1.0, 0.0, 0.0])
-    return motion(Rotation.concatenate([attitude] * count), attitude.apply(p_L0) + np.array([5.0, -3.0, 2.0]))
+    p_F0 = np.outer(np.linspace(0.0, distance_m, count), [1.0, 0.0, 0.0])
+    return motion(Rotation.concatenate([attitude] * count), attitude.apply(p_F0) + np.array([5.0, -3.0, 2.0]))
 
 
-def spin(turn_rad, count):
-    """A turn in place."""
-    return motion(Rotation.from_euler("z", np.linspace([0.3], [0.3 + turn_rad], count)), np.ones((count, 3)))
+def spin(rotation_rad, count):
+    """A rotation in place."""
+    return motion(Rotation.from_euler("z", np.linspace([0.3], [0.3 + rotation_rad], count)), np.ones((count, 3)))
 
 
 def measure(lidar, seed=0, **sheet):
     times_s = np.arange(len(lidar.p_W)) * 0.2
-    return odometry_readings(datasheet(**sheet), lidar, times_s, generator(seed, "lidar"))
+    return sampled(datasheet(**sheet), lidar, times_s, generator(seed, "lidar"))
 
 
 def errors(lidar, row, seeds=400, **sheet):
@@ -69,30 +71,30 @@ def test_without_noise_the_poses_are_the_motion_seen_from_the_first_pose():
 
 
 @pytest.mark.parametrize("count", [26, 101])
-def test_position_drift_grows_with_the_root_of_the_way_whatever_the_rate(count):
+def test_position_drift_grows_with_the_root_of_the_distance_whatever_the_rate(count):
     for share in (0.25, 1.0):
         translations, rotations = errors(straight(20.0, count), round(share * (count - 1)), drift_m_per_sqrt_m=0.05)
         np.testing.assert_allclose(np.std(translations, axis=0), 0.05 * np.sqrt(20.0 * share), rtol=0.12)
         assert np.abs(rotations).max() < 1e-12
 
 
-def test_attitude_drift_grows_with_the_root_of_the_way():
+def test_attitude_drift_grows_with_the_root_of_the_distance():
     lidar = straight(30.0, 121)
-    for row, way_m in ((30, 7.5), (120, 30.0)):
+    for row, distance_m in ((30, 7.5), (120, 30.0)):
         _, rotations = errors(lidar, row, drift_rad_per_sqrt_m=1e-3)
-        np.testing.assert_allclose(np.std(rotations, axis=0), 1e-3 * np.sqrt(way_m), rtol=0.12)
+        np.testing.assert_allclose(np.std(rotations, axis=0), 1e-3 * np.sqrt(distance_m), rtol=0.12)
 
 
-def test_attitude_drift_grows_with_the_root_of_the_turn():
+def test_attitude_drift_grows_with_the_root_of_the_rotation():
     lidar = spin(12.0, 121)
-    for row, turn_rad in ((30, 3.0), (120, 12.0)):
+    for row, rotation_rad in ((30, 3.0), (120, 12.0)):
         translations, rotations = errors(lidar, row, drift_rad_per_sqrt_rad=1e-3)
-        np.testing.assert_allclose(np.std(rotations, axis=0), 1e-3 * np.sqrt(turn_rad), rtol=0.12)
+        np.testing.assert_allclose(np.std(rotations, axis=0), 1e-3 * np.sqrt(rotation_rad), rtol=0.12)
         assert np.abs(translations).max() < 1e-12
 
 
 def test_attitude_drift_bends_the_path():
-    # sideways error is the integral of a random walk: sigma = density * sqrt(way^3 / 3)
+    # sideways error is the integral of a random walk: sigma = density * sqrt(distance^3 / 3)
     translations, _ = errors(straight(30.0, 301, tilted=False), 300, drift_rad_per_sqrt_m=1e-3)
     np.testing.assert_allclose(np.std(translations[:, 1:], axis=0), 1e-3 * np.sqrt(30.0**3 / 3.0), rtol=0.12)
     assert np.abs(translations[:, 0]).max() < 5e-3

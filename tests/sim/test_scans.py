@@ -13,10 +13,10 @@ from rosbags.typesys import Stores, get_typestore
 
 from holdfast.errors import ConfigError
 from holdfast.messages import Array
-from holdfast.sim.datasheets import SimulatedLidar
 from holdfast.sim.readings import generator
 from holdfast.sim.scans import POINT_CLOUD_TYPE, Scan, Scanner, encode_points
 from holdfast.sim.scenario import Box, Ground, Heap, Objects, Tree
+from holdfast.sim.sensors.scanner import SimulatedScanner
 from holdfast.sim.site import Site
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -31,9 +31,17 @@ SITE = Site(
 )
 
 
-def _lidar(**changes: Any) -> SimulatedLidar:
-    values = {"topic": "/points", "frame": "lidar", "rate_hz": 10.0, "channels": 32, "columns": 256, **changes}
-    return SimulatedLidar(**values)
+def _lidar(**changes: Any) -> SimulatedScanner:
+    values = {
+        "kind": "scanner",
+        "topic": "/points",
+        "frame": "lidar",
+        "rate_hz": 10.0,
+        "channels": 32,
+        "columns": 256,
+        **changes,
+    }
+    return SimulatedScanner(**values)
 
 
 def _scanner(**changes: Any) -> Scanner:

@@ -1,4 +1,4 @@
-"""A scenario file says what happens; every mistake in it gets one line."""
+"""A scenario file describes what happens; every mistake in it gets one line."""
 
 from pathlib import Path
 
@@ -7,6 +7,8 @@ import pytest
 from holdfast.config.load import resolved_yaml
 from holdfast.errors import ConfigError
 from holdfast.sim.scenario import load_scenario, shipped
+from holdfast.sim.sensors.gnss import SimulatedGnss
+from holdfast.sim.sensors.odometry import SimulatedOdometry
 
 MINIMAL = "machine: excavator_low\nsite: yard\nduration_s: 5\n"
 
@@ -24,11 +26,11 @@ def refusal(folder: Path, text: str) -> str:
 
 
 @pytest.mark.parametrize("name", shipped("scenarios"))
-def test_every_shipped_scenario_loads_and_says_what_it_is(name: str):
+def test_every_shipped_scenario_loads_and_describes_itself(name: str):
     scenario = load_scenario(name)
     assert len(scenario.description) > 30
     assert scenario.activities
-    assert {"imu", "gnss", "lidar", "scanner"} <= scenario.sensors.present().keys()
+    assert {"imu", "scanner"} <= scenario.sensors.keys()
 
 
 def test_the_scenarios_of_the_paper_have_its_outages_and_places():
@@ -44,26 +46,46 @@ def test_the_scenarios_of_the_paper_have_its_outages_and_places():
 def test_machine_and_site_supply_what_the_scenario_does_not_say(tmp_path: Path):
     text = MINIMAL + "sensors:\n  gnss: {transport: {latency_s: 0.3}}\nground: {seed: 9}\n"
     scenario = load_scenario(scenario_file(tmp_path, text))
-    assert scenario.sensors.gnss is not None
-    assert scenario.sensors.gnss.transport.latency_s == 0.3
-    assert scenario.sensors.gnss.transport.jitter_s == 0.005
-    assert scenario.sensors.gnss.topic == "/gnss/left/fix"
+    gnss = scenario.sensors_of(SimulatedGnss)["gnss"]
+    assert (gnss.transport.latency_s, gnss.transport.jitter_s, gnss.topic) == (0.3, 0.005, "/gnss/left/fix")
     assert (scenario.ground.seed, scenario.ground.size_m) == (9, 90.0)
     assert scenario.turn_joint is not None
 
 
 def test_a_machine_may_lose_a_sensor(tmp_path: Path):
     scenario = load_scenario(scenario_file(tmp_path, MINIMAL + "sensors: {gnss_right: null, heading: null}\n"))
-    assert "gnss_right" not in scenario.sensors.present()
+    assert "gnss_right" not in scenario.sensors
+    assert scenario.absent == ("gnss_right", "heading")
+
+
+def test_a_machine_may_have_any_number_of_a_kind(tmp_path: Path):
+    text = (
+        MINIMAL
+        + "sensors:\n"
+        + "".join(f"  lidar_{n}: {{kind: odometry, topic: /lidar_{n}, frame: lidar, rate_hz: {n}}}\n" for n in (2, 3))
+    )
+    odometries = load_scenario(scenario_file(tmp_path, text)).sensors_of(SimulatedOdometry)
+    assert {name: sheet.rate_hz for name, sheet in odometries.items()} == {"lidar": 5, "lidar_2": 2, "lidar_3": 3}
 
 
 def test_a_machine_of_ones_own_lies_beside_the_scenario(tmp_path: Path):
     (tmp_path / "crane.yaml").write_text(
         "chassis: {wheelbase_m: 5, track_m: 3}\nextrinsics: [{parent: base_link, child: imu}]\n"
-        "sensors: {imu: {topic: /imu, frame: imu, rate_hz: 50}}\n"
+        "sensors: {pilot: {kind: imu, topic: /imu, frame: imu, rate_hz: 50}}\n"
     )
     scenario = load_scenario(scenario_file(tmp_path, "machine: crane.yaml\nsite: yard\nduration_s: 5\n"))
-    assert list(scenario.sensors.present()) == ["imu"]
+    assert list(scenario.sensors) == ["pilot"]
+    assert (scenario.imu_name, scenario.imu.rate_hz) == ("pilot", 50)
+
+
+def test_a_machine_of_the_old_form_is_refused_with_what_is_missing(tmp_path: Path):
+    (tmp_path / "crane.yaml").write_text(
+        "chassis: {wheelbase_m: 5, track_m: 3}\nextrinsics: [{parent: base_link, child: imu}]\n"
+        "sensors: {imu: {topic: /imu, frame: imu, rate_hz: 50}}\n"
+    )
+    text = refusal(tmp_path, "machine: crane.yaml\nsite: yard\nduration_s: 5\n")
+    assert "sensors.imu: kind: missing, must be one of gnss, heading, height," in text
+    assert "\n" not in text
 
 
 def test_the_resolved_scenario_reads_back_as_the_same_scenario(tmp_path: Path):
@@ -73,7 +95,7 @@ def test_the_resolved_scenario_reads_back_as_the_same_scenario(tmp_path: Path):
         assert again == scenario, name
 
 
-def test_an_unknown_scenario_is_told_with_those_that_there_are():
+def test_an_unknown_scenario_is_reported_with_those_that_there_are():
     with pytest.raises(ConfigError) as caught:
         load_scenario("constructoin")
     assert (
@@ -83,7 +105,7 @@ def test_an_unknown_scenario_is_told_with_those_that_there_are():
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "report"),
     [
         (MINIMAL.replace("yard", "backyard"), "backyard: no such site (allowed: oberglatt, rough, wangen, yard"),
         (MINIMAL.replace("excavator_low", "tank"), "tank: no such machine (allowed: dumper, excavator_low"),
@@ -99,7 +121,7 @@ def test_an_unknown_scenario_is_told_with_those_that_there_are():
         ),
         (
             MINIMAL + "faults:\n  - {kind: freeze, sensors: [gnss], start_s: 1, end_s: 2}\n",
-            "mine.yaml:5 faults[0].sensors: freeze cannot happen to gnss (allowed: joint)",
+            "mine.yaml:4 faults: freeze of entry 1 cannot happen to gnss (kinds: joint, twist)",
         ),
         (
             MINIMAL + "faults:\n  - {kind: outage, sensors: [gnss], start_s: 3, end_s: 2}\n",
@@ -112,10 +134,26 @@ def test_an_unknown_scenario_is_told_with_those_that_there_are():
         ),
         (MINIMAL + "sensors: {gnss: {rate_hz: 0}}\n", "mine.yaml:4 sensors.gnss.rate_hz = 0: must be > 0 [Hz]"),
         (MINIMAL + "sensors: {gnss: {frame: mast}}\n", "sensors.gnss.frame: 'mast' is not among base_imu, base_link"),
-        (MINIMAL + "extrinsics: [{parent: roof, child: imu}]\n", "parent of entry 1 must be base_link or cabin"),
+        (MINIMAL + "sensors: {gnss_right: null}\n", "sensors.heading.baseline: needs two with `kind: gnss`, not gnss"),
+        (MINIMAL + "sensors: {imu: null}\n", "mine.yaml:4 sensors: needs a sensor with `kind: imu`"),
+        (
+            MINIMAL + "sensors: {heading: {baseline: [gnss, mast]}}\n",
+            "sensors.heading.baseline: needs two with `kind: gnss`, not gnss and mast",
+        ),
+        (
+            MINIMAL + "sensors: {radar: {kind: gns, topic: /r, frame: imu, rate_hz: 1}}\n",
+            'mine.yaml:4 sensors.radar: kind = "gns": did you mean gnss? must be one of gnss, heading, height,',
+        ),
     ],
 )
-def test_a_mistake_is_told_with_its_place(tmp_path: Path, text: str, said: str):
-    told = refusal(tmp_path, text)
-    assert said in told, told
-    assert "\n" not in told
+def test_a_mistake_is_reported_with_its_line(tmp_path: Path, text: str, report: str):
+    found = refusal(tmp_path, text)
+    assert report in found, found
+    assert "\n" not in found
+
+
+def test_all_mistakes_of_the_frames_are_reported_at_once(tmp_path: Path):
+    text = refusal(tmp_path, MINIMAL + "extrinsics: [{parent: roof, child: imu}]\n")
+    assert "mine.yaml:4 extrinsics: parent of entry 1 must be base_link or cabin" in text
+    lines = text.splitlines()
+    assert len([line for line in lines if "is not among base_link, cabin, imu" in line]) == 6

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from holdfast.config.reference import reference_tables, with_tables
+from holdfast.sim.faults import FAULTS, affected_kinds
 from holdfast.sim.reference import COMMAND
-from holdfast.sim.scenario import FAULT_SENSORS, Scenario, load_scenario, shipped
+from holdfast.sim.scenario import Scenario, load_scenario, shipped
 from holdfast.sim.simulation import simulate
 
 PAGE = Path(__file__).parents[2] / "docs" / "simulation.md"
@@ -45,7 +46,8 @@ def test_a_section_that_contains_itself_stands_once():
 
 def test_a_section_in_many_places_stands_under_one_pattern():
     tables = reference_tables(Scenario)
-    assert "\n### `sensors.{gnss, gnss_right}.{rtk_fixed, rtk_float, single}`\n" in tables
+    assert "\n### `sensors.<gnss>.rtk_fixed`, `sensors.<gnss>.rtk_float`, `sensors.<gnss>.single`\n" in tables
+    assert "<pose>, <prism>, <scanner>, <twist>}.transport`\n" in tables
     assert tables.count("\n| `loss_ratio` |") == 1
 
 
@@ -58,16 +60,16 @@ def test_terms_of_a_docstring_are_a_list():
 
 
 def test_every_shipped_scenario_has_a_row_with_its_machine_its_site_and_its_length():
-    told = rows("Name")
-    assert sorted(told) == shipped("scenarios")
-    for name, (_, where, length, _) in told.items():
+    on_page = rows("Name")
+    assert sorted(on_page) == shipped("scenarios")
+    for name, (_, where, length, _) in on_page.items():
         scenario = load_scenario(name)
         assert where == f"`{scenario.machine}`, `{scenario.site}`", name
         assert length.startswith(f"{scenario.duration_s:g} s, "), name
 
 
-def test_the_way_that_is_told_is_driven():
-    assert rows("Name")["quick"][2] == f"20 s, {simulate(load_scenario('quick'), 1).motion.way_m:.0f} m"
+def test_the_distance_on_the_page_is_driven():
+    assert rows("Name")["quick"][2] == f"20 s, {simulate(load_scenario('quick'), 1).motion.distance_m:.0f} m"
 
 
 def test_every_shipped_machine_has_a_row():
@@ -75,13 +77,14 @@ def test_every_shipped_machine_has_a_row():
 
 
 def test_every_kind_of_fault_has_a_row_with_its_sensors():
-    assert {kind: tuple(row[0].split(", ")) for kind, row in rows("Kind").items()} == FAULT_SENSORS
+    assert {kind: tuple(row[0].split(", ")) for kind, row in rows("Kind").items()} == {
+        fault: affected_kinds(fault) for fault in FAULTS
+    }
 
 
 @pytest.mark.parametrize("quality", ["fixed", "float", "single"])
-def test_the_sigmas_that_are_told_are_those_of_the_model(quality: str):
-    gnss = load_scenario("quick").sensors.gnss
-    assert gnss is not None
+def test_the_sigmas_on_the_page_are_those_of_the_model(quality: str):
+    gnss = load_scenario("quick").sensors["gnss"]
     fix = getattr(gnss, {"fixed": "rtk_fixed", "float": "rtk_float"}.get(quality, quality))
     total, white, constants, _ = rows("Quality")[quality]
     both = np.hypot(
@@ -104,10 +107,9 @@ def test_the_example_on_the_page_is_simulated(tmp_path: Path):
     path.write_text(example[1], encoding="utf-8")
     simulation = simulate(load_scenario(str(path)), 1)
     assert "base_imu" not in simulation.delivered
-    assert simulation.scenario.sensors.scanner is not None
-    assert simulation.scenario.sensors.scanner.range_noise_m == 0.03
+    assert simulation.scenario.sensors["scanner"].range_noise_m == 0.03
     fixes = simulation.delivered["gnss"].readings
     assert not ((fixes.times_s > 25.0) & (fixes.times_s < 40.0)).any()
-    lying = fixes.times_s[fixes.values["lying"]]
-    assert [lying.min(), lying.max()] == pytest.approx([50.0, 53.0], abs=0.06)
-    assert simulation.motion.way_m > 20.0
+    faulty_s = fixes.times_s[fixes.values["faulty"]]
+    assert [faulty_s.min(), faulty_s.max()] == pytest.approx([50.0, 53.0], abs=0.06)
+    assert simulation.motion.distance_m > 20.0

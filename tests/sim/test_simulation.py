@@ -6,9 +6,9 @@ from scipy.spatial.transform import Rotation
 from strapdown import integrate
 
 from holdfast.geometry.earth import earth_rate_enu, gravity
-from holdfast.sim.imu import true_signals
 from holdfast.sim.motion import Motion
-from holdfast.sim.scenario import Scenario, load_scenario, shipped
+from holdfast.sim.scenario import load_scenario, shipped
+from holdfast.sim.sensors.imu import true_signals
 from holdfast.sim.simulation import START_NS, Simulation, simulate
 from holdfast.sim.terrain import Terrain
 
@@ -55,11 +55,35 @@ def test_both_antennas_and_the_heading_share_the_epochs_of_their_receiver(quick:
 def test_fixes_lie_around_the_true_antenna(quick: Simulation):
     for name in ("gnss", "gnss_right"):
         fixes = quick.delivered[name].readings
-        sheet = getattr(quick.scenario.sensors, name)
+        sheet = quick.scenario.sensors[name]
         antenna = quick.motion.frame(sheet.frame, fixes.times_s).p_W
         error = fixes.values["position"] - antenna
         np.testing.assert_allclose(error, fixes.values["error"], atol=1e-12)
         assert 0.003 < error[:, :2].std() < 0.02
+
+
+def test_a_third_antenna_and_a_second_heading_belong_to_the_same_receiver_and_leave_the_others_alone(quick: Simulation):
+    more = {
+        "third": {"kind": "gnss", "topic": "/third", "frame": "lidar", "rate_hz": 10},
+        "across": {"kind": "heading", "topic": "/a", "frame": "lidar", "rate_hz": 10, "baseline": ["third", "gnss"]},
+    }
+    simulation = simulate(load_scenario("quick", {"sensors": more}), 1)
+    for name, before in quick.delivered.items():
+        assert np.array_equal(before.stamps_ns, simulation.delivered[name].stamps_ns), name
+    third, across = (simulation.delivered[name].readings for name in more)
+    assert np.isin(third.times_s, simulation.delivered["gnss"].readings.times_s).mean() > 0.7
+    assert np.std(third.values["position"] - simulation.motion.frame("lidar", third.times_s).p_W) < 0.03
+    start, end = (simulation.motion.frame(frame, across.times_s).p_W for frame in ("lidar", "gnss_left"))
+    yaw = np.arctan2(*(end - start)[:, 1::-1].T)
+    assert np.abs(np.angle(np.exp(1j * (across.values["yaw_rad"] - yaw)))).max() < 0.01
+
+
+def test_two_odometries_err_independently():
+    rear = {"lidar_rear": {"kind": "odometry", "topic": "/rear", "frame": "lidar", "rate_hz": 5}}
+    simulation = simulate(load_scenario("quick", {"faults": [], "sensors": rear}), 1)
+    first, second = (simulation.delivered[name].readings for name in ("lidar", "lidar_rear"))
+    assert len(second.times_s) == 100
+    assert not np.array_equal(first.values["position"], second.values["position"])
 
 
 def test_the_heading_is_that_of_the_baseline(quick: Simulation):
@@ -89,15 +113,10 @@ def test_another_seed_is_another_machine_and_the_same_seed_the_same(quick: Simul
 
 
 def test_taking_a_sensor_away_changes_no_other(quick: Simulation):
-    scenario = quick.scenario.model_copy(
-        update={
-            "sensors": quick.scenario.sensors.model_copy(update={"lidar": None, "gnss_right": None, "heading": None}),
-            "faults": (),
-        }
-    )
+    absent = {"lidar": None, "gnss_right": None, "heading": None}
     whole = simulate(quick.scenario.model_copy(update={"faults": ()}), 1)
-    less = simulate(Scenario.model_validate(scenario.model_dump()), 1)
-    assert "lidar" not in less.delivered
+    less = simulate(load_scenario("quick", {"faults": [], "sensors": absent}), 1)
+    assert absent.keys().isdisjoint(less.delivered)
     for name in ("imu", "gnss", "joint", "base_imu"):
         for column, values in whole.delivered[name].readings.values.items():
             assert np.array_equal(values, less.delivered[name].readings.values[column]), (name, column)

@@ -5,9 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from holdfast.sim.datasheets import Clock, SimulatedSensor, Transport
+from holdfast.sim.datasheets import Clock, Transport
+from holdfast.sim.fault import Fault
 from holdfast.sim.readings import Readings, generator
-from holdfast.sim.scenario import Fault
+from holdfast.sim.sensors.gnss import SimulatedGnss
+from holdfast.sim.sensors.scanner import SimulatedScanner
 from holdfast.sim.transport import deliver, sample_times_s
 
 START_NS = 1_700_000_000_123_456_789
@@ -15,13 +17,14 @@ TIMES = sample_times_s(20.0, 500.0)  # 10000 messages
 TRUE_NS = START_NS + np.arange(10_000) * 50_000_000
 
 
-def send(transport=None, clock=None, *, steps=(), seed=1, sensor_name="gnss", times=TIMES, **how):
-    """Messages whose column `number` tells which they were."""
-    sensor = SimulatedSensor(
-        topic="/t", frame="f", rate_hz=20.0, transport=Transport(**(transport or {})), clock=Clock(**(clock or {}))
-    )
+def send(transport=None, clock=None, *, steps=(), seed=1, sensor_name="gnss", times=TIMES, sweeps_hz=None):
+    """Messages whose column `number` tells which they were; with `sweeps_hz`, those of a scanner."""
+    travel = {"transport": Transport(**(transport or {})), "clock": Clock(**(clock or {}))}
+    sensor = SimulatedGnss(kind="gnss", topic="/t", frame="f", rate_hz=20.0, **travel)
+    if sweeps_hz is not None:
+        sensor = SimulatedScanner(kind="scanner", topic="/t", frame="f", rate_hz=sweeps_hz, **travel)
     readings = Readings(times, {"number": np.arange(len(times)), "pair": np.outer(times, [1.0, 2.0])})
-    return deliver(readings, sensor, steps, START_NS, generator(seed, sensor_name, "transport"), **how)
+    return deliver(readings, sensor, steps, START_NS, generator(seed, sensor_name, "transport"))
 
 
 def step(start_s, end_s, step_s):
@@ -156,25 +159,25 @@ def test_what_is_lost_does_not_arrive_as_a_duplicate_either():
 
 def test_a_sweep_travels_only_when_it_is_complete():
     noisy = {"latency_s": 0.03, "jitter_s": 0.02, "duplicate_ratio": 0.1}
-    at_once, sweep = send(noisy), send(noisy, ready_s=0.1)
+    at_once, sweep = send(noisy), send(noisy, sweeps_hz=10.0)
     assert np.abs(sweep.arrivals_ns - at_once.arrivals_ns - 100_000_000).max() <= 1
     assert np.array_equal(sweep.stamps_ns, at_once.stamps_ns)
 
 
-SHARE, DELAY_S = st.floats(0.0, 0.9), st.floats(0.0, 10.0)
+FRACTION, DELAY_S = st.floats(0.0, 0.9), st.floats(0.0, 10.0)
 TRANSPORT = st.fixed_dictionaries(
-    {"latency_s": DELAY_S, "jitter_s": DELAY_S, "loss_ratio": SHARE, "duplicate_ratio": SHARE}
+    {"latency_s": DELAY_S, "jitter_s": DELAY_S, "loss_ratio": FRACTION, "duplicate_ratio": FRACTION}
 )
 
 
 @settings(max_examples=60)
-@given(transport=TRANSPORT, ready=SHARE, seed=st.integers(0, 99))
-def test_no_message_arrives_before_it_was_measured_and_complete(transport, ready, seed):
+@given(transport=TRANSPORT, rate_hz=st.floats(1.2, 2000.0), seed=st.integers(0, 99))
+def test_no_message_arrives_before_it_was_measured_and_complete(transport, rate_hz, seed):
     clock = {"offset_s": -9.0, "drift_ppm": 900.0, "jitter_s": 1.0}
     times = TIMES[:200] + 1.0 / 3.0
-    sent = send(transport, clock, steps=[step(0.0, 5.0, 9.0)], seed=seed, times=times, ready_s=ready)
+    sent = send(transport, clock, steps=[step(0.0, 5.0, 9.0)], seed=seed, times=times, sweeps_hz=rate_hz)
     assert len(numbers(sent)) > 0
-    complete_s = sent.readings.times_s + ready + transport["latency_s"]
+    complete_s = sent.readings.times_s + 1.0 / rate_hz + transport["latency_s"]
     assert np.all(sent.arrivals_ns >= START_NS + np.floor(complete_s * 1e9).astype(int))
     assert np.array_equal(sent.readings.times_s, times[numbers(sent)])
     assert np.all(np.diff(numbers(sent)) >= 0)

@@ -56,12 +56,12 @@ def test_fixes_without_their_errors_lie_at_the_antennas(perfect_lidar):
         antenna = imu.positions + Rotation.from_quat(imu.quaternions).apply(fixes.lever_arm)
         np.testing.assert_allclose(fixes.positions - fixes.errors, antenna, atol=1e-8)
         assert fixes.good.any(), name
-        assert not fixes.lying.any()
+        assert not fixes.faulty.any()
 
 
 def test_a_perfect_lidar_odometry_moves_as_the_imu_does(perfect_lidar):
     found = truth(*perfect_lidar, STAMPS)
-    ours, theirs = found.lidar, found.at_lidar
+    ours, theirs = found.odometry, found.at_odometry
     into_first = quaternions.conjugate(theirs.quaternions[0])
     moved = quaternions.rotate(into_first, theirs.positions - theirs.positions[0])
     back = quaternions.rotate(quaternions.conjugate(ours.quaternions[0]), ours.positions - ours.positions[0])
@@ -74,9 +74,9 @@ def test_fixes_that_a_fault_moved_are_not_good():
     scenario = load_scenario("quick", {"faults": [offset]})
     left, right = truth(simulate(scenario, 0), configuration(scenario), STAMPS).antennas
     times_s = (left.stamps_ns - START_NS) * 1e-9
-    lies = (times_s >= 5.0) & (times_s <= 9.0)
-    assert (left.lying == lies).all()
-    assert (left.good == ~lies).all()
+    is_struck = (times_s >= 5.0) & (times_s <= 9.0)
+    assert (left.faulty == is_struck).all()
+    assert (left.good == ~is_struck).all()
     assert right.good.all()
 
 

@@ -10,7 +10,7 @@ from holdfast.cli import main
 
 
 def holdfast(*arguments):
-    """Run the command line in this process; return its exit code and what it said."""
+    """Run the command line in this process; return its exit code and its output."""
     out = io.StringIO()
     with pytest.MonkeyPatch.context() as patched, contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
         patched.setattr(sys, "argv", ["holdfast", *map(str, arguments)])

@@ -13,7 +13,7 @@ from holdfast.recording.mcap_writer import McapWriter
 from holdfast.recording.tum import read_tum
 
 FIX = "sensor_msgs/msg/NavSatFix"
-SINGLE = 1e-5  # Rerun keeps places as float32: 1e-7 of the 100 m within which the drive stays
+SINGLE = 1e-5  # Rerun keeps positions as float32: 1e-7 of the 100 m within which the drive stays
 
 
 def content(scene):
@@ -33,8 +33,8 @@ def content(scene):
 @pytest.fixture(scope="module")
 def scene(replayed, run, tmp_path_factory):
     path = tmp_path_factory.mktemp("scene") / "replay.rrd"
-    code, said = run("view", replayed, "-o", path)
-    assert code == 0 and said == f"written to {path}\n", said
+    code, printed = run("view", replayed, "-o", path)
+    assert code == 0 and printed == f"written to {path}\n", printed
     return content(path)
 
 
@@ -111,7 +111,7 @@ def test_a_bag_of_sensors_shows_its_fixes_where_they_are(drive, run, tmp_path):
     left = [world.to_enu(Geodetic(m.latitude, m.longitude, m.altitude)) for t, m in fixes if t == "/gnss/left/fix"]
     np.testing.assert_allclose(np.array(columns["Points3D:positions"])[:, 0], left, rtol=0, atol=SINGLE)
     assert len(stamps) == len(left)
-    lidar = load_config(drive / "config.yaml").sensors.lidar
+    lidar = load_config(drive / "config.yaml").sensors["lidar"]
     assert any(entity.endswith(f"{lidar.topic}/track") for entity in found)
 
 
@@ -122,15 +122,15 @@ def test_a_bag_of_sensors_shows_its_fixes_where_they_are(drive, run, tmp_path):
     (("nowhere.mcap", "-o", "scene.rrd", "--connect", "laptop"), 2, "give only one"),
 ])  # fmt: skip
 def test_a_mistake_of_the_user_is_one_line(run, arguments, code, words):
-    found, said = run("view", *arguments)
+    found, printed = run("view", *arguments)
     assert found == code
-    assert len(said.splitlines()) == 1 and words in said, said
+    assert len(printed.splitlines()) == 1 and words in printed, printed
 
 
 def test_a_file_that_cannot_be_written_is_one_line(drive, run, tmp_path):
-    code, said = run("view", drive / "recording.mcap", "-o", tmp_path / "nowhere" / "scene.rrd")
+    code, printed = run("view", drive / "recording.mcap", "-o", tmp_path / "nowhere" / "scene.rrd")
     assert code == 2
-    assert len(said.splitlines()) == 1 and "scene.rrd" in said, said
+    assert len(printed.splitlines()) == 1 and "scene.rrd" in printed, printed
 
 
 def test_fixes_of_a_log_are_about_its_datum_from_the_first_on(drive, run, tmp_path):
@@ -138,12 +138,13 @@ def test_fixes_of_a_log_are_about_its_datum_from_the_first_on(drive, run, tmp_pa
     with AnyReader([drive / "recording.mcap"]) as reader, McapWriter(tmp_path / "log.mcap") as log:
         wanted = [c for c in reader.connections if c.topic == "/gnss/left/fix"]
         rows = [(at, bytes(raw), reader.deserialize(raw, c.msgtype)) for c, at, raw in reader.messages(wanted)]
-        told = rows[0][2]
+        published = rows[0][2]
         for number, (at, raw, _) in enumerate(rows):
             log.write("/gnss/left/fix", raw, FIX, at)
-            if number == 3:  # the node tells its datum after it has heard the first fixes
-                told.latitude, told.longitude, told.altitude = datum.latitude_deg, datum.longitude_deg, datum.altitude_m
-                log.write("/holdfast/datum", told, FIX, at)
+            if number == 3:  # the node publishes its datum after the first fixes
+                published.latitude, published.longitude = datum.latitude_deg, datum.longitude_deg
+                published.altitude = datum.altitude_m
+                log.write("/holdfast/datum", published, FIX, at)
     assert run("view", tmp_path / "log.mcap", "-o", tmp_path / "log.rrd")[0] == 0
     found = content(tmp_path / "log.rrd")
     world = LocalFrame(Geodetic(datum.latitude_deg, datum.longitude_deg, datum.altitude_m))

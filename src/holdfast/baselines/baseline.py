@@ -1,64 +1,84 @@
-"""What all baselines share: messages checked and counted alike, the same start, and what is shown of it."""
+"""The estimator's interface around a comparison system of any kind."""
 
 from collections import Counter
+from collections.abc import Callable
+from typing import Protocol
 
 import gtsam
 
 from holdfast.baselines.intake import Intake
-from holdfast.baselines.start import StandstillStart
 from holdfast.config.model import Config
 from holdfast.geometry.earth import Geodetic
-from holdfast.messages import Heading
-from holdfast.sensors.imu import ImuBuffer
-from holdfast.state import Event, Outcome
+from holdfast.messages import Message
+from holdfast.state import Event, Outcome, Output
 
-NO_OFFSET = gtsam.Pose3()  # T_W_O of a baseline: what corrects it is seen by who follows it
+IDENTITY = gtsam.Pose3()  # T_W_O of a baseline: every correction is a step of its output
+
+
+class System(Protocol):
+    """One comparison system."""
+
+    @property
+    def initialised(self) -> bool:
+        """Whether estimates are being given."""
+        ...
+
+    @property
+    def waiting_for(self) -> str:
+        """What keeps it from starting."""
+        ...
+
+    def process(self, message: Message) -> Output:
+        """Take in one message, in the order of arrival."""
+        ...
 
 
 class Baseline:
-    """A machine before the start; what a system does from then on, it adds in `process`.
+    """A comparison system that can be replayed and judged as the estimator is.
 
     Args:
         config: of the machine; the same file as the estimator's.
+        make: makes the system from the configuration and the intake, through which it checks all measurements.
 
     Raises:
-        ConfigError: the machine has no GNSS to start by.
+        ConfigError: the machine measures no position to start by, or lacks what the system needs.
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, make: Callable[[Config, Intake], System]) -> None:
         self.config = config
         self._intake = Intake(config)
-        self._buffer = ImuBuffer(config.sensors.imu)
-        self._starter = StandstillStart(config, self._intake, self._buffer)
+        self._system = make(config, self._intake)
+
+    @property
+    def initialised(self) -> bool:
+        """Whether estimates are being given."""
+        return self._system.initialised
+
+    @property
+    def waiting_for(self) -> str:
+        """What keeps it from starting."""
+        return self._system.waiting_for
 
     @property
     def counts(self) -> Counter[tuple[str, Outcome]]:
-        """What became of the measurements, by sensor and outcome."""
+        """Number of measurements by sensor and outcome."""
         return self._intake.counts
 
     @property
     def events(self) -> list[Event]:
-        """What happened since `take_events`."""
+        """The events since `take_events`."""
         return self._intake.events
 
     @property
     def datum(self) -> Geodetic | None:
         """Origin of W on the ellipsoid, or None until the first accepted fix."""
-        return None if self._intake.world is None else self._intake.world.datum
-
-    @property
-    def waiting_for(self) -> str:
-        """What keeps it from starting."""
-        return self._starter.reason
+        return self._intake.world.datum
 
     def take_events(self) -> list[Event]:
         """Return the events since the last call."""
         events, self._intake.events = self._intake.events, []
         return events
 
-    def _start_by(self, message: Heading) -> None:
-        """Keep a heading for the start, which alone needs one."""
-        heading = self._intake.axis_yaw(message)
-        if heading is not None:
-            self.counts[message.sensor, Outcome.BEFORE_START] += 1
-            self._starter.add_heading(heading)
+    def process(self, message: Message) -> Output:
+        """Take in one message, in the order of arrival."""
+        return self._system.process(message)

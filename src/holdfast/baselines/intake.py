@@ -1,35 +1,26 @@
 """What the baselines take in: messages are checked as the estimator checks them, and become measurements in W."""
 
-from collections import Counter, deque
-from typing import NamedTuple
-
-import gtsam
+from collections import Counter
+from copy import copy
+from typing import Any, NamedTuple, cast
 
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
-from holdfast.geometry.earth import Geodetic, LocalFrame, gravity
-from holdfast.messages import Array, GnssFix, Heading, LidarPose
-from holdfast.sensors.gnss import AntennaPosition
-from holdfast.sensors.heading import AxisYaw
-from holdfast.sensors.suite import suite_of
+from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, gravity
+from holdfast.geometry.world import World
+from holdfast.messages import Array, Message
+from holdfast.sensors.heading import AxisYaw, HeadingModel
+from holdfast.sensors.odometry import OdometryModel, TrackPose
+from holdfast.sensors.registry import sensors_of
+from holdfast.sensors.sensor import Position, PositionSensor, Role, Sensor, StampFilter
 from holdfast.state import Event, EventKind, Outcome
 
-RECENT = 64  # stamps per sensor among which a duplicate is looked for
-MAX_AHEAD_NS = 1_000_000_000  # further ahead of its arrival no clock is
 
+class PositionFix(NamedTuple):
+    """A position in W, of the antenna or prism at `p_I_P` (3,) [m] in the IMU's frame."""
 
-class AntennaFix(NamedTuple):
-    """A fix in W, of the antenna at `p_I_G` (3,) [m] in the IMU's frame."""
-
-    position: AntennaPosition
-    p_I_G: Array
-
-
-class TrackPose(NamedTuple):
-    """A pose of the IMU on the lidar odometry's track: T_I0_I, in the frame V where the IMU was at its start."""
-
-    stamp_ns: int
-    T_V_I: gtsam.Pose3
+    position: Position
+    p_I_P: Array
 
 
 class Measurement(NamedTuple):
@@ -37,80 +28,82 @@ class Measurement(NamedTuple):
 
     stamp_ns: int
     sensor: str
-    content: AntennaFix | TrackPose
+    content: PositionFix | TrackPose
 
 
 class Intake:
-    """Checks messages, converts them, and counts what became of them.
+    """Checks messages, converts them, and counts their outcomes: of all positions, one odometry and one heading.
 
     Raises:
-        ConfigError: there is no GNSS, which every baseline needs to know where it starts.
+        ConfigError: no sensor measures a position, which every baseline needs to know where it starts.
     """
 
     def __init__(self, config: Config) -> None:
-        if not config.sensors.antennas():
-            raise ConfigError("sensors.gnss: the baselines need GNSS to know where they start")
+        sensors = sensors_of(config)
+        self.positions = {
+            name: cast("PositionSensor", sensor) for name, sensor in sensors.items() if sensor.role is Role.POSITION
+        }
+        self.odometry = next((one for one in sensors.values() if isinstance(one, OdometryModel)), None)
+        self.heading = next((one for one in sensors.values() if isinstance(one, HeadingModel)), None)
+        if not self.positions:
+            raise ConfigError("sensors: none measures a position (gnss, prism), by which the baselines start")
         self.counts: Counter[tuple[str, Outcome]] = Counter()
         self.events: list[Event] = []
-        self.antennas, self.heading, self.lidar = suite_of(config)
-        self.world: LocalFrame | None = None
-        self.gravity = 0.0
-        self._configured_gravity = config.frames.gravity
-        self._recent: dict[str, deque[int]] = {}
+        self.world = World()
+        self._gravity = config.frames.gravity
+        self._stamps = StampFilter()
         datum = config.frames.datum
         if datum is not None:
-            self._set_datum(Geodetic(datum.latitude_deg, datum.longitude_deg, datum.altitude_m))
+            self.world.place(Geodetic(datum.latitude_deg, datum.longitude_deg, datum.altitude_m))
 
-    def fix(self, message: GnssFix) -> Measurement | None:
-        """Return a fix in W, or None with its outcome counted; the first one is the datum if none is configured."""
-        model = self.antennas[message.sensor]
-        stamp = message.stamp_ns + model.offset_ns
-        if not self._passes(message, stamp, model.check(message)):
+    @property
+    def gravity(self) -> float:
+        """The configured gravity, or else that of the datum [m/s^2]."""
+        datum = self.world.datum
+        fallback = STANDARD_GRAVITY_M_S2 if datum is None else gravity(datum.latitude_deg, datum.altitude_m)
+        return self._gravity or fallback
+
+    def position(self, message: Message) -> Measurement | None:
+        """Return a position in W, or None with its outcome counted; a first fix is the datum if none is configured."""
+        sensor = self.positions[message.sensor]
+        position: Position | None = self._convert(sensor, message)
+        if position is None:
             return None
-        point = Geodetic(message.latitude_deg, message.longitude_deg, message.altitude_m)
-        if self.world is None:
-            self._set_datum(point)
-        assert self.world is not None
-        position = AntennaPosition(stamp, message.sensor, self.world.to_enu(point), model.covariance(message))
-        return Measurement(stamp, message.sensor, AntennaFix(position, model.p_I_G))
+        return Measurement(position.stamp_ns, position.sensor, PositionFix(position, sensor.p_I_P))
 
-    def track_pose(self, message: LidarPose) -> Measurement | None:
-        """Return a pose on the lidar's track, or None with its outcome counted."""
-        assert self.lidar is not None
-        stamp = message.stamp_ns + self.lidar.offset_ns
-        if not self._passes(message, stamp, self.lidar.check(message)):
-            return None
-        return Measurement(stamp, message.sensor, TrackPose(stamp, self.lidar.T_I0_I(message)))
+    def track_pose(self, message: Message) -> Measurement | None:
+        """Return a pose on the odometry's track, or None with its outcome counted."""
+        pose: TrackPose | None = None if self.odometry is None else self._convert(self.odometry, message)
+        return None if pose is None else Measurement(pose.stamp_ns, pose.sensor, pose)
 
-    def axis_yaw(self, message: Heading) -> AxisYaw | None:
+    def axis_yaw(self, message: Message) -> AxisYaw | None:
         """Return a heading, or None with its outcome counted."""
-        assert self.heading is not None
-        stamp = message.stamp_ns + self.heading.offset_ns
-        if not self._passes(message, stamp, self.heading.check(message)):
-            return None
-        return self.heading.measured(message)
+        yaw: AxisYaw | None = None if self.heading is None else self._convert(self.heading, message)
+        return yaw
 
-    def forget(self) -> None:
-        """Forget the stamps that were seen: the clock has gone back."""
-        self._recent.clear()
+    def ignore(self, message: Message) -> None:
+        """Count a message that is not used."""
+        self.counts[message.sensor, Outcome.IGNORED] += 1
 
-    def tell(self, kind: EventKind, stamp_ns: int, sensor: str, reason: str) -> None:
+    def forget_stamps(self) -> None:
+        """Take the stamps that come for new ones: the clock has gone back."""
+        self._stamps = StampFilter()
+
+    def report(self, kind: EventKind, stamp_ns: int, sensor: str, reason: str) -> None:
         """Note an event."""
         self.events.append(Event(stamp_ns, kind, sensor, reason))
 
-    def _passes(self, message: GnssFix | LidarPose | Heading, stamp_ns: int, outcome: Outcome) -> bool:
-        recent = self._recent.setdefault(message.sensor, deque(maxlen=RECENT))
-        if outcome is Outcome.USED and stamp_ns in recent:
-            outcome = Outcome.DUPLICATE
-        elif outcome is Outcome.USED and stamp_ns - message.arrival_ns > MAX_AHEAD_NS:
-            outcome = Outcome.CLOCK_JUMP
+    def _convert(self, sensor: Sensor, message: Message) -> Any:
+        in_world = copy(self.world)
+        measured = sensor.convert(message, in_world)
+        stamp_ns, arrival_ns = message.stamp_ns + sensor.offset_ns, message.arrival_ns
+        outcome = measured if isinstance(measured, Outcome) else Outcome.USED
         if outcome is Outcome.USED:
-            recent.append(stamp_ns)
-            return True
+            # the clock is checked against the arrival: what becomes of the IMU is up to each system
+            outcome = self._stamps.check(sensor.name, stamp_ns, arrival_ns, arrival_ns, arrival_ns)
+        if outcome is Outcome.USED:
+            self.world = in_world
+            return measured
         self.counts[message.sensor, outcome] += 1
-        self.tell(EventKind.REJECTED, stamp_ns, message.sensor, outcome)
-        return False
-
-    def _set_datum(self, datum: Geodetic) -> None:
-        self.world = LocalFrame(datum)
-        self.gravity = self._configured_gravity or gravity(datum.latitude_deg, datum.altitude_m)
+        self.report(EventKind.REJECTED, stamp_ns, message.sensor, outcome)
+        return None

@@ -1,7 +1,7 @@
 """MSF: a loosely coupled error-state extended Kalman filter.
 
 Lynen, Achtelik, Weiss, Chli, Siegwart, "A robust and modular multi-sensor fusion approach applied to MAV navigation",
-IROS 2013. The IMU predicts; positions of both antennas and poses of the lidar odometry correct. The lidar's frame V
+IROS 2013. The IMU predicts; positions of all antennas and poses of the odometry correct. The odometry's frame V
 drifts against W, so its pose T_W_V is part of the state, as the paper's drift states are.
 
 The error state (21,) is that of `holdfast.state` (attitude, position, velocity, biases of accelerometer and gyroscope)
@@ -13,28 +13,30 @@ from math import inf
 import gtsam
 import numpy as np
 
-from holdfast.baselines.filtering import FilterEstimator
-from holdfast.baselines.intake import AntennaFix, Intake, Measurement, TrackPose
+from holdfast.baselines.baseline import Baseline
+from holdfast.baselines.filtering import FilterSystem
+from holdfast.baselines.intake import Intake, Measurement, PositionFix
 from holdfast.baselines.propagation import Propagation, Tuning
 from holdfast.baselines.start import Start
 from holdfast.config.model import Config
 from holdfast.messages import Array
-from holdfast.sensors.lidar import LidarModel
+from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
 from holdfast.state import Outcome
 
+NO_MOTION = gtsam.Pose3()
 POSE, BIAS, TRACK = slice(0, 6), slice(9, 15), slice(15, 21)
-CHI_SQUARE_3, CHI_SQUARE_6 = 16.27, 22.46  # exceeded by one good measurement in a thousand
+CHI_SQUARE_3, CHI_SQUARE_6 = 16.27, 22.46  # one good measurement in a thousand exceeds them
 
 
 class MsfBelief:
-    """State and covariance `P` (21, 21); `T_W_V` is None, and its part of `P` zero, until the lidar has spoken."""
+    """State and covariance `P` (21, 21); `T_W_V` is None, and its part of `P` zero, before the first odometry."""
 
     __slots__ = ("P", "T_W_V", "bias", "bias_accel", "bias_gyro", "nav", "stamp_ns", "track")
 
     def __init__(self, stamp_ns: int, nav: gtsam.NavState, bias: gtsam.imuBias.ConstantBias, P: Array) -> None:
         self.stamp_ns, self.nav, self.P = stamp_ns, nav, P
         self.T_W_V: gtsam.Pose3 | None = None
-        self.track: TrackPose | None = None  # the last one, from which the drift counts
+        self.track: TrackPose | None = None  # the last one, since which V has drifted
         self.set_bias(bias)
 
     def set_bias(self, bias: gtsam.imuBias.ConstantBias) -> None:
@@ -59,10 +61,12 @@ class MsfBelief:
 
 
 class MsfFilter:
-    """Prediction and update; `lidar` weighs the poses, and may be None."""
+    """Prediction and update; without `odometry` only positions correct."""
 
-    def __init__(self, lidar: LidarModel | None, tuning: Tuning) -> None:
-        self._lidar = lidar
+    def __init__(self, odometry: OdometryModel | None, tuning: Tuning) -> None:
+        if odometry is not None:
+            self._pose_noise = 0.5 * OdometryNoise(odometry).covariance(NO_MOTION)  # half of that between two poses
+            self._max_interval_ns = odometry.max_interval_ns
         self._inflation = tuning.fix_inflation
         self._limits = (CHI_SQUARE_3, CHI_SQUARE_6) if tuning.rejects_outliers else (inf, inf)
         walk = [tuning.track_walk_rad_per_sqrt_s, tuning.track_walk_m_per_sqrt_s]
@@ -80,48 +84,44 @@ class MsfFilter:
         P.ravel()[9 * 22 : 15 * 22 : 22] += model.walk  # the diagonal of the biases
 
     def update(self, belief: MsfBelief, measurement: Measurement) -> Outcome:
-        """Take in a fix or a pose of the lidar, unless the chi-square test refuses it."""
-        if isinstance(measurement.content, AntennaFix):
+        """Take in a position or a pose of the odometry, unless the chi-square test rejects it."""
+        if isinstance(measurement.content, PositionFix):
             return self._update_position(belief, measurement.content)
         return self._update_pose(belief, measurement.content)
 
-    def _update_position(self, belief: MsfBelief, fix: AntennaFix) -> Outcome:
-        """Update with z = p_W_I + R_W_I p_I_G, whose derivative by the error state is [-R (p_I_G)x, R, 0]."""
+    def _update_position(self, belief: MsfBelief, fix: PositionFix) -> Outcome:
+        """Update with z = p_W_I + R_W_I p_I_P, whose derivative by the error state is [-R (p_I_P)x, R, 0]."""
         R = belief.nav.attitude().matrix()
-        innovation = fix.position.p_W_G - belief.nav.position() - R @ fix.p_I_G
+        innovation = fix.position.p_W_P - belief.nav.position() - R @ fix.p_I_P
         H = np.zeros((3, 21))
-        H[:, :3], H[:, 3:6] = -R @ gtsam.SO3.Hat(fix.p_I_G), R
+        H[:, :3], H[:, 3:6] = -R @ gtsam.SO3.Hat(fix.p_I_P), R
         noise = fix.position.covariance
         return correct(belief, innovation, H, noise, self._inflation, self._limits[0])
 
     def _update_pose(self, belief: MsfBelief, pose: TrackPose) -> Outcome:
         """Update with z = T_W_V^-1 T_W_I, whose derivatives are the identity and minus the adjoint of z^-1."""
-        assert self._lidar is not None
-        noise = 0.5 * self._lidar.covariance(NO_MOTION)  # of one scan: half of that between two
+        noise = self._pose_noise
         T_W_I = belief.nav.pose()
         last, belief.track = belief.track, pose
-        if last is None or belief.T_W_V is None or pose.stamp_ns - last.stamp_ns > self._lidar.max_interval_ns:
-            self._begin_track(belief, T_W_I, pose.T_V_I, noise)
+        if last is None or belief.T_W_V is None or pose.stamp_ns - last.stamp_ns > self._max_interval_ns:
+            self._begin_track(belief, T_W_I, pose.T_I0_I, noise)
             return Outcome.USED
         walk = self._track_walk * (pose.stamp_ns - last.stamp_ns) * 1e-9
         belief.P.ravel()[15 * 22 :: 22] += walk  # the diagonal of T_W_V
         predicted = belief.T_W_V.between(T_W_I)
-        innovation: Array = gtsam.Pose3.Logmap(predicted.between(pose.T_V_I))
+        innovation: Array = gtsam.Pose3.Logmap(predicted.between(pose.T_I0_I))
         H = np.zeros((6, 21))
         H[:, POSE], H[:, TRACK] = np.eye(6), -predicted.inverse().AdjointMap()
         return correct(belief, innovation, H, noise, 1.0, self._limits[1])
 
-    def _begin_track(self, belief: MsfBelief, T_W_I: gtsam.Pose3, T_V_I: gtsam.Pose3, noise: Array) -> None:
-        """V is where the present pose says; it is wrong together with the pose."""
-        belief.T_W_V = T_W_I * T_V_I.inverse()
-        adjoint = T_V_I.AdjointMap()
+    def _begin_track(self, belief: MsfBelief, T_W_I: gtsam.Pose3, T_I0_I: gtsam.Pose3, noise: Array) -> None:
+        """Place V by the present pose, with whose error that of V is correlated."""
+        belief.T_W_V = T_W_I * T_I0_I.inverse()
+        adjoint = T_I0_I.AdjointMap()
         P = belief.P
         P[TRACK, :15] = adjoint @ P[POSE, :15]
         P[:15, TRACK] = P[TRACK, :15].T
         P[TRACK, TRACK] = adjoint @ (P[POSE, POSE] + noise) @ adjoint.T
-
-
-NO_MOTION = gtsam.Pose3()
 
 
 def correct(  # noqa: PLR0917 (the symbols of the update)
@@ -134,7 +134,7 @@ def correct(  # noqa: PLR0917 (the symbols of the update)
         innovation: (d,) measured minus predicted.
         H: (d, 21) derivative of the measurement by the error state.
         noise: (d, d) of a single measurement, by which it is tested.
-        inflation: by which it weighs less, because its neighbours are wrong alike.
+        inflation: of its covariance, because the errors of its neighbours are correlated.
         limit: of the normalised innovation squared.
     """
     P = belief.P
@@ -158,16 +158,16 @@ def correct(  # noqa: PLR0917 (the symbols of the update)
 MSF_TUNING = Tuning(fix_inflation=30.0, track_walk_m_per_sqrt_s=0.015, track_walk_rad_per_sqrt_s=1e-3)
 
 
-def make_msf(config: Config, tuning: Tuning = MSF_TUNING) -> FilterEstimator[MsfBelief]:
+def make_msf(config: Config, tuning: Tuning = MSF_TUNING) -> Baseline:
     """Return MSF for a machine.
 
     Raises:
-        ConfigError: the machine has no GNSS.
+        ConfigError: the machine measures no position.
     """
-    return FilterEstimator(config, _start, hears_lidar=True, tuning=tuning)
+    return Baseline(config, lambda config, intake: FilterSystem(config, intake, _start, True, tuning))
 
 
 def _start(tuning: Tuning, intake: Intake, start: Start) -> tuple[MsfFilter, MsfBelief]:
     P = np.zeros((21, 21))
     P[:15, :15] = start.covariance
-    return MsfFilter(intake.lidar, tuning), MsfBelief(start.stamp_ns, start.nav, start.bias, P)
+    return MsfFilter(intake.odometry, tuning), MsfBelief(start.stamp_ns, start.nav, start.bias, P)

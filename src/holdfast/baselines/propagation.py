@@ -9,20 +9,21 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from holdfast.config.model import Config, ImuConfig
+from holdfast.config.model import Config
+from holdfast.config.sensors import ImuConfig
 from holdfast.messages import Array
 from holdfast.sensors.preintegration import ImuNoise, MotionModel, Step, integrate, preintegration_params
 
 
 @dataclass(frozen=True, slots=True)
 class Tuning:
-    """What somebody who tunes a filter may choose; docs/baselines.md says how these values were found.
+    """The tuning of a filter; docs/baselines.md gives its derivation.
 
     Attributes:
-        acceleration: [m/s^2] of a machine that always works as on average, by which the process noise is constant.
+        acceleration: [m/s^2] average of the machine at work, for which the process noise is constant.
         angular_rate_rad_s: of its cabin.
-        fix_inflation: on the variance that the receiver claims, since the errors of its fixes are not white.
-        track_walk_m_per_sqrt_s: random walk of the lidar odometry's frame V.
+        fix_inflation: of the variance that the receiver reports, because the errors of its fixes are not white.
+        track_walk_m_per_sqrt_s: random walk of the odometry's frame V.
         track_walk_rad_per_sqrt_s: and of its attitude.
         rejects_outliers: by a chi-square test of the innovation.
     """
@@ -39,7 +40,7 @@ class Propagation:
     """Carries a state over one step; leaves `F` (15, 15), `Q` (9, 9) and `walk` (6,), Q's diagonal for the biases."""
 
     def __init__(self, config: Config, gravity: float, tuning: Tuning) -> None:
-        imu = config.sensors.imu
+        imu = config.imu
         self._pim = gtsam.PreintegratedImuMeasurements(
             _constant_noise(imu, config.graph.position_integration_sigma, gravity, tuning)
         )
@@ -62,7 +63,7 @@ class Propagation:
     def coast(
         self, nav: gtsam.NavState, bias: gtsam.imuBias.ConstantBias, rate: Array, duration_s: float
     ) -> gtsam.NavState:
-        """Return the state after a silence of the IMU, by a constant twist with `rate` (3,) [rad/s]."""
+        """Return the state after a drop-out of the IMU, by a constant twist with `rate` (3,) [rad/s]."""
         return self._linearised(self._motion.preintegrate(duration_s, nav, rate, bias), nav, bias, duration_s)
 
     def _linearised(

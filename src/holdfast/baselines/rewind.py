@@ -1,4 +1,4 @@
-"""Delayed measurements by buffering: a late one is taken in at its own time, and what followed is done again.
+"""Delayed measurements by buffering: a late one is taken in at its own time, and what followed is recomputed.
 
 Lynen et al. 2013, IV-B, with two differences that serve the baseline: a measurement is taken in at its time and not at
 the nearest buffered state, and only states right after a measurement are buffered, because the IMU's samples are.
@@ -19,7 +19,7 @@ from holdfast.state import Outcome
 
 
 class Belief(Protocol):
-    """What a filter believes at a time: state, and how sure it is."""
+    """The belief of a filter at a time: state and uncertainty."""
 
     stamp_ns: int
     nav: gtsam.NavState
@@ -45,10 +45,10 @@ B_contra = TypeVar("B_contra", bound=Belief, contravariant=True)
 
 
 class Filter(Protocol[B_contra]):
-    """The mathematics of a filter; the state in `nav` has been carried on already when `predict` is called."""
+    """The mathematics of a filter; the state in `nav` has been propagated already when `predict` is called."""
 
     def predict(self, belief: B_contra, model: Propagation) -> None:
-        """Carry the uncertainty over the step that `model` has just linearised."""
+        """Propagate the uncertainty over the step that `model` has just linearised."""
         ...
 
     def update(self, belief: B_contra, measurement: Measurement) -> Outcome:
@@ -64,7 +64,7 @@ class Entry(NamedTuple, Generic[B]):
 
 
 class Rewinder(Generic[B]):
-    """The buffer of beliefs over the last `lag_ns`, and the way back into it."""
+    """The buffer of beliefs over the last `lag_ns`, from which late measurements are processed."""
 
     def __init__(self, filter_: Filter[B], buffer: ImuBuffer, model: Propagation, start: B, lag_ns: int) -> None:
         self._filter = filter_
@@ -85,7 +85,7 @@ class Rewinder(Generic[B]):
         return self._entries[-1].after if self._entries else self._root
 
     def take(self, measurements: Sequence[Measurement]) -> list[Outcome]:
-        """Take in measurements, none older than `oldest_ns`, and do again what followed the first of them."""
+        """Take in measurements, none older than `oldest_ns`, and recompute what followed the first of them."""
         new = sorted(measurements, key=_order)
         cut = bisect_left(self._entries, _order(new[0]), key=lambda entry: _order(entry.measurement))
         again = self._entries[cut:]
@@ -100,7 +100,7 @@ class Rewinder(Generic[B]):
         return [outcomes[id(measurement)] for measurement in measurements]
 
     def carry(self, belief: B, stamp_ns: int) -> None:
-        """Carry a belief on to a later time by the buffered samples of the IMU."""
+        """Propagate a belief to a later time by the buffered samples of the IMU."""
         if stamp_ns <= belief.stamp_ns:
             return
         for piece in self._buffer.pieces(belief.stamp_ns, stamp_ns):
@@ -112,12 +112,12 @@ class Rewinder(Generic[B]):
             belief.stamp_ns = piece.end_ns
 
     def step(self, belief: B, step: Step) -> None:
-        """Carry a belief over one step; its stamp is left to the caller."""
+        """Propagate a belief over one step; its stamp is left to the caller."""
         belief.nav = self._model.advance(belief.nav, belief.bias, belief.bias_accel, belief.bias_gyro, step)
         self._filter.predict(belief, self._model)
 
     def coast(self, belief: B, stamp_ns: int) -> None:
-        """Carry a belief over a silence of the IMU."""
+        """Propagate a belief over a drop-out of the IMU."""
         rate = self._buffer.angular_velocity(belief.stamp_ns) - belief.bias_gyro
         duration_s = (stamp_ns - belief.stamp_ns) * 1e-9
         belief.nav = self._model.coast(belief.nav, belief.bias, rate, duration_s)

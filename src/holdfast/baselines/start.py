@@ -10,16 +10,17 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 
-from holdfast.baselines.intake import AntennaFix, Intake
+from holdfast.baselines.intake import Intake, PositionFix
 from holdfast.config.model import Config
 from holdfast.graph.alignment import level_attitude
-from holdfast.messages import Array
+from holdfast.messages import Array, Message
 from holdfast.sensors.heading import AxisYaw
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.standstill import ENGINE, fixes_stand, quiet_window, standstill_covariance
+from holdfast.state import Outcome
 
 KEPT_FIXES = 200
-FIXES_S = 3.0  # over which they have to stand
+STANDING_S = 3.0  # fixes have to stand for so long
 SIMULTANEOUS_NS = 20_000_000
 
 
@@ -39,24 +40,31 @@ class StandstillStart:
         self._config = config
         self._intake = intake
         self._buffer = buffer
-        self._fixes: deque[AntennaFix] = deque(maxlen=KEPT_FIXES)
+        self._fixes: deque[PositionFix] = deque(maxlen=KEPT_FIXES)
         self._heading: AxisYaw | None = None
-        self.reason = "no usable GNSS fix has come"
+        self.reason = "no usable position has come"
 
-    def add_heading(self, heading: AxisYaw) -> None:
-        """Take in a heading."""
-        self._heading = heading
+    def takes_heading(self, message: Message) -> bool:
+        """Whether a message is from the heading by which the system may start."""
+        return self._intake.heading is not None and message.sensor == self._intake.heading.name
 
-    def add_fix(self, fix: AntennaFix) -> Start | None:
-        """Take in a fix; return the first state, or None with `reason` set."""
+    def add_heading(self, message: Message) -> None:
+        """Take in a heading, which only the start uses."""
+        heading = self._intake.axis_yaw(message)
+        if heading is not None:
+            self._intake.counts[message.sensor, Outcome.BEFORE_START] += 1
+            self._heading = heading
+
+    def add_fix(self, fix: PositionFix) -> Start | None:
+        """Take in a position; return the first state, or None with `reason` set."""
         self._fixes.append(fix)
         now = self._buffer.latest_ns
         start = self._config.initialisation
         if self._buffer.window(now - round(start.standstill_s * 1e9), now) is None:
-            self.reason = f"the IMU has not been heard without a gap for {start.standstill_s:g} s"
+            self.reason = f"the IMU has not been received without a gap for {start.standstill_s:g} s"
             return None
         quiet = quiet_window(self._config.standstill, self._buffer, now, start.standstill_s, ENGINE)
-        if quiet is None or not fixes_stand([one.position for one in self._recent(now, FIXES_S)]):
+        if quiet is None or not fixes_stand([one.position for one in self._recent(now, STANDING_S)]):
             self.reason = "the machine has not stood still: the baselines cannot start in motion"
             return None
         force, rate = quiet
@@ -70,17 +78,17 @@ class StandstillStart:
         bias = gtsam.imuBias.ConstantBias((np.linalg.norm(force) - g) * up, rate)
         R_W_I = gtsam.Rot3.Yaw(heading[0]).compose(level)
         fixes = self._recent(now, start.standstill_s)
-        mean: Array = np.mean([one.position.p_W_G for one in fixes], axis=0)
-        nav = gtsam.NavState(R_W_I, mean - R_W_I.rotate(fixes[-1].p_I_G), np.zeros(3))
+        mean: Array = np.mean([one.position.p_W_P for one in fixes], axis=0)
+        nav = gtsam.NavState(R_W_I, mean - R_W_I.rotate(fixes[-1].p_I_P), np.zeros(3))
         R = R_W_I.matrix()
-        in_imu, arm = R.T @ fixes[-1].position.covariance @ R, fixes[-1].p_I_G
-        imu = self._config.sensors.imu
+        in_imu, arm = R.T @ fixes[-1].position.covariance @ R, fixes[-1].p_I_P
+        imu = self._config.imu
         covariance = standstill_covariance(imu, start.standstill_s, g, up, heading[1], in_imu, arm)
         return Start(now, nav, bias, covariance)
 
-    def _recent(self, now_ns: int, window_s: float) -> list[AntennaFix]:
+    def _recent(self, now_ns: int, window_s: float) -> list[PositionFix]:
         """Return the fixes of the first antenna within a window before now, or its newest one."""
-        first = next(iter(self._intake.antennas))
+        first = next(iter(self._intake.positions))
         of_first = [fix for fix in self._fixes if fix.position.sensor == first]
         recent = [fix for fix in of_first if fix.position.stamp_ns >= now_ns - round(window_s * 1e9)]
         return recent or of_first[-1:]
@@ -92,7 +100,7 @@ class StandstillStart:
             measured = model.of_imu(self._heading, level)
             if measured is not None:
                 return measured
-        if len(self._intake.antennas) == 2:
+        if len(self._intake.positions) >= 2:
             between = self._yaw_of_antennas(now_ns, level)
             if between is not None:
                 return between
@@ -101,7 +109,7 @@ class StandstillStart:
         return None
 
     def _yaw_of_antennas(self, now_ns: int, level: gtsam.Rot3) -> tuple[float, float] | None:
-        left, right = self._intake.antennas
+        left, right = list(self._intake.positions)[:2]
         since = now_ns - 1_000_000_000
         recent = [fix.position for fix in self._fixes if fix.position.stamp_ns >= since]
         pairs = [
@@ -110,11 +118,11 @@ class StandstillStart:
             for b in recent
             if a.sensor == left and b.sensor == right and abs(a.stamp_ns - b.stamp_ns) < SIMULTANEOUS_NS
         ]
-        arm = level.rotate(self._intake.antennas[right].p_I_G - self._intake.antennas[left].p_I_G)
+        arm = level.rotate(self._intake.positions[right].p_I_P - self._intake.positions[left].p_I_P)
         length = float(np.hypot(arm[0], arm[1]))
         if not pairs or length < 0.2:
             return None
-        between = np.mean([b.p_W_G - a.p_W_G for a, b in pairs], axis=0)
+        between = np.mean([b.p_W_P - a.p_W_P for a, b in pairs], axis=0)
         variance = np.trace(pairs[-1][0].covariance[:2, :2] + pairs[-1][1].covariance[:2, :2]) / 2.0
         yaw = float(np.arctan2(between[1], between[0]) - np.arctan2(arm[1], arm[0]))
         return yaw, max(float(np.sqrt(variance)) / length, 1e-3)

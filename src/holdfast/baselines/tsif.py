@@ -3,7 +3,7 @@
 Bloesch, Burri, Sommer, Siegwart, Hutter, "The Two-State Implicit Filter: Recursive Estimation for Mobile Robots",
 RA-L 3(1), 2018. There is no process model and no measurement model, only residuals between the state before and the
 state now; a step minimises them together with the prior and marginalises the state before. As in the comparison of the
-excavator paper, IMU and GNSS are all that it knows.
+excavator paper, IMU and GNSS are its only sensors.
 
 The state (15,) is that of `holdfast.state`; the belief is kept as information, the inverse of the covariance.
 """
@@ -13,15 +13,16 @@ from math import inf
 import gtsam
 import numpy as np
 
-from holdfast.baselines.filtering import FilterEstimator
-from holdfast.baselines.intake import AntennaFix, Intake, Measurement
+from holdfast.baselines.baseline import Baseline
+from holdfast.baselines.filtering import FilterSystem
+from holdfast.baselines.intake import Intake, Measurement, PositionFix
 from holdfast.baselines.propagation import Propagation, Tuning
 from holdfast.baselines.start import Start
 from holdfast.config.model import Config
 from holdfast.messages import Array
 from holdfast.state import Outcome
 
-CHI_SQUARE_3 = 16.27  # exceeded by one good fix in a thousand
+CHI_SQUARE_3 = 16.27  # one good fix in a thousand exceeds it
 ITERATIONS = 5
 CONVERGED = 1e-7
 
@@ -79,7 +80,7 @@ class TsifFilter:
     def update(self, belief: TsifBelief, measurement: Measurement) -> Outcome:
         """Minimise the residual of a fix together with the prior by Gauss-Newton, unless the fix is an outlier."""
         fix = measurement.content
-        assert isinstance(fix, AntennaFix)
+        assert isinstance(fix, PositionFix)
         prior = belief.nav
         weight = np.linalg.inv(fix.position.covariance * self._inflation)
         residual, H = _position_residual(prior, fix)
@@ -117,26 +118,26 @@ def marginalised(prior: Array, before: Array, between: Array, now: Array) -> Arr
     return 0.5 * (information + information.T)
 
 
-def _position_residual(nav: gtsam.NavState, fix: AntennaFix) -> tuple[Array, Array]:
-    """Return p_W_G - (p_W_I + R_W_I p_I_G) (3,), and the derivative (3, 15) of the predicted position."""
+def _position_residual(nav: gtsam.NavState, fix: PositionFix) -> tuple[Array, Array]:
+    """Return p_W_P - (p_W_I + R_W_I p_I_P) (3,), and the derivative (3, 15) of the predicted position."""
     R = nav.attitude().matrix()
     H = np.zeros((3, 15))
-    H[:, :3], H[:, 3:6] = -R @ gtsam.SO3.Hat(fix.p_I_G), R
-    return fix.position.p_W_G - nav.position() - R @ fix.p_I_G, H
+    H[:, :3], H[:, 3:6] = -R @ gtsam.SO3.Hat(fix.p_I_P), R
+    return fix.position.p_W_P - nav.position() - R @ fix.p_I_P, H
 
 
 TSIF_TUNING = Tuning(acceleration=0.2, angular_rate_rad_s=0.1, fix_inflation=10.0, rejects_outliers=False)
 
 
-def make_tsif(config: Config, tuning: Tuning = TSIF_TUNING) -> FilterEstimator[TsifBelief]:
+def make_tsif(config: Config, tuning: Tuning = TSIF_TUNING) -> Baseline:
     """Return TSIF for a machine.
 
     Raises:
-        ConfigError: the machine has no GNSS.
+        ConfigError: the machine measures no position.
     """
-    return FilterEstimator(config, _start, hears_lidar=False, tuning=tuning)
+    return Baseline(config, lambda config, intake: FilterSystem(config, intake, _start, False, tuning))
 
 
-def _start(tuning: Tuning, intake: Intake, start: Start) -> tuple[TsifFilter, TsifBelief]:  # noqa: ARG001 (no lidar)
+def _start(tuning: Tuning, intake: Intake, start: Start) -> tuple[TsifFilter, TsifBelief]:  # noqa: ARG001 (no odometry)
     information: Array = np.asarray(np.linalg.inv(start.covariance), dtype=np.float64)
     return TsifFilter(tuning), TsifBelief(start.stamp_ns, start.nav, start.bias, information)

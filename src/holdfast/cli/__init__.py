@@ -1,6 +1,7 @@
 """The `holdfast` command. Subcommands are imported when they are called, so that `--help` answers at once."""
 
 import sys
+import warnings
 from importlib import import_module
 
 import click
@@ -14,7 +15,7 @@ COMMANDS = {
     "live": ("holdfast.cli.live", "Estimate on a running ROS 2 machine, over DDS."),
     "view": ("holdfast.cli.view", "Show a recording or the results of a replay in Rerun."),
     "info": ("holdfast.cli.info", "List what a recording holds and what is wrong with its clocks."),
-    "config": ("holdfast.cli.config", "Start, check and describe configuration files."),
+    "config": ("holdfast.cli.config", "Start, check, upgrade and describe configuration files."),
     "evaluate": ("holdfast.cli.evaluate", "Judge a trajectory against a reference."),
     "report": ("holdfast.cli.report", "Write a page about a replay that can be opened offline."),
     "batch": ("holdfast.cli.batch", "Replay many recordings or variations side by side."),
@@ -53,8 +54,14 @@ def holdfast() -> None:
     """Tell a construction machine where it is: IMU, RTK-GNSS and lidar odometry fused in factor graphs."""
 
 
+def _one_line(message: Warning | str, *_: object, **__: object) -> str:
+    """Return a warning as the user should read it: what it is, not which line of code gave it."""
+    return f"warning: {message}\n"
+
+
 def main() -> None:
     """Run the command line; a mistake of the user ends in one line and an exit code, not in a traceback."""
+    warnings.formatwarning = _one_line
     try:
         holdfast(standalone_mode=False)
     except click.exceptions.Exit as error:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from holdfast.fleet.plan import Job
     from holdfast.fleet.run import Outcome
 
-SHOWN = 30  # runs in the table on the screen; of more, those that run or failed come first
+MAX_ROWS = 30  # of the table on the screen; of more runs, those that run or failed come first
 STYLES = {"done": "green", "failed": "red", "running": "yellow"}
 
 
@@ -125,8 +125,8 @@ def progress_table(outcomes: "Sequence[Outcome]") -> "Table":
     table = Table("run", "state", "time \\[s]", "horizontal RMS \\[m]", "why", title=f"{counts} of {len(outcomes)}")
     order = ("running", "failed", "done", "stopped", "waiting")
     chosen = outcomes
-    if len(outcomes) > SHOWN:
-        chosen = sorted(outcomes, key=lambda outcome: order.index(outcome.state))[:SHOWN]
+    if len(outcomes) > MAX_ROWS:
+        chosen = sorted(outcomes, key=lambda outcome: order.index(outcome.state))[:MAX_ROWS]
     for outcome in chosen:
         rms = outcome.errors.get("horizontal_m")
         style = STYLES.get(outcome.state, "")

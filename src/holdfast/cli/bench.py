@@ -49,8 +49,8 @@ def bench(  # noqa: PLR0917 (click passes the options by name)
     """
     if context.invoked_subcommand is not None:
         return
+    from holdfast.bench.replay import compare, describe_machine, read_baseline
     from holdfast.recording.source import open_recording
-    from holdfast.replay.benchmark import compare, describe_machine, read_baseline
 
     check_window(0.0, duration_s)
     config = _configuration(recording, config_path)
@@ -92,8 +92,8 @@ def _run_all(
     opened: "Recording", recording: str, config: "Config", nodes: str, duration_s: float | None
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield the kind of nodes and its result; a replay that writes is measured as well."""
+    from holdfast.bench.replay import Job, measure
     from holdfast.recording.subscriptions import subscriptions
-    from holdfast.replay.benchmark import Job, measure
 
     wanted = tuple(subscriptions(config))
     opened.read(wanted, 0.0, duration_s)  # refuses a wrong topic before a process is started
@@ -117,7 +117,7 @@ def _print(result: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from holdfast.replay.benchmark import RATIOS
+    from holdfast.bench.replay import RATIOS
 
     machine, runs = result["machine"], result["runs"]
     plain = not sys.stdout.isatty()
@@ -156,7 +156,7 @@ def _print(result: dict[str, Any]) -> None:
 
 def _update(path: str, result: dict[str, Any]) -> None:
     """Write the baseline; a bound that someone has set in it is kept."""
-    from holdfast.replay.benchmark import MAX_FACTOR, make_baseline, read_baseline
+    from holdfast.bench.replay import MAX_FACTOR, make_baseline, read_baseline
 
     max_factor = float(read_baseline(path)["max_factor"]) if Path(path).exists() else MAX_FACTOR
     write_json(path, make_baseline(result, max_factor))

@@ -16,9 +16,9 @@ from holdfast.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from holdfast.bench.realtime import Pace
     from holdfast.config.model import Config
     from holdfast.messages import Message
-    from holdfast.replay.realtime_benchmark import Pace
 
 COLUMNS = ("mean", "std", "median", "p99", "p99.9", "max")
 TITLES = {
@@ -48,11 +48,11 @@ def realtime(  # noqa: PLR0917 (click passes the options by name)
 
     Plays a recording at its own pace: the time from the arrival of an IMU sample until the propagated state is there,
     with the optimiser busy and, each for half as long, with an idle one, with samples back to back, and without the
-    state of the chassis. The floor is GTSAM alone taking in one sample, half way between two others in the same loop,
+    state of the chassis. The floor is GTSAM alone taking in one sample, midway between two others in the same loop,
     so that its caches are as cold.
     """
-    from holdfast.replay.benchmark import describe_machine
-    from holdfast.replay.realtime_benchmark import measure_realtime, summarise_measured, without_chassis
+    from holdfast.bench.realtime import measure_realtime, summarise_measured, without_chassis
+    from holdfast.bench.replay import describe_machine
 
     check_window(0.0, duration_s)
     if (recording is None) != (config_path is None):
@@ -143,5 +143,5 @@ def _print(result: dict[str, Any]) -> None:
     console.print(table)
     for name, run in runs.items():
         ratios, cpu = run["ratio_to_floor"], run["cpu"]
-        said = f"{ratios['median']:.1f} x the floor at the median, {ratios['p99']:.1f} x at p99; " if ratios else ""
-        console.print(f"{TITLES[name]}: {said}CPU {cpu['imu_path']:.0%} + {cpu['optimiser']:.0%} of a core")
+        floors = f"{ratios['median']:.1f} x the floor at the median, {ratios['p99']:.1f} x at p99; " if ratios else ""
+        console.print(f"{TITLES[name]}: {floors}CPU {cpu['imu_path']:.0%} + {cpu['optimiser']:.0%} of a core")

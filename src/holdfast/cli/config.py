@@ -1,4 +1,4 @@
-"""`holdfast config`: start, check and describe configuration files."""
+"""`holdfast config`: start, check, upgrade and describe configuration files."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from holdfast.errors import ConfigError
 
 @click.group()
 def config() -> None:
-    """Start, check and describe configuration files."""
+    """Start, check, upgrade and describe configuration files."""
 
 
 @config.command()
@@ -53,16 +53,50 @@ def schema() -> None:
 def init(recording: Path, output: Path | None, force: bool) -> None:
     """Write a commented configuration for RECORDING, guessing which topic is which sensor."""
     from holdfast.config.starter import starter_yaml
-    from holdfast.recording.decode import DECODERS
+    from holdfast.recording.kinds import KINDS
     from holdfast.recording.source import open_recording
 
-    if output is not None and output.exists() and not force:
-        raise ConfigError(f"{output}: exists already: give another name, or --force to overwrite it")
+    _check_output(output, force)
     with open_recording(recording) as opened:
-        text = starter_yaml(str(recording), opened.topics, {kind: tuple(types) for kind, types in DECODERS.items()})
+        text = starter_yaml(str(recording), opened.topics, KINDS.values())
     if output is None:
         click.echo(text, nl=False)
         return
+    _write(output, text)
+    click.echo(f"{output}: written; measure what is marked TODO, then run `holdfast config check {output}`")
+
+
+@config.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Write to this file instead of the screen.")
+@click.option("--in-place", is_flag=True, help="Write to FILE itself.")
+@click.option("--force", is_flag=True, help="Overwrite the output if it exists.")
+def upgrade(file: Path, output: Path | None, in_place: bool, force: bool) -> None:
+    """Rewrite FILE, of version 0.1, in the form of now; its comments and its layout stay."""
+    from holdfast.config.load import STARTER, read_yaml
+    from holdfast.config.upgrade import upgraded
+
+    if in_place and output is not None:
+        raise ConfigError("--in-place: cannot be given together with --output")
+    _check_output(output, force)
+    text, changes = upgraded(read_yaml(file, STARTER), str(file))
+    for change in changes:
+        click.echo(f"{file}: {change}", err=True)
+    if not changes:
+        click.echo(f"{file}: is of the form of now, nothing to change", err=True)
+    destination = file if in_place and changes else output
+    if destination is not None:
+        _write(destination, text)
+        click.echo(f"{destination}: written", err=True)
+    elif not in_place:
+        click.echo(text, nl=False)
+
+
+def _check_output(output: Path | None, force: bool) -> None:
+    if output is not None and output.exists() and not force:
+        raise ConfigError(f"{output}: exists already: give another name, or --force to overwrite it")
+
+
+def _write(output: Path, text: str) -> None:
     with naming_the_output(output):
         output.write_text(text, encoding="utf-8")
-    click.echo(f"{output}: written; measure what is marked TODO, then run `holdfast config check {output}`")

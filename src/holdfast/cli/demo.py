@@ -12,17 +12,19 @@ from holdfast.errors import HoldfastError
 if TYPE_CHECKING:
     from holdfast.replay.runner import Replay
 
-OUTAGE_S = (380.0, 440.0)  # since the first message
-RECOVERY_S = 10.0  # fixes come every 2 s, and several must agree
+OUTAGE_S = (380.0, 440.0)
+RECOVERY_S = 10.0  # with a fix every 2 s, of which several must agree
 CONFIG = """\
 # The KITTI drive that ships with gtsam (raw data 2011_10_03_0027): IMU and GNSS of an OXTS RT3003.
 sensors:
   imu:
+    kind: imu
     topic: /imu
-    # the unit compensates its biases; its datasheet says 2 deg/h, this allows 18 times as much
+    # the unit compensates its biases; its datasheet gives 2 deg/h, this allows 18 times as much
     gyroscope_bias_sigma: {value: 0.01, unit: deg/s}
     gyroscope_random_walk: 1e-6
   gnss:
+    kind: gnss
     topic: /gnss/fix
     frame: imu              # the unit reports the position of its IMU
     time_offset_s: 0.059    # its GNSS stamps are that much early against the IMU's clock
@@ -34,7 +36,7 @@ sensors:
 def demo(output: str) -> None:
     """Estimate 3.7 km of real driving; needs no download.
 
-    Every second GNSS fix is held back to judge the estimate by it, and GNSS is cut for a minute on the way.
+    Every second GNSS fix is held back to judge the estimate by it, and GNSS is cut for a minute.
     """
     from holdfast.config.load import parse_config
     from holdfast.recording.source import open_recording
@@ -79,7 +81,7 @@ def _print_table(run: "Replay") -> None:
     recovering = {j.stamp_ns for j in causal if 0 < j.stamp_ns - ended_ns <= RECOVERY_S * 1e9}
     apart = silent | recovering
     rows = [
-        ("as published, GNSS and IMU heard", [j for j in causal if not j.in_outage and j.stamp_ns not in apart]),
+        ("as published, GNSS and IMU available", [j for j in causal if not j.in_outage and j.stamp_ns not in apart]),
         ("  ... in the IMU's drop-outs (*)", [j for j in causal if not j.in_outage and j.stamp_ns in silent]),
         ("smoothed, 3 s later", [j for j in smoothed if not j.in_outage and j.stamp_ns not in apart]),
         ("in the outage, first 10 s", _first(causal, 10.0)),

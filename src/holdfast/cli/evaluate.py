@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _FILE = click.Path(path_type=Path, dir_okay=False)
 _STATISTICS = ("mean", "std", "rms", "median", "p95", "max", "count")
-_TABLE_WIDTH = 110  # a narrower terminal wraps lines, which loses less than cutting off digits
+_TABLE_COLUMNS = 110  # a narrower terminal wraps lines instead of cutting off digits
 _PIPE_WIDTH = 1000
 
 
@@ -188,7 +188,7 @@ def _print(verdicts: "list[Accuracy]", estimate: Path, reference: Path) -> None:
     from rich.console import Console
 
     console = Console(highlight=False)
-    console = Console(highlight=False, width=max(console.width, _TABLE_WIDTH if console.is_terminal else _PIPE_WIDTH))
+    console = Console(highlight=False, width=max(console.width, _TABLE_COLUMNS if console.is_terminal else _PIPE_WIDTH))
     whole = verdicts[0].scores["all"]
     orientation = "" if verdicts[0].pairs.oriented else "; positions only, there is no orientation to compare"
     console.print(f"estimate   {estimate}", markup=False)
@@ -245,7 +245,7 @@ def _interval_table(verdict: "Accuracy", console: "Console") -> "Table":
     from rich.markup import escape
 
     rms = ("horiz.\nrms \\[m]", "vert.\nrms \\[m]", "yaw\nrms \\[deg]")
-    ends = ("horiz.\nEND \\[m]", "vert.\nEND \\[m]", "yaw\nEND \\[deg]", "way\nEND \\[%]")
+    ends = ("horiz.\nEND \\[m]", "vert.\nEND \\[m]", "yaw\nEND \\[deg]", "distance\nEND \\[%]")
     columns = ("\ninterval", "\nfrom - to \\[s]", "driven\n\\[m]", *rms, *ends)
     table = _table(f"Intervals, alignment {verdict.alignment.name}", columns, console)
     for name, score in verdict.scores.items():
@@ -266,7 +266,7 @@ def _interval_table(verdict: "Accuracy", console: "Console") -> "Table":
 
 
 def _label(name: str) -> str:
-    """Turn `rotation_deg_per_m` into `rotation [deg/m]`, with its brackets safe from rich."""
+    """Return `rotation_deg_per_m` as `rotation [deg/m]`, with its brackets escaped for rich."""
     quantity, unit = name.split("_", 1)
     unit = "%" if unit == "percent" else unit.replace("_per_", "/")
     return f"{quantity} \\[{unit}]"

@@ -8,7 +8,7 @@ from holdfast.errors import ConfigError
 
 @contextmanager
 def needing(what: str, extra: str) -> Iterator[None]:
-    """Turn a failed import into one line.
+    """Report a failed import in one line.
 
     Raises:
         ConfigError: names what needs which package, and the extra that brings it.

@@ -2,7 +2,6 @@
 
 import json
 import sys
-from collections.abc import Iterator
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -52,10 +51,17 @@ def _to_json(inspection: "Inspection", problems: list[str]) -> dict[str, Any]:
         "path": inspection.path,
         "start_ns": inspection.start_ns,
         "end_ns": inspection.end_ns,
-        "topics": [asdict(topic) for topic in inspection.topics],
+        "topics": [_topic_json(topic) for topic in inspection.topics],
         "problems": problems,
         "damage": None if inspection.damage is None else str(inspection.damage),
     }
+
+
+def _topic_json(topic: "TopicFindings") -> dict[str, Any]:
+    """Return what was found; the findings in its values stand under the name of the kind."""
+    found = asdict(topic)
+    values = found.pop("values")
+    return found if topic.kind is None or values is None else found | {topic.kind: values}
 
 
 def _print(inspection: "Inspection", problems: list[str]) -> None:
@@ -66,8 +72,8 @@ def _print(inspection: "Inspection", problems: list[str]) -> None:
     console.print(_title(inspection))
     _print_table(console, inspection, plain=plain)
     for topic in inspection.topics:
-        for line in _value_lines(topic):
-            console.print(f"{topic.topic}: {line}", soft_wrap=True)
+        if topic.values is not None:
+            console.print(f"{topic.topic}: {topic.values.summary()}", soft_wrap=True)
     console.print()
     if problems:
         console.print(f"{len(problems)} problem(s):")
@@ -126,16 +132,3 @@ def _print_table(console: "Console", inspection: "Inspection", *, plain: bool) -
 
 def _number(value: float | None, decimals: int) -> str:
     return "-" if value is None else f"{value:.{decimals}f}"
-
-
-def _value_lines(topic: "TopicFindings") -> Iterator[str]:
-    if topic.imu is not None:
-        imu = topic.imu
-        yield f"{imu.repeats} repeated samples, {imu.lines} straight lines, {imu.not_finite} not finite"
-    if topic.gnss is not None:
-        gnss = topic.gnss
-        statuses = ", ".join(f"{count} {name}" for name, count in gnss.statuses.items())
-        sigmas = "unknown"
-        if gnss.smallest_sigma_m is not None and gnss.largest_sigma_m is not None:
-            sigmas = f"{gnss.smallest_sigma_m:.3g} to {gnss.largest_sigma_m:.3g} m"
-        yield f"status {statuses}; horizontal sigma {sigmas}"

@@ -76,7 +76,7 @@ def lidar_odometry(  # noqa: PLR0917 (click passes the options by name)
     began_s = perf_counter()
     with RawBag(bag) as opened:
         chosen = choose_topic(opened, options)
-        gyroscope = None if config is None else Gyroscope(config, opened)
+        gyroscope = None if config is None else Gyroscope(config, opened, output_topic)
         begin_ns, end_ns = opened.recording.start_ns, opened.recording.end_ns
         with naming_the_output(output):
             output.parent.mkdir(parents=True, exist_ok=True)

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.option("-c", "--config", "config_path", required=True, type=click.Path(), help="Configuration (YAML).")
-@click.option("--record", "record_path", type=click.Path(), metavar="FILE.mcap", help="Record all that comes and goes.")
+@click.option(
+    "--record", "record_path", type=click.Path(), metavar="FILE.mcap", help="Record all that is received and published."
+)
 @click.option(
     "--view",
     "view_target",
@@ -34,7 +36,7 @@ if TYPE_CHECKING:
 def live(config_path: str, record_path: str | None, view_target: str | None, duration_s: float | None) -> None:
     """Estimate on a running ROS 2 machine.
 
-    Listens to the topics that the configuration names (section `live`: domain, network card, peers) and publishes
+    Subscribes to the topics that the configuration names (section `live`: domain, network card, peers) and publishes
     ~/odometry/world, ~/odometry/odom, ~/odometry/base, ~/path, ~/datum, /tf, /tf_static, /diagnostics and /rosout,
     where ~ is /holdfast. A message on ~/reset (std_msgs/Empty) makes it begin anew, one on ~/set_datum
     (sensor_msgs/NavSatFix) moves the origin of the world. Ends with Ctrl-C, its files complete.
@@ -55,9 +57,9 @@ def live(config_path: str, record_path: str | None, view_target: str | None, dur
             feeds = _feeds(stack, record_path, view_target)
             engine = stack.enter_context(RealtimeEstimator(config))
             engine.wait_until_ready()
-        node = LiveNode(config, subscriptions(config), engine, network, feeds=feeds, say=_say)
-        _say(f"listening on domain {network.domain_id}: {', '.join(node.inputs.topics)}")
-        _say(f"publishing {', '.join(node.outputs.topics)}")
+        node = LiveNode(config, subscriptions(config), engine, network, feeds=feeds, show=_show)
+        _show(f"listening on domain {network.domain_id}: {', '.join(node.inputs.topics)}")
+        _show(f"publishing {', '.join(node.outputs.topics)}")
         gc.collect()
         gc.freeze()  # looking through all that the imports have left would hold up the IMU path for tens of ms
         end = None if duration_s is None else monotonic() + duration_s
@@ -75,7 +77,7 @@ def _end(caught: int | None, waiting_for: str | None) -> None:
         raise EstimatorError(f"the estimator never started: {waiting_for}")
 
 
-def _say(line: str) -> None:
+def _show(line: str) -> None:
     click.echo(line, err=True)
 
 
@@ -123,7 +125,7 @@ def _held_back() -> Iterator[None]:
 
 @contextmanager
 def _signals() -> Iterator[Callable[[], int | None]]:
-    """Catch Ctrl-C and the end that a service manager asks for; yield what tells which one came."""
+    """Catch Ctrl-C and the end that a service manager asks for; yield a function that returns which one came."""
     caught: list[int] = []
 
     def note(number: int, _: FrameType | None) -> None:

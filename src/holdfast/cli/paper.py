@@ -100,10 +100,10 @@ def print_tables(results: "Results") -> None:
         _print(f"Table I, {task}: RMS, mean over {seeds}; against RTK as in the paper", table_one(results, task))
     _print(f"Table II, IMU sample to state: {results.latency_scenario}", table_two(results))
     _print("Fig. 6, |propagated - optimised|, navigation", consistency_table(results))
-    for said in (*(accuracy_in_words(results, task) for task in TASKS), *latency_in_words(results)):
-        click.echo(said)
-    for said in consistency_in_words(results):
-        click.echo(said)
+    for line in (*(accuracy_in_words(results, task) for task in TASKS), *latency_in_words(results)):
+        click.echo(line)
+    for line in consistency_in_words(results):
+        click.echo(line)
     for line in failures(results):
         click.echo(f"failed: {line}")
 

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-REMEMBERED_S = 600.0  # for the time left: of long runs side by side, minutes may pass until one is done
+SPEED_WINDOW_S = 600.0  # over which the time left is estimated: of long parallel runs one is done every few minutes
 
 
 @contextmanager
@@ -17,7 +17,7 @@ def progress_bar(title: str, begin_ns: int | None, end_ns: int | None) -> Iterat
     from rich.progress import Progress
 
     console = Console(stderr=True)
-    with Progress(console=console, transient=True, speed_estimate_period=REMEMBERED_S) as bar:
+    with Progress(console=console, transient=True, speed_estimate_period=SPEED_WINDOW_S) as bar:
         task = bar.add_task(title, total=max(end_ns - begin_ns, 1))
         yield lambda arrival_ns: bar.update(task, completed=arrival_ns - begin_ns)
 

@@ -1,6 +1,6 @@
 """`holdfast replay`: a recording in, trajectories, ROS messages, events and a summary out."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from holdfast.errors import ConfigError, EstimatorError, HoldfastError
 if TYPE_CHECKING:
     from holdfast.config.model import Config
     from holdfast.realtime.engine import RealtimeEstimator
+    from holdfast.replay.held_out import HoldOut
     from holdfast.replay.runner import Replay
 
 
@@ -52,24 +53,19 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     from holdfast.config.load import load_config
     from holdfast.recording.source import open_recording
     from holdfast.recording.subscriptions import subscriptions
-    from holdfast.replay.held_out import HoldOut, check_sensors
     from holdfast.replay.outputs import Outputs
     from holdfast.replay.runner import Replay
 
-    if rate is not None and not rate > 0:
-        raise ConfigError(f"--rate {rate:g}: must be > 0")
-    check_window(start_s, duration_s)
+    check_window(start_s, duration_s, rate)
     config = load_config(config_path)
-    rules = [HoldOut.parse_every(text) for text in hold_out] + [HoldOut.parse_outage(text) for text in outage]
-    check_sensors(rules, config)  # before the results of an earlier replay are overwritten
+    rules = _rules(hold_out, outage, config)  # before the results of an earlier replay are overwritten
     with open_recording(recording) as opened:
         messages = opened.read(subscriptions(config), start_s, duration_s)
         with naming_the_output(output), Outputs(Path(output), config) as outputs, _engine(config, realtime) as engine:
             run = Replay(config, outputs, rules, realtime=engine)
-            first, last = opened.start_ns, opened.end_ns
             failure: BaseException | None = None
             try:
-                with progress_bar("replaying", first, last) as progress:
+                with progress_bar("replaying", opened.start_ns, opened.end_ns) as progress:
                     run.run(messages, rate or (1.0 if realtime else None), progress)
             except (HoldfastError, KeyboardInterrupt) as error:
                 failure = error
@@ -84,6 +80,14 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     print_summary(summary, output)
 
 
+def _rules(hold_out: Sequence[str], outage: Sequence[str], config: "Config") -> "list[HoldOut]":
+    from holdfast.replay.held_out import HoldOut, check_sensors
+
+    rules = [HoldOut.parse_every(text) for text in hold_out] + [HoldOut.parse_outage(text) for text in outage]
+    check_sensors(rules, config)
+    return rules
+
+
 @contextmanager
 def _engine(config: "Config", wanted: bool) -> "Iterator[RealtimeEstimator | None]":
     if not wanted:
@@ -95,8 +99,8 @@ def _engine(config: "Config", wanted: bool) -> "Iterator[RealtimeEstimator | Non
         yield engine
 
 
-def check_window(start_s: float, duration_s: float | None) -> None:
-    """Refuse a window that no recording can have.
+def check_window(start_s: float, duration_s: float | None, rate: float | None = None) -> None:
+    """Refuse a window, or a rate, at which nothing can be replayed.
 
     Raises:
         ConfigError: names the option.
@@ -105,6 +109,8 @@ def check_window(start_s: float, duration_s: float | None) -> None:
         raise ConfigError(f"--start {start_s:g}: must be >= 0")
     if duration_s is not None and not duration_s > 0:
         raise ConfigError(f"--duration {duration_s:g}: must be > 0")
+    if rate is not None and not rate > 0:
+        raise ConfigError(f"--rate {rate:g}: must be > 0")
 
 
 def write_summary(run: "Replay", recording: str, warnings: list[str], folder: Path, finished: bool) -> dict[str, Any]:

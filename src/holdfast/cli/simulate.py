@@ -19,11 +19,12 @@ from holdfast.errors import ConfigError, HoldfastError
 def simulate(scenario: str, output: Path, seed: int, scans: bool, duration_s: float | None) -> None:
     """Simulate SCENARIO, a shipped one or a YAML file, and write what the machine would have recorded.
 
-    Shipped: construction, navigation, tunnel, liar, late, clocks, moving-start, rough, quick.
+    Shipped: construction, navigation, tunnel, liar, late, clocks, moving-start, rough, quick, wheels, two-lidars,
+    prism, new-sensors.
 
     Writes to the output folder: recording.mcap (ROS 2), config.yaml for `holdfast replay`, truth/ (poses, velocities,
-    biases, errors of the fixes), site.ply, plan.png, scenario.yaml with every setting, and a README.md. Equal scenario
-    and seed give equal bytes.
+    biases, constants, errors of the fixes), site.ply, plan.png, scenario.yaml with every setting, and a README.md.
+    Equal scenario and seed give equal bytes.
     """
     with needing("simulating", "sim"):
         from holdfast.sim.recorder import write_recording, write_truth
@@ -43,7 +44,7 @@ def simulate(scenario: str, output: Path, seed: int, scans: bool, duration_s: fl
         output.mkdir(parents=True, exist_ok=True)
         simulation = run(loaded, seed)
         (output / "scenario.yaml").write_text(resolved_yaml(loaded), encoding="utf-8")
-        config = resolved_yaml(configuration(loaded), given_only=True)
+        config = resolved_yaml(configuration(loaded, seed), given_only=True)
         (output / "config.yaml").write_text(f"# For recordings of the scenario {name}.\n{config}", encoding="utf-8")
         write_truth(simulation, output / "truth")
         simulation.site.write_ply(output / "site.ply")
@@ -59,7 +60,7 @@ def simulate(scenario: str, output: Path, seed: int, scans: bool, duration_s: fl
     except HoldfastError as error:
         click.echo(f"no figure: {error}", err=True)
     click.echo(
-        f"{name}: {loaded.duration_s:g} s, {simulation.motion.way_m:.0f} m driven, {sum(counts.values())} messages, "
-        f"seed {seed}"
+        f"{name}: {loaded.duration_s:g} s, {simulation.motion.distance_m:.0f} m driven, "
+        f"{sum(counts.values())} messages, seed {seed}"
     )
     click.echo(f"written to {output}: recording.mcap, config.yaml, truth, site.ply, plan.png, scenario.yaml, README.md")

@@ -30,7 +30,7 @@ def view(recording: str, output: str | None, connect: str | None) -> None:
 
     path = Path(recording)
     source = path / "estimates.mcap" if (path / "estimates.mcap").is_file() else path
-    with open_recording(source) as opened:  # says in one line if there is nothing to see
+    with open_recording(source) as opened:  # fails in one line if there is nothing to see
         begin_ns, end_ns = opened.start_ns, opened.end_ns
     sink = show.open_sink(output or connect or "window", path.name)
     with progress_bar("drawing", begin_ns, end_ns) as progress:

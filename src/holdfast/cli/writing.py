@@ -11,10 +11,10 @@ from holdfast.errors import ConfigError
 
 @contextmanager
 def naming_the_output(output: str | Path) -> Iterator[None]:
-    """Turn a full disk and its like into one line.
+    """Report a full disk and other failures to write in one line.
 
     Raises:
-        ConfigError: names the file, or where the system does not tell it, the output.
+        ConfigError: names the file, or the output if the system does not name one.
     """
     try:
         yield

@@ -1,13 +1,13 @@
-"""Guesses which topic of a recording is which sensor: by type, words in the name, number of messages."""
+"""Guesses which topics of a recording are which sensors: by type, words in the name, number of messages."""
 
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
 
 class Topic(Protocol):
-    """What a recording tells of a topic."""
+    """What a recording reports of a topic."""
 
     @property
     def topic(self) -> str:
@@ -24,79 +24,90 @@ class Topic(Protocol):
 
 @dataclass(frozen=True)
 class Rule:
-    """How a sensor's topic is told: words in its name that speak for it and against it.
+    """How the topics of a sensor are found: words in their names that speak for it and against it.
 
     Attributes:
-        named: without one of the words in `prefer` a topic is not taken.
-        last_resort: a topic with a word of `avoid` is taken where there is no other.
+        sensor: its name in the configuration; further ones get a number.
+        prefer: words that speak for a topic.
+        avoid: words for which a topic is not taken.
+        named: without one of the words in `prefer` a topic is not taken. Such rules choose first.
+        last_resort: a topic with a word of `avoid` is taken where there is no other; the only one of its type is.
+        every: all topics that fit become a sensor each.
+        spare: they are not used, but a user may want them; such rules choose last.
+        on_chassis: the sensor sits below the turn joint, where there is one.
+        types: the only message types that are taken; if empty, all of the kind.
     """
 
-    kind: str
+    sensor: str
     prefer: tuple[str, ...] = ()
     avoid: tuple[str, ...] = ()
     named: bool = False
     last_resort: bool = False
+    every: bool = False
+    spare: bool = False
+    on_chassis: bool = False
+    types: tuple[str, ...] = ()
 
 
-LEFT = ("left", "main", "master", "primary", "front", "l")
-RIGHT = ("right", "aux", "slave", "secondary", "rover", "rear", "r")
-DERIVED = ("filtered", "fused", "ekf", "ukf", "truth", "reference", "holdfast")
-CHASSIS = ("base", "chassis", "undercarriage", "track")
+class TopicKind(Protocol):
+    """A kind of measurement, as it is found in a recording."""
 
-# in the order in which they choose; a topic is given once
-RULES = {
-    "heading": Rule("heading", ("heading", "yaw", "compass", "dual", "baseline", "relpos"), DERIVED, named=True),
-    "imu": Rule(
-        "imu",
-        ("cabin", "data"),
-        (*CHASSIS, *DERIVED, "mag", "camera", "ouster", "livox", "velodyne", "heading"),
-        last_resort=True,
-    ),
-    "gnss": Rule("gnss", LEFT, (*RIGHT, *DERIVED), last_resort=True),
-    "gnss_right": Rule("gnss", RIGHT, DERIVED, named=True),
-    "lidar": Rule(
-        "lidar",
-        ("lidar", "laser", "icp", "slam", "loam", "lio", "scan", "odom"),
-        (*CHASSIS, *DERIVED, "wheel", "gnss", "gps", "visual", "vio", "camera", "goal"),
-    ),
-    "joint": Rule("joint", ("turn", "swing", "slew", "cabin", "joint_states")),
-}
+    @property
+    def name(self) -> str:
+        """Return the `kind` of its sensors in the configuration."""
+
+    @property
+    def types(self) -> Collection[str]:
+        """Return the message types that it can be decoded from."""
+
+    @property
+    def rules(self) -> tuple[Rule, ...]:
+        """Return how its topics are found; those of one kind choose in this order."""
 
 
 @dataclass(frozen=True)
 class Guess:
-    """The topic that is taken for a sensor (None: no topic), why, and which others of its type no sensor took."""
+    """A topic that is taken for a sensor, and why."""
 
-    topic: str | None
+    sensor: str
+    kind: str
+    rule: Rule
+    topic: Topic
     reason: str
-    others: tuple[Topic, ...] = ()
 
 
-def assign(topics: Iterable[Topic], types: Mapping[str, Collection[str]]) -> dict[str, Guess]:
-    """Return a guess per sensor.
+@dataclass(frozen=True)
+class Assignment:
+    """What was found in a recording.
 
-    Args:
-        topics: what the recording holds.
-        types: kind of measurement -> the message types that it can be decoded from.
+    Attributes:
+        guesses: one per sensor, in the order of the kinds and of their rules.
+        unused: topics that could be a sensor and that no rule took, with the kinds that they could be.
     """
+
+    guesses: tuple[Guess, ...]
+    unused: tuple[tuple[Topic, tuple[str, ...]], ...]
+
+
+def assign(topics: Iterable[Topic], kinds: Iterable[TopicKind]) -> Assignment:
+    """Return which topics are which sensors; a topic is given to one sensor only."""
     remaining = {topic.topic: topic for topic in topics}
-    guesses = {}
-    imus = [topic.topic for topic in remaining.values() if topic.type in types.get("imu", ())]
-    only_imu = imus[0] if len(imus) == 1 else None  # whatever its name says: without an IMU nothing works
-    for sensor, rule in RULES.items():
-        allowed = types.get(rule.kind, ())
-        candidates = [topic for topic in remaining.values() if topic.type in allowed]
-        if sensor != "imu":
-            candidates = [topic for topic in candidates if topic.topic != only_imu]
-        guess = _choose(rule, candidates, allowed)
-        guesses[sensor] = guess
-        if guess.topic is not None:
-            del remaining[guess.topic]
-    taken = {guess.topic for guess in guesses.values()}
-    return {
-        sensor: Guess(guess.topic, guess.reason, tuple(other for other in guess.others if other.topic not in taken))
-        for sensor, guess in guesses.items()
-    }
+    rules = [(kind, rule) for kind in kinds for rule in kind.rules]
+    reserved = {topic: rule for kind, rule in rules for topic in _reserved(kind, rule, remaining.values())}
+    guesses: list[Guess] = []
+    for kind, rule in sorted(rules, key=lambda pair: (pair[1].spare, not pair[1].named)):
+        types = rule.types or kind.types
+        candidates = [t for t in remaining.values() if t.type in types and reserved.get(t.topic, rule) is rule]
+        for topic, reason in _choose(rule, candidates):
+            del remaining[topic.topic]
+            sensor = _free_name(rule.sensor, {guess.sensor for guess in guesses})
+            guesses.append(Guess(sensor, kind.name, rule, topic, reason))
+    order = [rule for _, rule in rules]
+    unused = [(topic, tuple(kind.name for kind in kinds if topic.type in kind.types)) for topic in remaining.values()]
+    return Assignment(
+        tuple(sorted(guesses, key=lambda guess: order.index(guess.rule))),
+        tuple((topic, names) for topic, names in unused if names),
+    )
 
 
 def described(topic: Topic) -> str:
@@ -105,18 +116,25 @@ def described(topic: Topic) -> str:
     return f"{topic.topic} ({topic.type}{count})"
 
 
-def _choose(rule: Rule, candidates: list[Topic], types: Collection[str]) -> Guess:
-    """Return the best of the candidates, unless their names or their emptiness speak against all."""
-    if not candidates:
-        return Guess(None, f"no further topic of type {' or '.join(types) or rule.kind}")
+def _reserved(kind: TopicKind, rule: Rule, topics: Iterable[Topic]) -> list[str]:
+    """Return the only topic of a kind that cannot do without: its rule of last resort takes it, whatever its name."""
+    names = [topic.topic for topic in topics if topic.type in kind.types]
+    return names if rule.last_resort and len(names) == 1 else []
+
+
+def _choose(rule: Rule, candidates: list[Topic]) -> Iterator[tuple[Topic, str]]:
+    """Yield the best of the candidates with the reason, or where the rule takes every one, all that fit."""
     ranked = sorted(candidates, key=lambda topic: (*_score(rule, topic), topic.topic))
-    best, others = ranked[0], tuple(ranked[1:])
-    against = _words(best.topic, rule.avoid)
-    if best.count == 0:
-        return Guess(None, "topics without any message", tuple(ranked))
-    if (against and not rule.last_resort) or (rule.named and not _words(best.topic, rule.prefer)):
-        return Guess(None, "no name among those of its type speaks for one", tuple(ranked))
-    return Guess(best.topic, f"{described(best)}, {_reason(rule, best, len(others))}", others)
+    fitting = [topic for topic in ranked if _fits(rule, topic)]
+    for topic in fitting if rule.every else fitting[:1]:
+        yield topic, f"{described(topic)}, {_reason(rule, topic, len(ranked) - 1)}"
+
+
+def _fits(rule: Rule, topic: Topic) -> bool:
+    """Return whether neither a topic's name nor its emptiness speaks against it."""
+    against = _words(topic.topic, rule.avoid) and not rule.last_resort
+    unnamed = rule.named and not _words(topic.topic, rule.prefer)
+    return topic.count != 0 and not against and not unnamed
 
 
 def _score(rule: Rule, topic: Topic) -> tuple[bool, bool, bool, int]:
@@ -129,11 +147,11 @@ def _reason(rule: Rule, best: Topic, others: int) -> str:
     words_for, words_against = _words(best.topic, rule.prefer), _words(best.topic, rule.avoid)
     if words_against:
         return f"although {words_against[0]!r} in its name speaks AGAINST it: there is no better one"
+    if words_for and (others or rule.named):
+        return f"for {words_for[0]!r} in its name"
     if not others:
         return "the only one"
-    if words_for:
-        return f"for {words_for[0]!r} in its name"
-    return "for its number of messages"
+    return "one of several" if rule.every else "for its number of messages"
 
 
 def _words(name: str, words: Iterable[str]) -> list[str]:
@@ -141,3 +159,13 @@ def _words(name: str, words: Iterable[str]) -> list[str]:
     lower = name.lower()
     parts = re.split(r"[^a-z]+", lower)
     return [word for word in words if (word in lower if len(word) > 2 else word in parts)]
+
+
+def _free_name(name: str, taken: Collection[str]) -> str:
+    """Return the name, or the name with the first number from 2 on that is free."""
+    number = 2
+    free = name
+    while free in taken:
+        free = f"{name}_{number}"
+        number += 1
+    return free

@@ -137,9 +137,9 @@ def read_document(text: str, name: str) -> Document:
     Raises:
         ConfigError: the text is not YAML, is empty, or is not a mapping at the top.
     """
-    root = _compose(text, name)
+    root = compose(text, name)
     if root is None:
-        raise ConfigError(f"{name}:1 is empty: at least sensors.imu.topic is needed")
+        raise ConfigError(f"{name}:1 is empty: at least a sensor with `kind: imu` is needed")
     if not isinstance(root, MappingNode):
         kind = "a list" if isinstance(root, SequenceNode) else "a single value"
         raise ConfigError(f"{name}:{root.start_mark.line + 1} has {kind} at the top: must be `key: value` lines")
@@ -151,7 +151,7 @@ def read_document(text: str, name: str) -> Document:
     return document
 
 
-def _compose(text: str, name: str) -> Node | None:
+def compose(text: str, name: str) -> Node | None:
     """Return the root node of the only YAML document in the text; every failure becomes a ConfigError of one line."""
     try:
         with warnings.catch_warnings():

@@ -8,6 +8,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from holdfast.config.document import Document, Fault, Path, path_text, value_text
+from holdfast.config.kinds import load_plugins
 from holdfast.config.schema import Place, place, type_text
 
 COMPARISONS = {
@@ -21,30 +22,36 @@ COMPARISONS = {
 def note_validation_error(document: Document, root: Place, error: ValidationError) -> None:
     """Add every fault that the validation of a document as `root` found to the document's."""
     for detail in error.errors(include_url=False, include_input=False):
-        path = _path_in_file(document, detail["loc"], detail["type"])
+        path = _path_in_file(document, root, detail["loc"], detail["type"])
         if not document.is_refused(path):
             _note(document, root, path, detail)
 
 
-def _path_in_file(document: Document, location: Path, kind: str) -> Path:
-    """Return pydantic's location without the parts that are no place in the file (members of a union)."""
+def _path_in_file(document: Document, root: Place, location: Path, kind: str) -> Path:
+    """Return pydantic's location without the parts that are no place in the file: members of a union."""
     path: Path = ()
+    at: Place | None = root
+    is_tag = False
     for part in location:
         value = document.at(path)
-        if (isinstance(value, dict) and part in value) or (isinstance(value, list) and part in range(len(value))):
+        is_there = part in (value if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ())
+        if is_there and not is_tag:
             path = (*path, part)
+            at = at.child(part) if at else None
+        is_tag = at is not None and bool(at.kinds) and not is_tag
+        at = at.of(document.at(path)) if at and not is_tag else at
     return (*path, location[-1]) if kind == "missing" else path
 
 
 def _note(document: Document, root: Place, path: Path, detail: ErrorDetails) -> None:
     kind, context = detail["type"], detail.get("ctx", {})
-    at = place(path, root)
+    at = place(path, document, root)
     if kind == "missing" and isinstance(path[-1], int):  # a short tuple is reported entry by entry
-        kind, path, at = "too_short", path[:-1], place(path[:-1], root)
+        kind, path, at = "too_short", path[:-1], place(path[:-1], document, root)
     if kind == "missing":
         document.fault(path, missing_text(at))
     elif kind == "extra_forbidden":
-        document.fault(path, unknown_key_text(str(path[-1]), place(path[:-1], root) or root))
+        document.fault(path, unknown_key_text(str(path[-1]), place(path[:-1], document, root) or root))
     elif kind == "value_error":
         _note_validator(document, root, path, str(context.get("error", detail["msg"])))
     else:
@@ -53,8 +60,25 @@ def _note(document: Document, root: Place, path: Path, detail: ErrorDetails) -> 
         document.faults.append(Fault(document.line(path), f"{path_text(path)} = {value}", text))
 
 
+def kind_fault(at: Place, value: object) -> str | None:
+    """Return what is wrong with the `kind` of a section that must name one of several; None if nothing is."""
+    kind = value.get("kind") if isinstance(value, dict) else None
+    if isinstance(kind, str) and kind not in at.kinds:
+        load_plugins()
+    allowed = ", ".join(at.kinds)
+    if not isinstance(value, dict):
+        return f"must be a section with `kind:` and more (allowed: {allowed})"
+    if "kind" not in value:
+        return f"kind: missing, must be one of {allowed}"
+    if isinstance(kind, str) and kind in at.kinds:
+        return None
+    near = get_close_matches(str(kind).lower(), at.kinds, n=1, cutoff=0.6)
+    guess = f"did you mean {near[0]}? " if near else ""
+    return f"kind = {value_text(kind)}: {guess}must be one of {allowed}"
+
+
 def missing_text(at: Place | None) -> str:
-    """Return what to say about a required key that is not there."""
+    """Return the fault of a required key that is not there."""
     if at is None:
         return "missing"
     about = f": {at.about}" if at.about else ""
@@ -63,7 +87,7 @@ def missing_text(at: Place | None) -> str:
 
 
 def unknown_key_text(key: str, parent: Place) -> str:
-    """Return what to say about a key that the section does not have."""
+    """Return the fault of a key that the section does not have."""
     allowed = [name for name, _ in parent.children()]
     near = get_close_matches(key.lower(), allowed, n=1, cutoff=0.7)
     if near:
@@ -110,7 +134,7 @@ def _hint(kind: str, at: Place | None, value: object) -> str:
 def _with_article(words: str) -> str:
     if words[0].isdigit():
         return f"a list of {words}"
-    return words if words.startswith(("text", "true")) or " or " in words else f"a {words}"
+    return words if words.startswith(("text", "true", "names")) or " or " in words else f"a {words}"
 
 
 def _note_validator(document: Document, root: Place, path: Path, message: str) -> None:
@@ -122,7 +146,7 @@ def _note_validator(document: Document, root: Place, path: Path, message: str) -
     for text in message.splitlines():
         found = re.match(r"([\w.]+): ", text)
         named: Path = (*path, *found[1].split(".")) if found else ()
-        if found and place(named, root) is not None:
+        if found and place(named, document, root) is not None:
             document.fault(named, text[found.end() :])
             continue
         keys = document.at(path)

@@ -23,8 +23,8 @@ class LiveConfig(Section):
     namespace: str = Field("", pattern=NAMESPACE, description="before the node's name and topics without a slash")
     publish_tf: bool = Field(True, description="publish /tf and /tf_static; off where another node does it")
     reliable_inputs: bool = Field(
-        False, description="ask for lost samples again; such a reader does not hear a best-effort driver"
+        False, description="ask for lost samples again; such a reader receives nothing from a best-effort driver"
     )
-    silent_after_s: float = quantity("s", 5.0, gt=0, le=3600, doc="a topic without publisher or message is told of")
-    max_clock_offset_s: float = quantity("s", 1.0, gt=0, doc="stamps further from this machine's clock are told of")
+    silent_after_s: float = quantity("s", 5.0, gt=0, le=3600, doc="a topic without publisher or message is reported")
+    max_clock_offset_s: float = quantity("s", 1.0, gt=0, doc="stamps further from this machine's clock are reported")
     path_step_m: float = quantity("m", 0.2, gt=0, doc="distance between two poses of the published path")

@@ -1,16 +1,18 @@
 """Reading the configuration: all faults at once, each with its line, its place and what would be right."""
 
 import json
+import warnings
 from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path as FilePath
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_origin
 
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from holdfast.config.document import Document, Path, raise_faults, read_document, value_text, yaml_text
-from holdfast.config.faults import note_validation_error
+from holdfast.config.faults import kind_fault, note_validation_error
+from holdfast.config.legacy import modernised, old_forms
 from holdfast.config.model import Config
 from holdfast.config.presets import with_preset
 from holdfast.config.schema import Place, is_optional
@@ -18,6 +20,7 @@ from holdfast.config.units import conversion
 from holdfast.errors import ConfigError
 
 Model = TypeVar("Model", bound=BaseModel)
+STARTER = "`holdfast config init RECORDING` starts one"
 
 
 def load_config(path: str | PathLike[str]) -> Config:
@@ -26,7 +29,7 @@ def load_config(path: str | PathLike[str]) -> Config:
     Raises:
         ConfigError: it cannot be read, or holds mistakes; the text has one line per mistake.
     """
-    return parse_config(read_yaml(path, "`holdfast config init RECORDING` starts one"), str(path))
+    return parse_config(read_yaml(path, STARTER), str(path))
 
 
 def parse_config(text: str, name: str = "config") -> Config:
@@ -36,8 +39,12 @@ def parse_config(text: str, name: str = "config") -> Config:
         ConfigError: the text holds mistakes, one line each.
     """
     document = read_document(text, name)
+    old = _modernise(document)
     document.data = with_preset(document.data)
-    return validate(document, Config)
+    config = validate(document, Config)
+    if old:
+        warnings.warn(f"{name}: is of the old form ({old}); `holdfast config upgrade {name}` rewrites it", stacklevel=2)
+    return config
 
 
 def config_of(data: dict[str, Any], name: str) -> Config:
@@ -46,11 +53,24 @@ def config_of(data: dict[str, Any], name: str) -> Config:
     Raises:
         ConfigError: the data hold mistakes, one line each.
     """
-    return validate(Document(name, with_preset(data)), Config)
+    document = Document(name, data)
+    _modernise(document)
+    document.data = with_preset(document.data)
+    return validate(document, Config)
+
+
+def _modernise(document: Document) -> str:
+    """Bring the data into the form of now, in place; return an example of what was of an old form, or nothing."""
+    if not isinstance(document.data, dict):
+        return ""
+    old = [f"{section}.{key}: now `{new}`" for section, key, new in old_forms(document.data)]
+    if old:
+        document.data = modernised(document.data)
+    return old[0] if old else ""
 
 
 def read_yaml(path: str | PathLike[str], remedy: str) -> str:
-    """Return the text of a file; `remedy` is said where there is none.
+    """Return the text of a file; `remedy` ends the error where there is none.
 
     Raises:
         ConfigError: it cannot be read.
@@ -114,6 +134,15 @@ def _yaml_lines(section: dict[str, Any]) -> Iterator[str]:
 
 def _prepare(document: Document, at: Place, value: Any, path: Path) -> Any:
     """Return the value with every `{value, unit}` in the field's unit, and bare section headings as empty sections."""
+    if at.kinds:
+        fault = kind_fault(at, value)
+        if fault:
+            document.refuse(path, fault)
+            return value
+        at = at.of(value)
+    if get_origin(at.annotation) is dict and isinstance(value, dict):
+        entries = ((name, entry, at.child(name)) for name, entry in value.items())
+        return {name: _prepare(document, child, entry, (*path, name)) for name, entry, child in entries if child}
     if at.section is not None:
         if value is None and (at.field is None or not is_optional(at.field)):
             value = {}  # a heading under which every line is commented out

@@ -1,23 +1,21 @@
-"""Presets: other defaults for the whole configuration. What a file says itself always wins.
+"""Presets: other defaults for the whole configuration. What a file gives itself always wins.
 
-`paper` makes the estimator follow the rules of the paper: a node per IMU sample, relative scans in the main graph and
-a frozen frame of the odometry in the fallback graph (Eq. 10), a gate that asks only for the receiver's covariance and
-the speed between two fixes, with twenty in a row either way, and a T_W_O that moves at recoveries alone (Eq. 11). Its
-numbers are those of the authors' code; of its weights, such as 1 m for a fix of 1 cm, none is taken over.
+`paper` makes the estimator follow the rules of the paper: a node per IMU sample, relative poses of odometries in the
+main graph and a frozen frame of the odometry in the fallback graph (Eq. 10), a gate that asks only for the receiver's
+covariance and the speed between two fixes, with twenty in a row either way, and a T_W_O that moves at recoveries alone
+(Eq. 11). Its numbers are those of the authors' code; of its weights, such as 1 m for a fix of 1 cm, none is taken over.
 """
 
 from math import sqrt
 from typing import Any
 
-ANTENNAS = ("gnss", "gnss_right")
-
 _PAPER: dict[str, Any] = {
     "frames": {"odometry_policy": "at_recovery"},
-    "graph": {"nodes": "imu", "lag_s": 6.0, "main_lidar": "relative", "fallback_lidar": "frozen"},
+    "graph": {"nodes": "imu", "lag_s": 6.0, "main_odometry": "relative", "fallback_odometry": "frozen"},
     "gate": {
         "innovation": False,
         "baseline": False,
-        "witness": False,
+        "drift_monitor": False,
         "max_speed_m_s": 6.0,  # 0.3 m in the 50 ms between two fixes
         "lose_after": 20,
         "regain_after": 20,
@@ -42,8 +40,8 @@ def with_preset(given: dict[str, Any]) -> dict[str, Any]:
     merged = _on_top(sections, given)
     sensors = merged.get("sensors")
     if isinstance(sensors, dict):
-        present = [sensor for sensor in ANTENNAS if isinstance(sensors.get(sensor), dict)]
-        merged["sensors"] = sensors | {sensor: antenna | sensors[sensor] for sensor in present}
+        antennas = {name: one for name, one in sensors.items() if isinstance(one, dict) and one.get("kind") == "gnss"}
+        merged["sensors"] = sensors | {name: antenna | one for name, one in antennas.items()}
     return merged
 
 

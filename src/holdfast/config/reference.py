@@ -60,7 +60,14 @@ def reference_tables(model: type[BaseModel] = Config) -> str:
 
 
 def _sections(at: Place, path: str, above: tuple[type[BaseModel], ...]) -> Iterator[tuple[str, type[BaseModel]]]:
-    """Yield every section with its path, parents first; one that contains itself is entered once."""
+    """Yield every section with its path, parents first; one that contains itself is entered once.
+
+    One of several kinds stands under `<kind>` in place of the name that the user gives it.
+    """
+    if at.kinds:
+        for kind, section in at.kinds.items():
+            yield from _sections(Place(section, at.field), path.replace("[]", f".<{kind}>"), above)
+        return
     if at.section is None:
         entry = at.child(0)
         if entry is not None and entry.section is not None:

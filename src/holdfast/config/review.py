@@ -8,6 +8,13 @@ from pydantic import BaseModel
 
 from holdfast.config.model import Config
 from holdfast.config.schema import Place
+from holdfast.config.sensors import (
+    BaseImuConfig,
+    ImuConfig,
+    InertialConfig,
+    JointConfig,
+    MountedConfig,
+)
 
 MAX_USUAL_OFFSET_S = 0.5
 
@@ -28,47 +35,48 @@ class SensorRow:
     lever_arm_m: float | None
 
 
-def configured_sensors(config: Config) -> Iterator[tuple[str, BaseModel]]:
-    """Yield the sensors that the configuration has: field name and section."""
-    for name in type(config.sensors).model_fields:
-        section = getattr(config.sensors, name)
-        if isinstance(section, BaseModel):
-            yield name, section
-
-
 def sensor_rows(config: Config) -> list[SensorRow]:
     """Return topic, frame and lever arm of every sensor."""
     rows = []
-    for name, section in configured_sensors(config):
-        frame = getattr(section, "frame", None)
-        lever_arm_m = None
+    for name, section in config.sensors.items():
+        frame, lever_arm_m = _frame(config, name), None
         if frame is not None and config.reaches(frame):  # not beyond the turn joint
             lever_arm_m = float(np.linalg.norm(config.T_I(frame)[:3, 3]))
-        rows.append(SensorRow(name, getattr(section, "topic", ""), frame, lever_arm_m))
+        rows.append(SensorRow(name, section.topic or "", frame, lever_arm_m))
     return rows
 
 
 def warnings(config: Config) -> list[str]:
     """Return what is legal but rarely meant, one line each."""
     found = []
-    for name, section in configured_sensors(config):
+    for name, section in config.sensors.items():
         found += [f"sensors.{name}.{text}" for text in _unusual_values(section)]
-        frame = getattr(section, "frame", None)
-        if name not in ("imu", "base_imu") and frame is not None:
-            found += [f"sensors.{name}: {text}" for text in _unusual_mounting(config, frame)]
-        if name in ("joint", "base_imu") and config.turn_joint is None:
-            found.append(f"sensors.{name}: is not used, because there is no turn_joint")
+        found += [f"sensors.{name}: {text}" for text in (*_unusual_mounting(config, name), *_unused(config, name))]
     return found + list(_shared_frames(config))
 
 
+def _frame(config: Config, name: str) -> str | None:
+    """Return the frame of a sensor whose position on the machine matters, or None."""
+    return config.frame_of(name) if isinstance(config.sensors[name], MountedConfig) else None
+
+
+def _unused(config: Config, name: str) -> Iterator[str]:
+    """Yield why a sensor that is configured has no effect."""
+    section = config.sensors[name]
+    if isinstance(section, JointConfig | BaseImuConfig) and config.turn_joint is None:
+        yield "is not used, because there is no turn_joint"
+    if isinstance(section, ImuConfig) and name != config.imu_name:
+        yield f"is not used, because {config.imu_name} is the primary IMU"
+
+
 def _shared_frames(config: Config) -> Iterator[str]:
-    """Yield the sensors that name the frame of an earlier one; the default frame of both antennas is the same."""
+    """Yield the sensors that name the frame of an earlier one; velocities may well be those of one frame."""
     first: dict[str, str] = {}
-    for name, section in configured_sensors(config):
-        frame = getattr(section, "frame", None)
-        if frame is None:
+    for name, section in config.sensors.items():
+        frame = _frame(config, name)
+        if frame is None or frame == config.imu_frame or getattr(section, "may_be_on_chassis", False):
             continue
-        if frame in first and first[frame] != "imu":
+        if frame in first:
             yield f"sensors.{name}: is in the same frame {frame!r} as sensors.{first[frame]}: are they one device?"
         first.setdefault(frame, name)
 
@@ -84,10 +92,11 @@ def _unusual_values(section: BaseModel) -> Iterator[str]:
         yield f"time_offset_s = {offset_s:g}: more than {MAX_USUAL_OFFSET_S} s between two clocks, is it measured?"
 
 
-def _unusual_mounting(config: Config, frame: str) -> Iterator[str]:
-    imu_frame = config.sensors.imu.frame
-    T_I_frame = config.T_I(frame)
-    if frame == imu_frame:
+def _unusual_mounting(config: Config, name: str) -> Iterator[str]:
+    section, frame, origin = config.sensors[name], _frame(config, name), config.imu_frame
+    if frame is None or isinstance(section, InertialConfig) or getattr(section, "may_be_on_chassis", False):
+        return  # nobody measures these by a tape
+    if frame == origin:
         yield f"its frame is the IMU's ({frame!r}), so its lever arm is exactly zero"
-    elif not T_I_frame[:3, 3].any():
-        yield f"the lever arm from {imu_frame!r} to {frame!r} is exactly zero: is it measured?"
+    elif not config.T_I(frame)[:3, 3].any():
+        yield f"the lever arm from {origin!r} to {frame!r} is exactly zero: is it measured?"

@@ -9,8 +9,9 @@ from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from holdfast.config.document import Path
+from holdfast.config.document import Document, Path
 from holdfast.config.model import Config
+from holdfast.config.section import OpenUnion
 
 BOUNDS = {Gt: ("gt", ">"), Ge: ("ge", ">="), Lt: ("lt", "<"), Le: ("le", "<=")}
 
@@ -46,8 +47,22 @@ class Place:
         text = (self.field.description if self.field else None) or (self.section.__doc__ if self.section else None)
         return (text or "").strip().split("\n")[0].rstrip(".")
 
+    @property
+    def kinds(self) -> dict[str, type[BaseModel]]:
+        """The sections of which it may be one, by the `kind` that names them; empty where there is no choice."""
+        is_open = isinstance(self.annotation, type) and issubclass(self.annotation, OpenUnion)
+        return dict(self.annotation.kinds) if is_open else {}
+
+    def of(self, value: Any) -> "Place":
+        """Return the place as the value makes it: where it has a `kind`, the section of that kind."""
+        kind = value.get("kind") if isinstance(value, dict) else None
+        section = self.kinds.get(kind) if isinstance(kind, str) else None
+        return self if section is None else Place(section, self.field)
+
     def child(self, part: str | int) -> "Place | None":
-        """Return what may stand below: a key of a section, or an entry of a list."""
+        """Return what may stand below: a key of a section, an entry of a list or of a map with names of the user."""
+        if get_origin(self.annotation) is dict:
+            return Place(get_args(self.annotation)[1], None)
         if self.section is not None:
             field = self.section.model_fields.get(str(part))
             return Place(bare(field.annotation), field) if field else None
@@ -67,11 +82,12 @@ class Place:
 ROOT = Place(Config, None)
 
 
-def place(path: Path, root: Place = ROOT) -> Place | None:
-    """Return what may stand at a path below `root` (the configuration), or None where nothing may."""
+def place(path: Path, document: Document, root: Place = ROOT) -> Place | None:
+    """Return what may stand at a path of a document of the type `root`, or None where nothing may."""
     at: Place | None = root
-    for part in path:
+    for depth, part in enumerate(path, start=1):
         at = at.child(part) if at else None
+        at = at.of(document.at(path[:depth])) if at else None
     return at
 
 
@@ -121,6 +137,8 @@ def type_text(annotation: Any) -> str:
         return f"{len(arguments)} x {entry}" if entry[0].isdigit() else f"{len(arguments)} {_plural(entry)}"
     if get_origin(annotation) in (Union, UnionType):
         return " or ".join(type_text(member) for member in arguments)
+    if get_origin(annotation) is dict:
+        return f"names, each with a {type_text(arguments[1])}"
     return "section" if Place(annotation, None).section else "value"
 
 

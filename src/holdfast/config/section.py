@@ -1,8 +1,9 @@
 """What every section of the configuration is made of."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
 
 
 def quantity(unit: str, default: Any = ..., *, doc: str, **bounds: float) -> Any:
@@ -18,3 +19,14 @@ class Section(BaseModel):
     """Base of all sections: immutable, unknown keys and NaN refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class OpenUnion:
+    """A section of one of several kinds, to which others can be added: its `kind` names one of `kinds`."""
+
+    kinds: ClassVar[dict[str, type[Section]]]
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Return the schema of a union with `kind` as its tag; models that use it are rebuilt when a kind is added."""
+        return core_schema.tagged_union_schema({name: handler(section) for name, section in cls.kinds.items()}, "kind")

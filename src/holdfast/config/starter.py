@@ -3,15 +3,15 @@
 Prose stands behind `# `; a default stands behind a bare `#`, so that deleting the `#` makes it a line of the file.
 """
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from types import MappingProxyType
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
-from pydantic import BaseModel
-
-from holdfast.config.assignment import Guess, Topic, assign, described
+from holdfast.config.assignment import Assignment, Guess, Topic, TopicKind, assign, described
 from holdfast.config.document import one_line, yaml_text
-from holdfast.config.schema import ROOT, Place, allowed_text, is_optional, place, type_text
+from holdfast.config.kinds import KINDS
+from holdfast.config.model import FramesConfig
+from holdfast.config.schema import ROOT, Place, allowed_text, is_optional, type_text
+from holdfast.config.sensors import ImuConfig, MountedConfig, SensorConfig
 from holdfast.errors import RecordingError
 
 HEAD = """\
@@ -25,32 +25,37 @@ PLACEHOLDER = """\
   # TODO measure each translation (within 1 cm) and rotation (within 0.5 deg); give at most one form of rotation;
   # the rotation of a GNSS antenna does not matter.
 """
+BASE, CABIN = FramesConfig().base, "cabin"
+UNKNOWN_FRAME = {"offset_sigma_m": 1e4, "offset_sigma_deg": 180.0}  # of what is not given in W
 
 
-def starter_yaml(recording: str, topics: Iterable[Topic], types: Mapping[str, Collection[str]]) -> str:
+def starter_yaml(recording: str, topics: Iterable[Topic], kinds: Iterable[TopicKind]) -> str:
     """Return a commented configuration that loads as it is.
 
     Args:
         recording: name of the recording, for the messages.
         topics: what it holds.
-        types: kind of measurement -> the message types that it can be decoded from.
+        kinds: how topics of every kind of measurement are found.
 
     Raises:
         RecordingError: no topic can be the IMU.
     """
     topics = list(topics)
-    guesses = assign(topics, types)
-    if guesses["imu"].topic is None:
+    found = assign(topics, kinds)
+    if not any(guess.kind == "imu" for guess in found.guesses):
         there = one_line(", ".join(described(topic) for topic in topics)) or "nothing"
         raise RecordingError(f"{recording}: no IMU in it, and Holdfast cannot do without one (it has {there})")
+    has_joint = any(guess.kind == "joint" for guess in found.guesses)
     lines = [HEAD.format(recording=one_line(recording))]
     for name, child in ROOT.children():
         if name == "sensors":
-            lines += ["sensors:", *_sensor_lines(child, guesses)]
+            lines += ["sensors:", *_sensor_lines(found)]
         elif name == "extrinsics":
-            lines += _extrinsic_lines(child, _sensor_frames(guesses))
+            lines += _extrinsic_lines(child, _mounts(found.guesses, has_joint))
+        elif name == "turn_joint" and has_joint:
+            lines += [f"turn_joint:{_comment(child.about)}", *_filled(child, {"child": CABIN}, 1, ("translation_m",))]
         elif child.field is not None and is_optional(child.field):  # it makes no sense before it is filled in
-            lines += [f"# {name}:{_comment(child.about)}", *(f"# {line}" for line in _commented(child, None, 1))]
+            lines += [f"# {name}:{_comment(child.about)}", *(f"# {line}" for line in _commented(child, 1))]
         elif child.section is None:
             lines += _defaults(ROOT, 0, name)
         else:
@@ -59,83 +64,104 @@ def starter_yaml(recording: str, topics: Iterable[Topic], types: Mapping[str, Co
     return "\n".join(lines)
 
 
-def _sensor_lines(sensors: Place, guesses: Mapping[str, Guess]) -> Iterator[str]:
-    """Yield the sections of all sensors; those without a topic are commented out."""
-    for name, section in sensors.children():
-        guess = guesses.get(name, Guess(None, "never guessed"))
-        yield f"  # {name}: {one_line(guess.reason)}"
-        yield from (f"  #   could also be {one_line(described(other))}" for other in guess.others)
-        if guess.topic is None:
-            mark = "#" if name in guesses else "# "
-            yield f"  {mark}{name}:{_comment(section.about)}"
-            yield from (f"  {mark}{line}" for line in _commented(section, None, 1, {"frame": name}))
-            continue
-        yield f"  {name}:{_comment(section.about)}"
-        live = {"topic": guess.topic, "frame": name}
-        for key, field in section.children():
-            if key in live:
-                yield f"    {key}: {yaml_text(live[key])}{_comment(_meaning(field))}"
-            elif key.startswith("mounting_"):
-                yield f"    {key}: {_default_text(field)}  # TODO measure: {_meaning(field)}"
-            else:
-                yield from _defaults(section, 2, key)
+def _sensor_lines(found: Assignment) -> Iterator[str]:
+    """Yield the section of every sensor, a line per kind without one, and the topics that were left over."""
+    has_gnss = any(guess.kind == "gnss" for guess in found.guesses)
+    several_imus = sum(KINDS[guess.kind] is ImuConfig for guess in found.guesses) > 1
+    for kind, section in KINDS.items():
+        guesses = [guess for guess in found.guesses if guess.kind == kind]
+        for guess in guesses:
+            primary = {"primary": True} if section is ImuConfig and several_imus else {}
+            yield from _section_lines(guess, Place(section, None), primary, has_gnss)
+        if not guesses:
+            has_topic = not is_optional(section.model_fields["topic"])
+            yield f"  # {kind}: {'none found' if has_topic else 'has no topic, see docs/configuration.md'}"
+    for topic, kinds in found.unused:
+        yield f"  # not used: {one_line(described(topic))}; could be {', '.join(kinds)}"
 
 
-def _sensor_frames(guesses: Mapping[str, Guess]) -> list[str]:
-    """Return the frames of the guessed sensors whose pose in the IMU must be given: named as the sensors."""
-    with_frame = (name for name, guess in guesses.items() if guess.topic and place(("sensors", name, "frame")))
-    return [name for name in with_frame if name != "imu"]
+def _section_lines(guess: Guess, section: Place, primary: dict[str, Any], has_gnss: bool) -> Iterator[str]:
+    given = {"kind": guess.kind, "topic": guess.topic.topic}
+    needs_datum = has_gnss and KINDS[guess.kind].model_validate(given).is_in_world()
+    offsets = {key: value for key, value in UNKNOWN_FRAME.items() if needs_datum and section.child(key)}
+    if guess.rule.spare or (needs_datum and not offsets):
+        why = "beside GNSS it needs frames.datum" if needs_datum else "not used beside the primary one"
+        yield f"  # {guess.sensor}: {one_line(described(guess.topic))}, {why}"
+        yield f"  # {guess.sensor}:"
+        yield from (f"  #   {key}: {yaml_text(value)}" for key, value in given.items())
+        return
+    yield f"  # {guess.sensor}: {one_line(guess.reason)}"
+    yield f"  {guess.sensor}:{_comment(section.about)}"
+    yield from _filled(section, given | primary | offsets, 2, ("mounting_yaw_deg",))
 
 
-def _extrinsic_lines(extrinsics: Place, frames: list[str]) -> Iterator[str]:
-    """Yield identity transforms from the IMU to every frame, loudly marked."""
+def _mounts(guesses: Sequence[Guess], has_joint: bool) -> list[tuple[str, str]]:
+    """Return the transforms that must be measured, from parent to child; sensors are in frames of their own name."""
+    origin = next(guess.sensor for guess in guesses if guess.kind == "imu")
+    mounts = [(origin, CABIN)] if has_joint else []
+    for guess in guesses:
+        section: type[SensorConfig] = KINDS[guess.kind]
+        if issubclass(section, MountedConfig) and section is not ImuConfig:
+            below = guess.kind == "base_imu" or (guess.rule.on_chassis and has_joint)
+            mounts.append((BASE if below else origin, guess.sensor))
+    return mounts
+
+
+def _extrinsic_lines(extrinsics: Place, mounts: Sequence[tuple[str, str]]) -> Iterator[str]:
+    """Yield an identity transform for every mount, loudly marked."""
     entry = extrinsics.child(0)
-    if not frames or entry is None:
+    if not mounts or entry is None:
         yield f"#extrinsics: []{_comment(extrinsics.about)}"
         return
     yield f"extrinsics:{_comment(entry.about)}"
     yield PLACEHOLDER.rstrip()
-    for frame in frames:
-        yield "  - parent: imu"
+    for parent, frame in mounts:
+        yield f"  - parent: {parent}"
         yield f"    child: {frame}"
         for key, field in entry.children():
             if key == "translation_m":
-                yield f"    {key}: [0.0, 0.0, 0.0]  # TODO measure: x forward, y left, z up of the {frame} in the IMU"
+                where = f"x forward, y left, z up of {frame} in {parent}"
+                yield f"    {key}: [0.0, 0.0, 0.0]  # TODO measure: {where}"
             elif key not in ("parent", "child"):
                 yield f"    #{key}: {_default_text(field)}{_comment(_meaning(field))}"
 
 
+def _filled(section: Place, given: dict[str, Any], depth: int, todo: Sequence[str] = ()) -> Iterator[str]:
+    """Yield the keys of a section: those that are given, those that must be measured, the others commented out."""
+    for key, field in section.children():
+        if key in given:
+            comment = "" if key == "kind" else _comment(_meaning(field))
+            yield f"{'  ' * depth}{key}: {yaml_text(given[key])}{comment}"
+        elif key in todo:
+            yield f"{'  ' * depth}{key}: {_default_text(field)}  # TODO measure: {_meaning(field)}"
+        else:
+            yield from _defaults(section, depth, key)
+
+
 def _defaults(section: Place, depth: int, only: str | None = None) -> Iterator[str]:
     """Yield the commented-out keys, or one of them, of a section that is itself in the file."""
-    for line in _commented(section, None, 0, only=only):
+    for line in _commented(section, 0, only=only):
         yield f"{'  ' * depth}#{line}"
 
 
-def _commented(
-    section: Place,
-    values: BaseModel | None,
-    depth: int,
-    instead: Mapping[str, str] = MappingProxyType({}),
-    only: str | None = None,
-) -> Iterator[str]:
+def _commented(section: Place, depth: int, values: object = None, only: str | None = None) -> Iterator[str]:
     """Yield `key: default  # meaning` for the keys of a section, subsections below their headings.
 
     Args:
         section: where they stand.
-        values: the section whose values are shown; None for the defaults of its fields.
         depth: of the keys' indentation.
-        instead: values that are better than the defaults.
+        values: the section whose values are shown; None for the defaults of its fields.
         only: the one key that is wanted; None for all.
     """
     for key, field in section.children():
         if only not in (None, key):
             continue
-        value = getattr(values, key) if values is not None else _default(field)
+        value = _default(field) if values is None else getattr(values, key)
         if field.section is not None:
             yield f"{'  ' * depth}{key}:{_comment(field.about)}"
-            yield from _commented(field, value, depth + 1)
+            yield from _commented(field, depth + 1, value)
         else:
-            yield f"{'  ' * depth}{key}: {yaml_text(instead.get(key, value))}{_comment(_meaning(field))}"
+            yield f"{'  ' * depth}{key}: {yaml_text(value)}{_comment(_meaning(field))}"
 
 
 def _default(field: Place) -> Any:

@@ -8,8 +8,8 @@ from collections import Counter
 
 from holdfast.config.model import Config
 from holdfast.estimator.imu_path import ImuPath
-from holdfast.estimator.journal import Journal
-from holdfast.estimator.optimiser import Measurement, Optimiser
+from holdfast.estimator.optimiser import Optimiser
+from holdfast.event_log import EventLog
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.messages import ImuSample, JointAngle, Message
 from holdfast.sensors.imu import ImuBuffer
@@ -25,20 +25,21 @@ class Estimator:
 
     def __init__(self, config: Config) -> None:
         self.config = config
-        self._journal = Journal()
-        self._buffer = ImuBuffer(config.sensors.imu)
-        self._path = ImuPath(config, self._buffer, self._journal)
-        self._optimiser = Optimiser(config, self._buffer, self._journal)
+        self._imu = config.imu_name
+        self._log = EventLog(self._imu)
+        self._buffer = ImuBuffer(config.imu)
+        self._path = ImuPath(config, self._buffer, self._log)
+        self._optimiser = Optimiser(config, self._buffer, self._log)
 
     @property
     def datum(self) -> Geodetic | None:
         """Origin of W on the ellipsoid, or None until the first accepted fix."""
-        return None if self._optimiser.world is None else self._optimiser.world.datum
+        return self._optimiser.world.datum
 
     @property
     def world(self) -> LocalFrame | None:
         """The world frame W about the datum, or None until there is one."""
-        return self._optimiser.world
+        return self._optimiser.world.frame
 
     @property
     def initialised(self) -> bool:
@@ -56,19 +57,24 @@ class Estimator:
         return self._optimiser.health
 
     @property
+    def waiting(self) -> Counter[str]:
+        """How many measurements of each sensor wait for the IMU."""
+        return self._optimiser.waiting
+
+    @property
     def counts(self) -> Counter[tuple[str, Outcome]]:
         """How many measurements of each sensor had which outcome; those that still wait are not counted yet."""
-        return self._journal.counts
+        return self._log.counts
 
     @property
     def event_counts(self) -> Counter[EventKind]:
         """How many events of each kind there were."""
-        return self._journal.event_counts
+        return self._log.event_counts
 
     @property
     def events(self) -> list[Event]:
         """The events that have not been taken."""
-        return self._journal.events
+        return self._log.events
 
     def health_report(self) -> HealthReport:
         """Return the health now with what it rests on."""
@@ -76,13 +82,19 @@ class Estimator:
 
     def take_events(self) -> list[Event]:
         """Return the events since the last call."""
-        return self._journal.take_events()
+        return self._log.take_events()
 
     def process(self, message: Message) -> Output:
         """Take in one message, in the order of arrival."""
-        if isinstance(message, ImuSample):
-            return self._process_base(message) if message.sensor == "base_imu" else self._process_imu(message)
-        return self._process_base(message) if isinstance(message, JointAngle) else self._process_measurement(message)
+        if isinstance(message, ImuSample) and message.sensor == self._imu:
+            return self._process_imu(message)
+        if isinstance(message, ImuSample | JointAngle) and self._path.serves_chassis(message.sensor):
+            self._path.add_to_chassis(message)
+        if self._optimiser.wants(message):
+            return self._process_measurement(message)
+        if not self._path.serves_chassis(message.sensor):
+            self._log.count(message.sensor, Outcome.IGNORED)
+        return NOTHING
 
     def reset(self) -> None:
         """Forget the state and begin anew, as at power-on; W stays where it is."""
@@ -95,21 +107,17 @@ class Estimator:
         self._optimiser.restart(datum)
 
     def _process_imu(self, sample: ImuSample) -> Output:
-        heard = self._path.hear(sample)
-        if heard is None:
+        received = self._path.receive(sample)
+        if received is None:
             return NOTHING
-        self._optimiser.hear(heard)
-        estimate = self._path.propagate(heard)
+        self._optimiser.receive(received)
+        estimate = self._path.propagate(received)
         if estimate is None:
             return NOTHING
         base = self._path.chassis(estimate)
         return self._update(estimate, base) if self._optimiser.is_due else Output(estimate, base=base)
 
-    def _process_base(self, message: ImuSample | JointAngle) -> Output:
-        self._path.add_to_base(message)
-        return NOTHING
-
-    def _process_measurement(self, message: Measurement) -> Output:
+    def _process_measurement(self, message: Message) -> Output:
         first = self._optimiser.add(message)
         if first is not None:
             self._path.start(first, self._optimiser.gravity)
@@ -120,5 +128,5 @@ class Estimator:
         """Optimise once, and propagate to the present again."""
         update = self._optimiser.update()
         self._path.anchor(update.state, is_recovery=update.is_recovery)
-        self._optimiser.forget()
+        self._optimiser.drop_samples()
         return Output(estimate, update.state, update.smoothed, base)

@@ -1,13 +1,16 @@
 """Health in one word, and what is being fused: from what entered the graph and when."""
 
+from collections.abc import Collection
+
 from holdfast.config.model import Config
+from holdfast.config.sensors import InertialConfig, JointConfig, OdometryConfig, PositionConfig
 from holdfast.state import Health, HealthReport
 
 FUSED_NS = 1_000_000_000  # what entered so recently counts as being fused
-RESET_NS = 1_000_000_000  # a reset is told for so long
+RESET_NS = 1_000_000_000  # a reset is reported for so long
 RECOVERY_NS = 2_000_000_000  # after GNSS is regained the world may still move for so long
-FUSING = ("gnss", "gnss_right", "heading", "lidar")
-NEVER = -1
+PERIODS_OF_SILENCE = 2.0  # of the longest interval between the poses of an odometry that are joined
+NEVER_NS = -1
 
 
 class HealthMonitor:
@@ -15,16 +18,21 @@ class HealthMonitor:
 
     def __init__(self, config: Config) -> None:
         sensors = config.sensors
-        self._expected = [name for name in FUSING if getattr(sensors, name) is not None]
-        self._lidar_silence_ns = 0 if sensors.lidar is None else round(2e9 * sensors.lidar.max_interval_s)
-        self._entered: dict[str, int] = {}
+        self.names = [name for name, one in sensors.items() if not isinstance(one, InertialConfig | JointConfig)]
+        self._imu = config.imu_name
+        self._receivers = frozenset(config.sensors_of(PositionConfig))
+        self._silence_ns = {
+            name: round(PERIODS_OF_SILENCE * 1e9 * odometry.max_interval_s)
+            for name, odometry in config.sensors_of(OdometryConfig).items()
+        }
+        self._entered_ns: dict[str, int] = {}
         self._started_ns: int | None = None
         self._reset_ns = self._recovered_ns = -RESET_NS - RECOVERY_NS
 
     def start(self, stamp_ns: int) -> None:
         """The first state is there."""
         self._started_ns = stamp_ns
-        self._entered.clear()
+        self._entered_ns.clear()
 
     def stop(self) -> None:
         """The estimator starts over."""
@@ -32,7 +40,7 @@ class HealthMonitor:
 
     def entered(self, sensor: str, stamp_ns: int) -> None:
         """A measurement entered the graph."""
-        self._entered[sensor] = max(stamp_ns, self._entered.get(sensor, stamp_ns))
+        self._entered_ns[sensor] = max(stamp_ns, self._entered_ns.get(sensor, stamp_ns))
 
     def reset(self, stamp_ns: int) -> None:
         """The optimiser failed and the graph was anchored anew."""
@@ -43,44 +51,48 @@ class HealthMonitor:
         self._recovered_ns = stamp_ns
 
     def snapshot(self) -> tuple[int, ...]:
-        """Return what there is to know, for the monitor of another process: see `restore`."""
-        started_ns = NEVER if self._started_ns is None else self._started_ns
-        return (started_ns, self._reset_ns, self._recovered_ns, *(self._entered.get(name, NEVER) for name in FUSING))
+        """Return what there is to know, for the monitor of another process: 3 stamps, and one per sensor in `names`."""
+        started_ns = NEVER_NS if self._started_ns is None else self._started_ns
+        entered_ns = (self._entered_ns.get(name, NEVER_NS) for name in self.names)
+        return (started_ns, self._reset_ns, self._recovered_ns, *entered_ns)
 
     def restore(self, snapshot: tuple[int, ...]) -> None:
         """Know what another monitor knew."""
-        started_ns, self._reset_ns, self._recovered_ns, *entered = snapshot
-        self._started_ns = None if started_ns == NEVER else started_ns
-        self._entered = {name: stamp for name, stamp in zip(FUSING, entered, strict=True) if stamp != NEVER}
+        started_ns, self._reset_ns, self._recovered_ns, *entered_ns = snapshot
+        self._started_ns = None if started_ns == NEVER_NS else started_ns
+        known = zip(self.names, entered_ns, strict=True)
+        self._entered_ns = {name: stamp_ns for name, stamp_ns in known if stamp_ns != NEVER_NS}
 
-    def assess(self, now_ns: int, *, hears_imu: bool, is_lost: bool, antenna_lost: bool) -> Health:
+    def assess(self, now_ns: int, *, has_imu: bool, is_lost: bool, lost: Collection[str]) -> Health:
         """Return the health at a time.
 
         Args:
             now_ns: of the estimate.
-            hears_imu: the estimate comes from the IMU.
-            is_lost: no antenna is trusted.
-            antenna_lost: at least one is not.
+            has_imu: the estimate comes from the IMU.
+            is_lost: no receiver of positions is trusted.
+            lost: the sensors that are not trusted.
         """
         if self._started_ns is None:
             return Health.INITIALISING
         truths = {
             Health.OPTIMISER_RESET: now_ns - self._reset_ns < RESET_NS,
-            Health.IMU_GAP: not hears_imu,
+            Health.IMU_GAP: not has_imu,
             Health.FALLBACK: is_lost,
             Health.RECOVERING: now_ns - self._recovered_ns < RECOVERY_NS,
-            Health.LIDAR_LOST: self._is_lidar_lost(now_ns),
-            Health.GNSS_DEGRADED: antenna_lost,
+            Health.ODOMETRY_LOST: bool(self._silence_ns)
+            and all(self._is_silent(one, now_ns) for one in self._silence_ns),
+            Health.GNSS_DEGRADED: not self._receivers.isdisjoint(lost),
+            Health.SENSOR_LOST: any(name not in self._receivers for name in lost),
         }
         return next((health for health, is_true in truths.items() if is_true), Health.NOMINAL)
 
     def report(self, now_ns: int, health: Health) -> HealthReport:
         """Return the health with what it rests on."""
-        ages_ns = {name: now_ns - self._entered[name] for name in self._expected if name in self._entered}
+        ages_ns = {name: now_ns - self._entered_ns[name] for name in self.names if name in self._entered_ns}
         fused = tuple(name for name, age_ns in ages_ns.items() if age_ns < FUSED_NS)
-        return HealthReport(now_ns, health, ("imu", *fused), {name: age * 1e-9 for name, age in ages_ns.items()})
+        return HealthReport(now_ns, health, (self._imu, *fused), {name: age * 1e-9 for name, age in ages_ns.items()})
 
-    def _is_lidar_lost(self, now_ns: int) -> bool:
-        if "lidar" not in self._expected or self._started_ns is None:
+    def _is_silent(self, odometry: str, now_ns: int) -> bool:
+        if self._started_ns is None:
             return False
-        return now_ns - self._entered.get("lidar", self._started_ns) > self._lidar_silence_ns
+        return now_ns - self._entered_ns.get(odometry, self._started_ns) > self._silence_ns[odometry]

@@ -1,33 +1,42 @@
 """The half of the estimator that answers at IMU rate: it never waits for the other half, which optimises."""
 
+from holdfast.chassis.kinematics import BaseKinematics
 from holdfast.config.model import Config
-from holdfast.estimator.base import BaseKinematics
-from holdfast.estimator.journal import Journal
 from holdfast.estimator.predictor import Predictor
+from holdfast.event_log import EventLog
 from holdfast.messages import ImuSample, JointAngle
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.preintegration import Step
 from holdfast.state import BaseState, Estimate, OptimisedState, Outcome
 
 
-class Heard:
-    """What a believed sample of the IMU brought: the step to it, and whether the clock went back before it."""
+class Received:
+    """What a usable sample of the IMU brought.
 
-    __slots__ = ("before_ns", "has_stepped_back", "step")
+    Attributes:
+        step: to it from the sample before; None where the IMU was silent.
+        before_ns: stamp of the sample before, 0 at the first.
+        line_since_ns: start of the straight line that it makes certain, if there is one.
+        has_stepped_back: the clock went back before it.
+    """
 
-    def __init__(self, step: Step | None, before_ns: int, has_stepped_back: bool) -> None:
-        self.step = step  # None where the IMU was silent
-        self.before_ns = before_ns  # stamp of the sample before, 0 at the first
+    __slots__ = ("before_ns", "has_stepped_back", "line_since_ns", "step")
+
+    def __init__(self, step: Step | None, before_ns: int, line_since_ns: int | None, has_stepped_back: bool) -> None:
+        self.step = step
+        self.before_ns = before_ns
+        self.line_since_ns = line_since_ns
         self.has_stepped_back = has_stepped_back
 
 
-def take_in(buffer: ImuBuffer, sample: ImuSample) -> Heard:
+def receive(buffer: ImuBuffer, sample: ImuSample) -> Received:
     """Append a checked sample; where the clock has gone back for good, nothing of before is kept."""
     before_ns = buffer.latest_ns
     has_stepped_back = sample.stamp_ns + buffer.offset_ns < before_ns
     if has_stepped_back:
         buffer.clear()
-    return Heard(buffer.add(sample), before_ns, has_stepped_back)
+    step, line_since_ns = buffer.add(sample)
+    return Received(step, before_ns, line_since_ns, has_stepped_back)
 
 
 class ImuPath:
@@ -36,40 +45,45 @@ class ImuPath:
     Args:
         config: of the estimator.
         buffer: of the IMU's samples.
-        journal: where counts and events go.
+        log: where counts and events go.
     """
 
-    def __init__(self, config: Config, buffer: ImuBuffer, journal: Journal) -> None:
+    def __init__(self, config: Config, buffer: ImuBuffer, log: EventLog) -> None:
         self._config = config
         self._buffer = buffer
-        self._journal = journal
-        self._base = BaseKinematics(config, journal.tell, journal.count) if config.has_base() else None
+        self._log = log
+        self._base = BaseKinematics(config, log) if config.has_base() else None
+        self._serves_chassis = {one[0] for one in (config.joint, config.base_imu) if one is not None}
         self.predictor: Predictor | None = None
-        self.hears_imu = True
+        self.has_imu = True
         self._was_ahead = False  # the state, of the sample before
 
-    def hear(self, sample: ImuSample) -> Heard | None:
-        """Take in a sample; None if it cannot be believed."""
+    def serves_chassis(self, sensor: str) -> bool:
+        """Whether a sensor is the encoder or the IMU of the chassis."""
+        return sensor in self._serves_chassis
+
+    def receive(self, sample: ImuSample) -> Received | None:
+        """Take in a sample; None if it cannot be used."""
         outcome = self._buffer.check(sample)
         if outcome is not Outcome.USED:
-            self._journal.count("imu", outcome, 1)
+            self._log.count(sample.sensor, outcome)
             return None
-        self._journal.samples += 1
-        heard = take_in(self._buffer, sample)
-        if heard.has_stepped_back:
+        self._log.samples += 1
+        received = receive(self._buffer, sample)
+        if received.has_stepped_back:
             self.predictor = None
-        return heard
+        return received
 
-    def propagate(self, heard: Heard) -> Estimate | None:
-        """Carry the state to the sample that was just heard; None before the start, or where the state is ahead."""
+    def propagate(self, received: Received) -> Estimate | None:
+        """Carry the state to the sample just received; None before the start, or where the state is ahead."""
         predictor, stamp = self.predictor, self._buffer.latest_ns
         if predictor is None:
             return None
         if stamp <= predictor.stamp_ns:
             self._was_ahead = True  # a measurement in a silent stretch has led the state past this sample
             return None
-        self.hears_imu = heard.step is not None
-        estimate = predictor.add(stamp, heard.step)
+        self.has_imu = received.step is not None
+        estimate = predictor.add(stamp, received.step, is_line=received.line_since_ns is not None)
         if self._was_ahead:
             self._was_ahead, estimate = False, estimate._replace(from_imu=False)
         return estimate
@@ -78,12 +92,12 @@ class ImuPath:
         """Return the state of the chassis at an estimate, if it is known."""
         return None if self._base is None else self._base.at(estimate)
 
-    def add_to_base(self, message: ImuSample | JointAngle) -> None:
-        """Take in what a sensor of the chassis or the turn joint says."""
+    def add_to_chassis(self, message: ImuSample | JointAngle) -> None:
+        """Take in a reading of a sensor of the chassis or the turn joint."""
         if self._base is not None:
             self._base.add(message, self._buffer.arrival_ns)
         else:
-            self._journal.count(message.sensor, Outcome.IGNORED, 1)
+            self._log.count(message.sensor, Outcome.IGNORED)
 
     def start(self, state: OptimisedState, gravity: float) -> None:
         """Begin with a first state, gravity in m/s^2."""

@@ -41,43 +41,43 @@ class OdometryFrame:
         """Let T_W_O approach where it rests by what is allowed in a time, T_O_I moving as little as it can."""
         if not self._flows or dt_s <= 0.0:
             return
-        share = min(1.0, dt_s / SETTLE_S)
+        fraction = min(1.0, dt_s / SETTLE_S)
         if self._policy == "always":
-            self._level(T_W_I, share, MAX_RATE_RAD_S * dt_s)
+            self._level(T_W_I, fraction, MAX_RATE_RAD_S * dt_s)
         else:
-            self._approach(T_W_I, share, dt_s)
+            self._approach(T_W_I, fraction, dt_s)
 
-    def _level(self, T_W_I: gtsam.Pose3, share: float, most_rad: float) -> None:
+    def _level(self, T_W_I: gtsam.Pose3, fraction: float, most_rad: float) -> None:
         """Turn O about the machine until its z axis is up."""
         (_, _, x, _), (_, _, y, _), _, _ = self.T_W_O.matrix().tolist()  # of O's z axis in W
         tilt = sqrt(x * x + y * y)
         if tilt < NEGLIGIBLE:
             self._flows = False
             return
-        by = min(share * tilt, most_rad) / tilt
+        by = min(fraction * tilt, most_rad) / tilt
         wx, wy = y * by, -x * by
         px, py, pz = T_W_I.translation().tolist()
         # the screw without pitch whose axis goes through the machine
         screw = np.array((wx, wy, 0.0, -pz * wy, pz * wx, px * wy - py * wx))
         self.T_W_O = gtsam.Pose3.Expmap(screw) * self.T_W_O
 
-    def _approach(self, T_W_I: gtsam.Pose3, share: float, dt_s: float) -> None:
-        """Move O towards its rest: first the turn about the machine, then what moves the machine in O."""
-        turn: Array = gtsam.Rot3.Logmap(self._rest.rotation().compose(self.T_W_O.rotation().inverse()))
-        angle = float(np.linalg.norm(turn))
+    def _approach(self, T_W_I: gtsam.Pose3, fraction: float, dt_s: float) -> None:
+        """Move O towards its rest: first the rotation about the machine, then what moves the machine in O."""
+        rotation: Array = gtsam.Rot3.Logmap(self._rest.rotation().compose(self.T_W_O.rotation().inverse()))
+        angle = float(np.linalg.norm(rotation))
         if angle > NEGLIGIBLE:
-            step = turn / angle * min(share * angle, MAX_RATE_RAD_S * dt_s)
-            self._turn_about(T_W_I.translation(), gtsam.Rot3.Expmap(step))
-        place_W = T_W_I.translation()
-        way_O: Array = self.T_W_O.transformTo(place_W) - self._rest.transformTo(place_W)
-        distance = float(np.linalg.norm(way_O))
+            step = rotation / angle * min(fraction * angle, MAX_RATE_RAD_S * dt_s)
+            self._rotate_about(T_W_I.translation(), gtsam.Rot3.Expmap(step))
+        p_W_I = T_W_I.translation()
+        offset_O: Array = self.T_W_O.transformTo(p_W_I) - self._rest.transformTo(p_W_I)
+        distance = float(np.linalg.norm(offset_O))
         if distance > NEGLIGIBLE:
-            R_W_O, step_O = self.T_W_O.rotation(), way_O / distance * min(share * distance, MAX_SPEED_M_S * dt_s)
+            R_W_O, step_O = self.T_W_O.rotation(), offset_O / distance * min(fraction * distance, MAX_SPEED_M_S * dt_s)
             self.T_W_O = gtsam.Pose3(R_W_O, self.T_W_O.translation() + R_W_O.rotate(step_O))
         elif angle <= NEGLIGIBLE:
             self._flows = False
 
-    def _turn_about(self, place_W: Array, turn: gtsam.Rot3) -> None:
-        """Turn O in W about a place, which keeps its coordinates in O."""
-        R_W_O = turn.compose(self.T_W_O.rotation())
-        self.T_W_O = gtsam.Pose3(R_W_O, place_W - R_W_O.rotate(self.T_W_O.transformTo(place_W)))
+    def _rotate_about(self, p_W_I: Array, rotation: gtsam.Rot3) -> None:
+        """Rotate O in W about a position, which keeps its coordinates in O."""
+        R_W_O = rotation.compose(self.T_W_O.rotation())
+        self.T_W_O = gtsam.Pose3(R_W_O, p_W_I - R_W_O.rotate(self.T_W_O.transformTo(p_W_I)))

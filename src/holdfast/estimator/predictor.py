@@ -40,7 +40,7 @@ class Start(NamedTuple):
     params: gtsam.PreintegrationParams
 
 
-class Spread:
+class LazyCovariance:
     """The covariance (9, 9) after preintegrated samples, computed when it is asked for: (8) in docs/math.md.
 
     Args:
@@ -84,7 +84,7 @@ class Propagation:
     """An optimised state, carried forward by the samples since; `nav` and `covariance` are those of `stamp_ns`."""
 
     def __init__(self, config: Config, buffer: ImuBuffer, gravity: float) -> None:
-        imu = config.sensors.imu
+        imu = config.imu
         self._buffer = buffer
         self._noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
         self._motion_model = MotionModel(config.motion_model, gravity)
@@ -138,9 +138,9 @@ class Propagation:
         """Return the state now."""
         return self._pim.predict(self._start.nav, self._start.bias)
 
-    def predict(self) -> tuple[gtsam.NavState, Spread]:
+    def predict(self) -> tuple[gtsam.NavState, LazyCovariance]:
         """Return the state now and its covariance."""
-        return self.nav(), Spread(self._start, self._pim, self._steps)
+        return self.nav(), LazyCovariance(self._start, self._pim, self._steps)
 
     def _integrate(self, step: Step) -> None:
         self._steps.append(step)
@@ -204,10 +204,16 @@ class Predictor:
         """Let the propagated state take the place of the optimised one, and return it."""
         return self._newest.settle()
 
-    def add(self, stamp_ns: int, step: Step | None) -> Estimate:
-        """Carry the state to the newest sample; `step` is None where the IMU was silent before it."""
+    def add(self, stamp_ns: int, step: Step | None, *, is_line: bool = False) -> Estimate:
+        """Carry the state to the newest sample.
+
+        Args:
+            stamp_ns: of the sample.
+            step: to it from the sample before; None where the IMU was silent.
+            is_line: the samples until now have turned out to be a straight line.
+        """
         newest, before_ns = self._newest, self._newest.stamp_ns
-        if self._buffer.gap_found_ns is not None:
+        if is_line:
             self.anchor(newest.state)  # samples that looked good were a straight line
             newest = self._newest
         else:

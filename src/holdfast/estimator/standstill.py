@@ -48,5 +48,5 @@ class StandstillUpdates:
         if node is None:
             return False
         speed = float(np.linalg.norm(smoother.nav(node).velocity()))
-        spread = float(np.sqrt(smoother.covariance(node)[6:9, 6:9].trace()))
-        return speed < self._config.max_speed_m_s + 3.0 * spread
+        sigma = float(np.sqrt(smoother.covariance(node)[6:9, 6:9].trace()))
+        return speed < self._config.max_speed_m_s + 3.0 * sigma

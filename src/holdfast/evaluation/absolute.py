@@ -66,8 +66,8 @@ def ape(pairs: Pairs) -> dict[str, Array]:
         errors["rotation_deg"] = np.degrees(
             quaternions.angle_rad(quaternions.multiply(quaternions.conjugate(theirs), ours))
         )
-        turn = quaternions.roll_pitch_yaw_rad(ours) - quaternions.roll_pitch_yaw_rad(theirs)
-        roll, pitch, yaw = np.degrees(quaternions.wrap_rad(turn)).T
+        difference_rad = quaternions.roll_pitch_yaw_rad(ours) - quaternions.roll_pitch_yaw_rad(theirs)
+        roll, pitch, yaw = np.degrees(quaternions.wrap_rad(difference_rad)).T
         errors |= {"roll_deg": roll, "pitch_deg": pitch, "yaw_deg": yaw}
     return errors
 
@@ -78,7 +78,7 @@ class EndError:
 
     Attributes:
         yaw_deg: signed; None without orientation.
-        driven_m: way of the reference from the first to the last pair.
+        driven_m: distance that the reference drove from the first to the last pair.
         percent: translation_m in percent of driven_m; None where the reference stands still.
     """
 

@@ -13,7 +13,7 @@ from holdfast.state import Trajectory
 
 AlignmentName = Literal["none", "yaw", "se3"]
 
-_DEGENERATE = 1e-12  # share of the spread of the positions below which a rotation cannot be seen
+_DEGENERATE = 1e-12  # fraction of the scatter of the positions below which a rotation cannot be observed
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -73,7 +73,7 @@ class Pairs:
         return since
 
     def driven_m(self) -> Array:
-        """Return the way (N,) that the reference has driven from the first pair to each pair [m]."""
+        """Return the distance (N,) that the reference has driven from the first pair to each pair [m]."""
         steps = np.linalg.norm(np.diff(self.reference.positions, axis=0), axis=1)
         return np.concatenate([np.zeros(min(1, len(self))), np.cumsum(steps)])
 
@@ -87,8 +87,8 @@ def associate(estimate: Trajectory, reference: Trajectory, options: Association 
 
     Raises:
         RecordingError: a trajectory has fewer than two poses, stamps that do not increase or values that are not
-            finite; or the two share no time, or fewer than two poses find a partner.
-        ConfigError: there is a lever arm but no orientation of the estimate to turn it with.
+            finite; or the two do not overlap in time, or fewer than two poses find a partner.
+        ConfigError: there is a lever arm but no orientation of the estimate to rotate it by.
     """
     options = options or Association()
     check_trajectory(estimate, "estimate")
@@ -111,7 +111,7 @@ def associate(estimate: Trajectory, reference: Trajectory, options: Association 
 
 
 def check_trajectory(trajectory: Trajectory, name: str) -> None:
-    """Refuse a trajectory that cannot be judged; `name` says which one it is.
+    """Refuse a trajectory that cannot be judged; `name` is its name in the error.
 
     Raises:
         RecordingError: fewer than two poses, stamps that do not increase, or values that are not finite.

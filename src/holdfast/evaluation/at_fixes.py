@@ -1,7 +1,7 @@
-"""The published track beside the fixes of a receiver: the paper's measure, and how surprising each fix was.
+"""The published track against the fixes of a receiver: the paper's measure, and the innovation of each fix.
 
-Only fixes count that are good in truth and fall into nominal times; each is compared with the antenna's position as it
-was published for the time of the fix, which is before the fix could be used.
+Only fixes count that are good in truth and within nominal times; each is compared with the antenna's position as it was
+published for the time of the fix, which is before the fix could be used.
 """
 
 from dataclasses import dataclass
@@ -23,13 +23,13 @@ class AtFixes:
     Attributes:
         stamps_ns: (M,).
         fix_errors: (M, 3) fix minus truth in W [m].
-        misses: (M, 3) published antenna minus fix in W [m].
+        residuals: (M, 3) published antenna minus fix in W [m].
         lever_arms: (M, 3) of the antennas in I [m].
     """
 
     stamps_ns: NDArray[np.int64]
     fix_errors: Array
-    misses: Array
+    residuals: Array
     lever_arms: Array
 
 
@@ -40,28 +40,28 @@ def at_fixes(poses: Trajectory, truth: Truth, good: NDArray[np.bool_]) -> AtFixe
         after = np.searchsorted(poses.stamps_ns, fixes.stamps_ns).clip(1, len(good) - 1)
         chosen = fixes.good & good[after] & good[after - 1]
         if chosen.sum() > 1:
-            paired, misses = _misses(poses, fixes, chosen)
+            paired, residuals = _residuals(poses, fixes, chosen)
             errors = fixes.errors[np.isin(fixes.stamps_ns, paired)]
             stamps.append(paired)
-            parts.append(np.hstack([errors, misses, np.tile(fixes.lever_arm, (len(paired), 1))]))
+            parts.append(np.hstack([errors, residuals, np.tile(fixes.lever_arm, (len(paired), 1))]))
     rows = np.concatenate(parts)
     return AtFixes(np.concatenate(stamps), rows[:, :3], rows[:, 3:6], rows[:, 6:])
 
 
-def _misses(poses: Trajectory, fixes: Fixes, chosen: NDArray[np.bool_]) -> tuple[NDArray[np.int64], Array]:
+def _residuals(poses: Trajectory, fixes: Fixes, chosen: NDArray[np.bool_]) -> tuple[NDArray[np.int64], Array]:
     identity = np.tile([0.0, 0.0, 0.0, 1.0], (int(chosen.sum()), 1))
     reference = Trajectory(fixes.stamps_ns[chosen], fixes.positions[chosen], identity)
     x, y, z = fixes.lever_arm.tolist()
     pairs = associate(poses, reference, Association(reference_lever_arm=(x, y, z)))
-    misses: Array = pairs.estimate.positions - pairs.reference.positions
-    return pairs.reference.stamps_ns, misses
+    residuals: Array = pairs.estimate.positions - pairs.reference.positions
+    return pairs.reference.stamps_ns, residuals
 
 
 def nis(published: Published, found: AtFixes) -> Array:
-    """Return the normalised innovation squared (M,) of each fix; 3 on the mean where covariances are honest.
+    """Return the normalised innovation squared (M,) of each fix; 3 on the mean where covariances are consistent.
 
-    nu^T (H P H^T + R)^-1 nu with nu the miss, P the published covariance before the fix, H = [-R_W_I (p_I_G)x, R_W_I],
-    and R the covariance that the errors of the fixes have in truth, their mean taken out of neither.
+    nu^T (H P H^T + R)^-1 nu with nu the residual, P the published covariance before the fix,
+    H = [-R_W_I (p_I_G)x, R_W_I], and R the true second moment of the errors of the fixes; no mean is removed.
     """
     if len(found.stamps_ns) < 4:
         return np.zeros(0)
@@ -71,7 +71,7 @@ def nis(published: Published, found: AtFixes) -> Array:
     H = np.concatenate([-R_W_I @ _cross_matrices(found.lever_arms), R_W_I], axis=2)
     noise = found.fix_errors.T @ found.fix_errors / len(found.fix_errors)
     S = H @ published.covariances[at][:, :6, :6] @ H.transpose(0, 2, 1) + noise
-    values: Array = np.einsum("ij,ij->i", found.misses, np.linalg.solve(S, found.misses[:, :, None])[:, :, 0])
+    values: Array = np.einsum("ij,ij->i", found.residuals, np.linalg.solve(S, found.residuals[:, :, None])[:, :, 0])
     return values
 
 

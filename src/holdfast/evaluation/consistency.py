@@ -1,4 +1,4 @@
-"""Does the estimator know how wrong it is? Normalised estimation error squared (NEES) and its chi-square bounds.
+"""Are the covariances consistent? Normalised estimation error squared (NEES) and its chi-square bounds.
 
 Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, section 5.4.
 """
@@ -18,12 +18,12 @@ class Consistency:
     """How well covariances explain errors.
 
     Attributes:
-        mean_nees_per_dof: 1 for a consistent estimator, more for one that believes itself too much.
+        mean_nees_per_dof: 1 for a consistent estimator, more for an overconfident one.
         lower_per_dof: lower end of the interval in which mean_nees_per_dof of `count` independent errors lies with the
-            probability asked for; errors that are correlated in time, as those of a filter, spread wider.
+            given probability; the mean of errors that are correlated in time, as those of a filter, varies more.
         upper_per_dof: upper end of it.
-        share_inside: share of the single errors whose NEES is below the chi-square quantile of that probability; the
-            probability itself for a consistent estimator.
+        fraction_inside: fraction of the single errors whose NEES is below the chi-square quantile of that probability;
+            the probability itself for a consistent estimator.
     """
 
     count: int
@@ -32,11 +32,11 @@ class Consistency:
     mean_nees_per_dof: float
     lower_per_dof: float
     upper_per_dof: float
-    share_inside: float
+    fraction_inside: float
 
     @property
     def consistent(self) -> bool:
-        """Return whether the mean lies within its bounds."""
+        """Whether the mean is within its bounds."""
         return self.lower_per_dof <= self.mean_nees_per_dof <= self.upper_per_dof
 
 
@@ -70,12 +70,12 @@ def consistency(errors: Array, covariances: Array, probability: float = 0.95) ->
         mean_nees_per_dof=float(values.mean()) / dof,
         lower_per_dof=chi_square_quantile(tail, count * dof) / (count * dof),
         upper_per_dof=chi_square_quantile(1.0 - tail, count * dof) / (count * dof),
-        share_inside=float((values <= chi_square_quantile(probability, dof)).mean()),
+        fraction_inside=float((values <= chi_square_quantile(probability, dof)).mean()),
     )
 
 
 def chi_square_quantile(probability: float, dof: int) -> float:
-    """Return the value below which a chi-square variable of `dof` degrees of freedom lies with this probability.
+    """Return the value below which a chi-square variable of `dof` degrees of freedom is with this probability.
 
     Bisection on the distribution function, in a bracket grown around the approximation of Wilson and Hilferty (1931).
 
@@ -86,8 +86,8 @@ def chi_square_quantile(probability: float, dof: int) -> float:
         raise EstimatorError(
             f"chi-square quantile of {probability} at {dof} degrees: needs 0 < probability < 1, dof >= 1"
         )
-    spread = 2.0 / (9.0 * dof)
-    guess = dof * max(1e-3, 1.0 - spread + NormalDist().inv_cdf(probability) * sqrt(spread)) ** 3
+    variance = 2.0 / (9.0 * dof)
+    guess = dof * max(1e-3, 1.0 - variance + NormalDist().inv_cdf(probability) * sqrt(variance)) ** 3
     low, high = guess, guess
     while chi_square_cdf(low, dof) > probability:
         low /= 1.1

@@ -1,4 +1,4 @@
-"""What is laid before the judge of a simulated run: what was published, and what is true."""
+"""The evidence about a simulated run: what was published, and what is true."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ from holdfast.state import Trajectory
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chassis:
-    """The chassis B at N stamps; NaN where nothing is said of it.
+    """The chassis B at N stamps; NaN where its state is not known.
 
     Attributes:
-        in_imu: T_I_B: what is wrong with T_O_B beyond what is wrong with T_O_I is wrong with it.
+        in_imu: T_I_B, whose error is what the chassis adds to the error of T_O_I.
         yaw_rate: (N,) of B about its z axis [rad/s].
     """
 
@@ -27,7 +27,7 @@ class Chassis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Published:
-    """What the estimator said at N stamps.
+    """What the estimator published at N stamps.
 
     Attributes:
         world: I in W.
@@ -52,8 +52,8 @@ class Fixes:
     Attributes:
         positions: (M, 3) in W [m].
         errors: (M, 3) position minus truth [m].
-        good: (M,) ambiguities fixed, and no lie.
-        lying: (M,) off by more than is claimed.
+        good: (M,) ambiguities fixed, and not faulty.
+        faulty: (M,) off by more than their covariance explains.
         lever_arm: (3,) of the antenna in I [m].
     """
 
@@ -61,7 +61,7 @@ class Fixes:
     positions: Array
     errors: Array
     good: NDArray[np.bool_]
-    lying: NDArray[np.bool_]
+    faulty: NDArray[np.bool_]
     lever_arm: Array
 
 
@@ -70,19 +70,19 @@ class Truth:
     """What is true.
 
     Attributes:
-        start_ns: from which seconds count.
+        start_ns: from which seconds are counted.
         states: I in W at the stamps that were published.
-        lidar: poses of I by the lidar odometry alone, in the frame in which it began; None without one.
-        at_lidar: I in W at the stamps of these.
+        odometry: poses of I by an odometry alone, in the frame in which it began; None without one.
+        at_odometry: I in W at the stamps of these.
         chassis: at the stamps that were published.
-        slewing: (N,) the cabin turns on the chassis fast.
+        slewing: (N,) the cabin slews on the chassis fast.
     """
 
     start_ns: int
     states: States
     antennas: Sequence[Fixes]
-    lidar: Trajectory | None
-    at_lidar: Trajectory | None
+    odometry: Trajectory | None
+    at_odometry: Trajectory | None
     chassis: Chassis
     slewing: NDArray[np.bool_]
 

@@ -1,9 +1,9 @@
-"""Maps from scans and the poses of any trajectory, and how far they lie from the true surface (paper, Figs. 1 and 5).
+"""Maps from scans and the poses of any trajectory, and their distance to the true surface (paper, Figs. 1 and 5).
 
-Every point is moved to the pose of the lidar at its own time, so a map is wrong by what the trajectory is wrong and by
-the noise of the ranges. Of the points in each voxel one is kept, drawn at random, and stands for all of them: no mean
-hides how they spread. Each patch of the surface counts by its area, and within it each point alike: the measures depend
-neither on how often a place was seen nor on its distance. The map from the true poses shows what the lidar allows.
+Every point is moved to the pose of the lidar at its own time, so the errors of a map are those of the trajectory and of
+the ranges. Of the points in each voxel one is kept, drawn at random, and stands for all of them: no mean hides their
+variance. Each patch of the surface is weighted by its area, and within it each point equally: the measures depend
+neither on how often a surface was seen nor on its distance. The map from the true poses shows the limit of the lidar.
 """
 
 from collections.abc import Iterable, Mapping
@@ -20,9 +20,9 @@ from holdfast.evaluation.mesh import SurfaceIndex
 from holdfast.messages import Array
 from holdfast.state import Trajectory
 
-MERGE_POINTS = 2_000_000  # points that are kept before they are merged into voxels
-PATCH_M = 1.0  # side of a patch of the surface: several voxels, so that each has points of all that was seen of it
-CELL_BITS = 21  # of a voxel's index per axis: 400 km at 0.2 m
+MERGE_POINTS = 2_000_000  # so many are kept before they are merged into voxels
+PATCH_M = 1.0  # side of a patch of the surface: several voxels, so that each has points of all its visible parts
+CELL_BITS = 21  # per axis of a voxel's index: 400 km at 0.2 m
 WHOLE = "all"
 
 
@@ -50,7 +50,7 @@ class MapOptions:
         max_points_per_scan: a denser scan is thinned evenly.
         max_range_m: farther points are left out: an error of attitude moves them most.
         max_gap_s: a scan over a longer gap of the trajectory is left out.
-        within_m: the share of the map that is at most so far from the surface is told.
+        within_m: distance to the surface of which `Closeness.fraction_within` is the fraction.
         pixel_m: side of a pixel of the view from above.
 
     Raises:
@@ -95,12 +95,12 @@ class VoxelMap:
 
 @dataclass(frozen=True, slots=True)
 class Closeness:
-    """How near the points of a map are to the surface, each patch of it weighed by its area.
+    """How near the points of a map are to the surface, each patch of it weighted by its area.
 
     Attributes:
         points: of the map.
         area_m2: of the surface to which they are near.
-        share_within: share of the surface that is mapped within `MapOptions.within_m`.
+        fraction_within: fraction of the surface that is mapped within `MapOptions.within_m`.
     """
 
     points: int
@@ -108,7 +108,7 @@ class Closeness:
     median_m: float
     p95_m: float
     rms_m: float
-    share_within: float
+    fraction_within: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -258,7 +258,7 @@ def _in_world(scan: MapScan, trajectory: Trajectory, T_I_L: Array, options: MapO
 
 
 def _keys(points: Array, voxel_m: float) -> NDArray[np.int64]:
-    """Return a number (N,) of the voxel in which each point lies."""
+    """Return the number (N,) of each point's voxel."""
     half = 1 << (CELL_BITS - 1)
     x, y, z = np.clip(np.floor(points / voxel_m).astype(np.int64) + half, 0, 2 * half - 1).T
     keys: NDArray[np.int64] = (x << (2 * CELL_BITS)) | (y << CELL_BITS) | z
@@ -266,7 +266,7 @@ def _keys(points: Array, voxel_m: float) -> NDArray[np.int64]:
 
 
 def _weights(pieces: NDArray[np.int64], counts: NDArray[np.int64], surface: SurfaceIndex) -> Array:
-    """Return weights (V,) of points [m^2]: those of a patch share the area of the pieces in it that were seen."""
+    """Return weights (V,) of points [m^2]: the area of the pieces of a patch that were seen is divided among them."""
     seen, of_point = np.unique(pieces, return_inverse=True)
     cells = np.floor(surface.samples[seen] / PATCH_M).astype(np.int64)
     keys = np.column_stack([cells, surface.regions_of(seen)])
@@ -287,7 +287,7 @@ def _closeness(distances: Array, weights: Array, options: MapOptions) -> Closene
         median_m=float(median),
         p95_m=float(p95),
         rms_m=float(np.sqrt(np.average(distances**2, weights=weights))),
-        share_within=float(np.average(distances <= options.within_m, weights=weights)),
+        fraction_within=float(np.average(distances <= options.within_m, weights=weights)),
     )
 
 

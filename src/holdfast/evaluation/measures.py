@@ -1,4 +1,4 @@
-"""The measures by which a run of a scenario is judged: what they are called, their units, and what is to be reached."""
+"""The measures by which a run of a scenario is judged: their names, units and targets."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ class Measure:
     Attributes:
         key: its name among the scores.
         factor: from the unit of the score to the unit that is shown.
-        most: what is to be reached, in the unit that is shown; None without a target.
+        most: the target, in the unit that is shown; None without one.
         least: of a ratio that should be near one; None where smaller is better.
         only: the scenarios to which the target applies; empty for all.
     """
@@ -79,26 +79,34 @@ MEASURES = (
     Measure("horizontal_ratio", "GNSS good: horizontal RMS / that of the fixes", "1", digits=2, most=0.5),
     Measure("vertical_ratio", "GNSS good: vertical RMS / that of the fixes", "1", digits=2, most=0.5),
     Measure("rtk_mean_m", "GNSS good: against RTK as in the paper, mean", "mm", 1e3, digits=2, most=1.8),
-    Measure("rtk_std_m", "GNSS good: against RTK as in the paper, deviation", "mm", 1e3, most=12.8),
+    Measure("rtk_std_m", "GNSS good: against RTK as in the paper, standard deviation", "mm", 1e3, most=12.8),
     Measure("heading_rms_deg", "GNSS good: heading RMS", "deg", digits=3, most=0.1),
     Measure("roll_pitch_rms_deg", "GNSS good: roll and pitch RMS", "deg", digits=3, most=0.02),
     Measure("outage_horizontal_rms_m", "outages: horizontal RMS", "mm", 1e3),
     Measure("outage_vertical_rms_m", "outages: vertical RMS", "mm", 1e3),
-    Measure("outage_alone_horizontal_rms_m", "outages: horizontal RMS of the lidar odometry alone", "mm", 1e3),
+    Measure("outage_alone_horizontal_rms_m", "outages: horizontal RMS of the odometry alone", "mm", 1e3),
     Measure(
-        "outage_horizontal_excess_m", "worst outage: horizontal RMS beyond that of lidar alone", "mm", 1e3, most=5.0
+        "outage_horizontal_excess_m",
+        "worst outage: horizontal RMS beyond that of the odometry alone",
+        "mm",
+        1e3,
+        most=5.0,
     ),
     Measure("outage_heading_rms_deg", "outages: heading RMS", "deg", digits=3),
-    Measure("outage_alone_heading_rms_deg", "outages: heading RMS of the lidar odometry alone", "deg", digits=3),
+    Measure("outage_alone_heading_rms_deg", "outages: heading RMS of the odometry alone", "deg", digits=3),
     Measure(
-        "outage_heading_excess_deg", "worst outage: heading RMS beyond that of lidar alone", "deg", digits=3, most=0.03
+        "outage_heading_excess_deg",
+        "worst outage: heading RMS beyond that of the odometry alone",
+        "deg",
+        digits=3,
+        most=0.03,
     ),
     Measure("settled_s", "recovery: world error below 2 cm after", "s", digits=2, most=2.0),
     Measure("regained_s", "recovery: GNSS used again after", "s", digits=2, most=5.0),
     Measure("misled_s", "more than 0.3 m wrong while trusting GNSS, for", "s", digits=2, most=1.0, only=("liar",)),
     Measure("step_m", "O: largest step", "mm", 1e3, digits=2, most=2.0),
-    Measure("step_deg", "O: largest turn", "deg", digits=4, most=0.02),
-    Measure("drift_percent", "O: drift per way", "%", digits=2, most=0.5, only=("construction",)),
+    Measure("step_deg", "O: largest rotation step", "deg", digits=4, most=0.02),
+    Measure("drift_percent", "O: drift per distance", "%", digits=2, most=0.5, only=("construction",)),
     Measure("base_position_rms_m", "chassis beyond the cabin's error, slewing: position RMS", "mm", 1e3, most=15.0),
     Measure(
         "base_rotation_rms_deg", "chassis beyond the cabin's error, slewing: rotation RMS", "deg", digits=3, most=0.1

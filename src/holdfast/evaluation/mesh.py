@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from holdfast.errors import ConfigError, RecordingError
 from holdfast.messages import Array
 
-SPACING_M = 0.3  # longest edge of the piece of a triangle that a sample stands for
+SPACING_M = 0.3  # longest edge of the piece of a triangle that one sample stands for
 NEIGHBOURS = (4, 16, 64)
-CHUNK = 50_000  # points at a time: bounds the memory
+CHUNK_POINTS = 50_000  # at a time: bounds the memory
 PLY_HEADER_BYTES = 10_000
 VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
 FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3), ("region", "u1")])
@@ -50,7 +50,7 @@ def read_mesh(path: Path) -> Mesh:
     """Read the `site.ply` of a simulation: binary, triangles with regions whose names stand in a comment.
 
     Raises:
-        RecordingError: the file cannot be read, or is laid out in another way.
+        RecordingError: the file cannot be read, or has another layout.
     """
     try:
         data = path.read_bytes()
@@ -102,8 +102,8 @@ class SurfaceIndex:
         Exact below about 2 m; beyond, where the search ends, at most `radius_m` too large.
         """
         distances, pieces = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
-        for start in range(0, len(points), CHUNK):
-            rows = slice(start, start + CHUNK)
+        for start in range(0, len(points), CHUNK_POINTS):
+            rows = slice(start, start + CHUNK_POINTS)
             distances[rows], pieces[rows] = self._nearest(points[rows])
         return distances, pieces
 
@@ -133,7 +133,8 @@ class SurfaceIndex:
 def _samples(corners: Array) -> tuple[Array, NDArray[np.int64], Array, float]:
     """Return samples (S, 3) of triangles (F, 3, 3), their triangles, the areas of their pieces, and the radius.
 
-    A triangle whose longest edge has n times the spacing is divided into n^2 alike; their middles are the samples.
+    A triangle whose longest edge has n times the spacing is divided into n^2 equal pieces; the samples are their
+    centroids.
     """
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     parts = np.maximum(np.ceil(edges / SPACING_M).astype(np.int64), 1)
@@ -171,8 +172,8 @@ def _squared_distances(p: Array, corners: Array) -> Array:
         inside &= np.einsum("nkd,nkd->nk", np.cross(edge, to_point), normal) >= 0.0
         length = np.maximum(np.einsum("nkd,nkd->nk", edge, edge), 1e-30)
         along = np.clip(np.einsum("nkd,nkd->nk", to_point, edge) / length, 0.0, 1.0)
-        miss = to_point - along[..., None] * edge
-        nearest = np.minimum(nearest, np.einsum("nkd,nkd->nk", miss, miss))
+        offset = to_point - along[..., None] * edge
+        nearest = np.minimum(nearest, np.einsum("nkd,nkd->nk", offset, offset))
     height = np.einsum("nkd,nkd->nk", p - a, normal)
     over = inside & (area > 0.0)
     return np.where(over, height**2 / np.where(area > 0.0, area, 1.0), nearest)

@@ -1,7 +1,7 @@
-"""Outages of GNSS: how far the estimate drifts, beside the lidar odometry alone, and how it recovers.
+"""Outages of GNSS: how far the estimate drifts, compared with the odometry alone, and how it recovers.
 
-What GNSS was worth at which time is taken from the truth of the fixes and never from the estimator: an outage is a
-stretch without a fix that is fixed and does not lie, whatever the receiver said meanwhile.
+The quality of GNSS is taken from the truth of the fixes and never from the estimator: an outage is a time without an
+RTK-fixed fix that is not faulty, whatever the receiver reported meanwhile.
 """
 
 from collections.abc import Sequence
@@ -17,8 +17,8 @@ from holdfast.evaluation.spans import Span, gaps, settling_s
 from holdfast.evaluation.states import StateErrors, rotation_vector
 from holdfast.messages import Array
 
-OUTAGE_S = 1.0  # without a good fix for longer is an outage
-RECOVERY_S = 5.0  # after the start and after an outage it is not yet nominal
+OUTAGE_S = 1.0  # a longer time without a good fix is an outage
+RECOVERY_S = 5.0  # so long after the start and after an outage, times are not nominal yet
 SETTLED_M, SETTLED_FOR_S = 0.02, 1.0
 
 
@@ -27,14 +27,14 @@ class Outage:
     """One outage and the recovery from it.
 
     Attributes:
-        lied: there were fixes that lied.
-        alone_horizontal_rms_m: of the lidar odometry alone, anchored at the true pose at the loss; NaN without one.
-        settled_s: from when GNSS is used again until the error of position stays below 2 cm for a second.
+        has_faulty: there were faulty fixes.
+        alone_horizontal_rms_m: of the odometry alone, anchored at the true pose at the loss; NaN without one.
+        settled_s: from when GNSS is used again until the position error stays below 2 cm for a second.
         regained_s: from the first good fix until GNSS is used.
     """
 
     span: Span
-    lied: bool
+    has_faulty: bool
     horizontal_rms_m: float
     vertical_rms_m: float
     heading_rms_deg: float
@@ -52,7 +52,7 @@ def outage_spans(truth: Truth, whole: Span) -> list[Span]:
 
 
 def nominal(times_s: Array, spans: Sequence[Span]) -> NDArray[np.bool_]:
-    """Tell at which times (N,) GNSS is good and has been for a while."""
+    """Return at which times (N,) GNSS is good and has been for a while."""
     good: NDArray[np.bool_] = times_s >= times_s[0] + RECOVERY_S
     for span in spans:
         good &= ~Span(span.start_s, span.end_s + RECOVERY_S).holds(times_s)
@@ -60,7 +60,7 @@ def nominal(times_s: Array, spans: Sequence[Span]) -> NDArray[np.bool_]:
 
 
 def within(times_s: Array, spans: Sequence[Span]) -> NDArray[np.bool_]:
-    """Tell which times (N,) lie in one of the spans."""
+    """Return which times (N,) are within one of the spans."""
     found = np.zeros(len(times_s), dtype=np.bool_)
     for span in spans:
         found |= span.holds(times_s)
@@ -79,7 +79,7 @@ def judge_outages(errors: StateErrors, published: Published, truth: Truth, spans
         judged.append(
             Outage(
                 span=span,
-                lied=any((fixes.lying & span.holds(truth.seconds(fixes.stamps_ns))).any() for fixes in truth.antennas),
+                has_faulty=any((f.faulty & span.holds(truth.seconds(f.stamps_ns))).any() for f in truth.antennas),
                 horizontal_rms_m=norm_rms(errors.position[inside, :2]),
                 vertical_rms_m=norm_rms(errors.position[inside, 2:]),
                 heading_rms_deg=float(np.degrees(norm_rms(errors.attitude[inside, 2:]))),
@@ -93,7 +93,7 @@ def judge_outages(errors: StateErrors, published: Published, truth: Truth, spans
 
 
 def sum_up(outages: Sequence[Outage]) -> dict[str, float]:
-    """Return scores over all outages: RMS weighed by duration, everything else that of the worst outage."""
+    """Return scores over all outages: RMS weighted by duration, everything else that of the worst outage."""
     ours = ("horizontal_rms_m", "vertical_rms_m", "heading_rms_deg")
     alone = ("alone_horizontal_rms_m", "alone_heading_rms_deg")
     return {f"outage_{name}": _pooled(outages, name) for name in ours + alone} | {
@@ -126,10 +126,10 @@ def _recovery(after: Span, times_s: Array, errors: StateErrors, trusted: NDArray
 
 
 def _alone(span: Span, truth: Truth) -> tuple[float, float]:
-    """Return horizontal [m] and heading [deg] RMS of the lidar odometry alone, anchored at its last scan before."""
-    if truth.lidar is None or truth.at_lidar is None:
+    """Return horizontal [m] and heading [deg] RMS of the odometry alone, anchored at its last pose before."""
+    if truth.odometry is None or truth.at_odometry is None:
         return nan, nan
-    ours, theirs = truth.lidar, truth.at_lidar
+    ours, theirs = truth.odometry, truth.at_odometry
     inside = np.flatnonzero(span.holds(truth.seconds(ours.stamps_ns)))
     if not len(inside):
         return nan, nan

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".png", ".svg", ".pdf")
 
-# Okabe and Ito's palette, which readers with any colour vision can tell apart
+# Okabe and Ito's palette: distinguishable with any colour vision
 _REFERENCE = "#9a9a9a"
 _ESTIMATE = "#0072b2"
 _INTERVALS = ("#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9", "#f0e442")
@@ -38,7 +38,7 @@ _STYLE: Any = {
     "text.color": _TEXT,
     "svg.hashsalt": "holdfast",  # the same verdict gives the same file
 }
-_LONGEST_LINE = 20_000  # more points than pixels only make the file large
+_MAX_POINTS = 20_000  # more points than pixels only make the file large
 
 
 def check_plot(path: Path) -> None:
@@ -135,11 +135,11 @@ def _draw_error(axes: "Axes", accuracy: Accuracy, name: str, label: str, colours
 
 
 def _thinned(count: int) -> slice:
-    return slice(None, None, max(1, count // _LONGEST_LINE))
+    return slice(None, None, max(1, count // _MAX_POINTS))
 
 
 def _broken_at_gaps(time_s: Array, values: Array) -> tuple[Array, Array]:
-    """Thin a line and break it where pairs are missing: a stroke over a gap would claim what nobody measured."""
+    """Thin a line and break it where pairs are missing."""
     time_s, values = time_s[_thinned(len(time_s))], values[_thinned(len(values))]
     step_s = np.diff(time_s)
     gaps = np.flatnonzero(step_s > 5.0 * np.median(step_s)) + 1

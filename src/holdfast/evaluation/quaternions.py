@@ -35,15 +35,15 @@ def rotate(q: Array, v: Array) -> Array:
 
 
 def slerp(start: Array, end: Array, fraction: Array) -> Array:
-    """Interpolate the shorter way at constant angular velocity: start * exp(fraction * log(start^-1 * end))."""
-    way = multiply(conjugate(start), end)
-    way = np.where(way[..., 3:] < 0.0, -way, way)
-    sine = np.linalg.norm(way[..., :3], axis=-1)
-    half_angle = np.arctan2(sine, way[..., 3])
+    """Interpolate along the shorter arc at constant angular velocity: start * exp(fraction * log(start^-1 * end))."""
+    arc = multiply(conjugate(start), end)
+    arc = np.where(arc[..., 3:] < 0.0, -arc, arc)
+    sine = np.linalg.norm(arc[..., :3], axis=-1)
+    half_angle = np.arctan2(sine, arc[..., 3])
     part = fraction * half_angle
     # sin(part) / sine, whose limit for no rotation is the fraction
     scale = np.divide(np.sin(part), sine, out=np.array(fraction, dtype=float), where=sine > 0.0)
-    step: Array = np.concatenate([way[..., :3] * scale[..., None], np.cos(part)[..., None]], axis=-1)
+    step: Array = np.concatenate([arc[..., :3] * scale[..., None], np.cos(part)[..., None]], axis=-1)
     return multiply(start, step)
 
 

@@ -16,8 +16,8 @@ Unit = Literal["m", "s", "frames"]
 Pairing = Literal["all", "consecutive"]
 
 KITTI_LENGTHS_M = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
-KITTI_STEP = 10  # a segment starts at every tenth pose
-SHORTEST_WAY_M = 1.0  # in a second at near standstill a percentage says nothing
+KITTI_STEP_POSES = 10
+MIN_DISTANCE_M = 1.0  # near standstill a percentage over a second has no meaning
 
 _Index = NDArray[np.intp]
 
@@ -47,14 +47,14 @@ def rpe(
 
     `translation_m` = |t_P - t_Q|, which is the translation of Q^-1 P; `forward_m`, `left_m`, `up_m` are t_P - t_Q on
     the axes of the body at the start; `rotation_deg` is the angle of R_Q^T R_P, `roll_deg`, `pitch_deg`, `yaw_deg` its
-    angles of Rz Ry Rx. `translation_percent` is translation_m in percent of the way that the reference drove between
-    the two poses; over time only where that is 1 m at least. `rotation_deg_per_m` and `rotation_deg_per_s` divide by
-    the way, or by the time, between the two poses.
+    angles of Rz Ry Rx. `translation_percent` is translation_m in percent of the distance that the reference drove
+    between the two poses; over time only where that is 1 m at least. `rotation_deg_per_m` and `rotation_deg_per_s`
+    divide by the distance, or by the time, between the two poses.
 
     Without orientation the motions are the displacements p_j - p_i on the axes of the world: `translation_m`,
     `translation_percent`, `east_m`, `north_m`, `up_m`; these depend on the alignment, the others do not.
 
-    `all` starts at every pose and ends at the pose whose way (time) is nearest to `delta`, if it is within
+    `all` starts at every pose and ends at the pose whose distance (time) is nearest to `delta`, if it is within
     `tolerance * delta`; `consecutive` chains motions, each ending at the first pose at or beyond `delta`. Both are
     evo's definitions with pairs_from_reference. Time and poses are counted in integers.
 
@@ -83,7 +83,7 @@ def kitti(pairs: Pairs) -> RelativeErrors:
     means are the two numbers of the benchmark's table.
     """
     driven = pairs.driven_m()
-    starts = np.arange(0, len(pairs), KITTI_STEP)
+    starts = np.arange(0, len(pairs), KITTI_STEP_POSES)
     first, second, length = [], [], []
     for length_m in KITTI_LENGTHS_M:
         ends = np.searchsorted(driven, driven[starts] + length_m, side="right")
@@ -104,12 +104,12 @@ def _all_pairs(odometer: NDArray[Any], step: float, tolerance: float) -> tuple[_
     first = np.arange(len(odometer) - 1)
     after = np.clip(np.searchsorted(odometer, odometer[:-1] + step), first + 1, len(odometer) - 1)
     before = np.maximum(after - 1, first + 1)
-    miss_after = np.abs(odometer[after] - odometer[first] - step)
-    miss_before = np.abs(odometer[before] - odometer[first] - step)
-    second = np.where(miss_before <= miss_after, before, after)
-    # poses at which the reference stands still share their way: take the first of them
+    residual_after = np.abs(odometer[after] - odometer[first] - step)
+    residual_before = np.abs(odometer[before] - odometer[first] - step)
+    second = np.where(residual_before <= residual_after, before, after)
+    # poses at which the reference stands still have driven the same distance: take the first of them
     second = np.maximum(np.searchsorted(odometer, odometer[second]), first + 1)
-    near = np.minimum(miss_before, miss_after) <= tolerance
+    near = np.minimum(residual_before, residual_after) <= tolerance
     return first[near], second[near]
 
 
@@ -126,7 +126,7 @@ def _consecutive_pairs(odometer: NDArray[Any], step: float, tolerance: float) ->
 
 def _errors(pairs: Pairs, first: _Index, second: _Index, unit: Unit) -> RelativeErrors:
     driven = pairs.driven_m()
-    way_m = driven[second] - driven[first]
+    distance_m = driven[second] - driven[first]
     ours, theirs = pairs.estimate, pairs.reference
     move_ours = ours.positions[second] - ours.positions[first]
     move_theirs = theirs.positions[second] - theirs.positions[first]
@@ -137,22 +137,22 @@ def _errors(pairs: Pairs, first: _Index, second: _Index, unit: Unit) -> Relative
         move_ours = quaternions.rotate(to_start_ours, move_ours)
         move_theirs = quaternions.rotate(to_start_theirs, move_theirs)
         axes = ("forward_m", "left_m", "up_m")
-    miss = move_ours - move_theirs
-    errors = {"translation_m": np.linalg.norm(miss, axis=1)}
+    difference = move_ours - move_theirs
+    errors = {"translation_m": np.linalg.norm(difference, axis=1)}
     if unit != "frames":
         errors["translation_percent"] = _ratio(
-            100.0 * errors["translation_m"], way_m, SHORTEST_WAY_M if unit == "s" else 0.0
+            100.0 * errors["translation_m"], distance_m, MIN_DISTANCE_M if unit == "s" else 0.0
         )
-    errors |= dict(zip(axes, miss.T, strict=True))
+    errors |= dict(zip(axes, difference.T, strict=True))
     if pairs.oriented:
-        turn_ours = quaternions.multiply(to_start_ours, ours.quaternions[second])
-        turn_theirs = quaternions.multiply(to_start_theirs, theirs.quaternions[second])
-        turn = quaternions.multiply(quaternions.conjugate(turn_theirs), turn_ours)
-        errors["rotation_deg"] = np.degrees(quaternions.angle_rad(turn))
-        roll, pitch, yaw = np.degrees(quaternions.roll_pitch_yaw_rad(turn)).T
+        rotation_ours = quaternions.multiply(to_start_ours, ours.quaternions[second])
+        rotation_theirs = quaternions.multiply(to_start_theirs, theirs.quaternions[second])
+        rotation = quaternions.multiply(quaternions.conjugate(rotation_theirs), rotation_ours)
+        errors["rotation_deg"] = np.degrees(quaternions.angle_rad(rotation))
+        roll, pitch, yaw = np.degrees(quaternions.roll_pitch_yaw_rad(rotation)).T
         errors |= {"roll_deg": roll, "pitch_deg": pitch, "yaw_deg": yaw}
         if unit == "m":
-            errors["rotation_deg_per_m"] = _ratio(errors["rotation_deg"], way_m, 0.0)
+            errors["rotation_deg_per_m"] = _ratio(errors["rotation_deg"], distance_m, 0.0)
         elif unit == "s":
             time_s = (theirs.stamps_ns[second] - theirs.stamps_ns[first]) * np.float64(1e-9)
             errors["rotation_deg_per_s"] = _ratio(errors["rotation_deg"], time_s, 0.0)

@@ -26,7 +26,7 @@ Scores = dict[str, float]
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What came out; a score that the scenario has no occasion for is NaN."""
+    """The result; a score that the scenario has no occasion for is NaN."""
 
     scores: Scores
     outages: tuple[Outage, ...]
@@ -77,22 +77,22 @@ def _against_fixes(poses: Trajectory, truth: Truth, good: NDArray[np.bool_]) -> 
     the time of the fix, minus the fix.
     """
     found = at_fixes(poses, truth, good)
-    error, miss = found.fix_errors, found.misses
+    error, residual = found.fix_errors, found.residuals
     return {
         "fix_horizontal_rms_m": norm_rms(error[:, :2]),
         "fix_vertical_rms_m": norm_rms(error[:, 2:]),
-        "rtk_mean_m": float(np.linalg.norm(miss.mean(axis=0))) if len(miss) else nan,
-        "rtk_std_m": float(np.sqrt(miss.var(axis=0).mean())) if len(miss) else nan,
+        "rtk_mean_m": float(np.linalg.norm(residual.mean(axis=0))) if len(residual) else nan,
+        "rtk_std_m": float(np.sqrt(residual.var(axis=0).mean())) if len(residual) else nan,
     }
 
 
 def _smoothness(published: Published, truth: Truth) -> Scores:
     moved, turned = steps(published.odometry, published.inertial)
-    drift, way = drift_m(published.odometry, truth.states)
+    drift, distance = drift_m(published.odometry, truth.states)
     return {
         "step_m": float(np.nanmax(moved, initial=0.0)),
         "step_deg": float(np.nanmax(turned, initial=0.0)),
-        "drift_percent": 100.0 * drift / way if way > 0.0 else nan,
+        "drift_percent": 100.0 * drift / distance if distance > 0.0 else nan,
     }
 
 
@@ -103,16 +103,16 @@ def _chassis(published: Chassis | None, truth: Truth) -> Scores:
     ours, theirs = published.in_imu, truth.chassis.in_imu
     known = np.isfinite(ours.positions).all(axis=1)
     slewing = known & truth.slewing
-    turn = quaternions.multiply(quaternions.conjugate(ours.quaternions), theirs.quaternions)[slewing]
+    rotation = quaternions.multiply(quaternions.conjugate(ours.quaternions), theirs.quaternions)[slewing]
     return {
         "base_position_rms_m": norm_rms((ours.positions - theirs.positions)[slewing]),
-        "base_rotation_rms_deg": float(np.degrees(norm_rms(quaternions.angle_rad(turn)[:, None]))),
+        "base_rotation_rms_deg": float(np.degrees(norm_rms(quaternions.angle_rad(rotation)[:, None]))),
         "base_yaw_rate_rms_rad_s": norm_rms((published.yaw_rate - truth.chassis.yaw_rate)[known, None]),
     }
 
 
 def _consistency(prefix: str, errors: StateErrors, covariances: Array, where: NDArray[np.bool_]) -> Scores:
-    """Return the mean NEES per degree of freedom of each block; infinite where a covariance is no covariance."""
+    """Return the mean NEES per degree of freedom of each block; infinite where one is not positive definite."""
     scores = {}
     for name, block in BLOCKS.items():
         value = nan

@@ -1,4 +1,4 @@
-"""What must never happen, whatever the sensors do: numbers that are none, and an odometry frame that jumps."""
+"""What must never happen, whatever the sensors do: values that are not finite, and an odometry frame that jumps."""
 
 from collections.abc import Iterator
 
@@ -12,7 +12,7 @@ MAX_STEP_DEG = 0.02
 
 
 def violations(published: Published, start_ns: int) -> Iterator[str]:
-    """Yield in one line each what is wrong with one life of the estimator; times count from `start_ns`."""
+    """Yield one line per fault of what was published from a start of the estimator on; times count from `start_ns`."""
     stamps = published.world.poses.stamps_ns
     times_s = (stamps - start_ns) * 1e-9
     backward = np.flatnonzero(np.diff(stamps) <= 0)

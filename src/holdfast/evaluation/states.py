@@ -1,4 +1,4 @@
-"""States beside the truth: errors of attitude, position and velocity in the tangent of their covariances."""
+"""States against the truth: errors of attitude, position and velocity in the tangent of their covariances."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from holdfast.state import Trajectory
 
 @dataclass(frozen=True, slots=True, eq=False)
 class States:
-    """How one frame moves in another.
+    """The motion of one frame in another.
 
     Attributes:
         poses: of N stamps.
@@ -49,9 +49,9 @@ def state_errors(estimate: States, truth: States) -> StateErrors:
     if not np.array_equal(ours.stamps_ns, theirs.stamps_ns):
         raise EstimatorError("states can be compared at equal stamps only")
     into_body = quaternions.conjugate(ours.quaternions)
-    turn = quaternions.multiply(into_body, theirs.quaternions)
+    rotation = quaternions.multiply(into_body, theirs.quaternions)
     p, v = theirs.positions - ours.positions, truth.velocities - estimate.velocities
-    tangent = [rotation_vector(turn), quaternions.rotate(into_body, p), quaternions.rotate(into_body, v)]
+    tangent = [rotation_vector(rotation), quaternions.rotate(into_body, p), quaternions.rotate(into_body, v)]
     back = quaternions.multiply(ours.quaternions, quaternions.conjugate(theirs.quaternions))
     return StateErrors(np.concatenate(tangent, axis=1), -p, rotation_vector(back))
 

@@ -1,4 +1,4 @@
-"""What a batch is to do: one job per recording and variation of the configuration."""
+"""The plan of a batch: one job per recording and variation of the configuration."""
 
 import json
 from collections.abc import Sequence
@@ -11,6 +11,7 @@ from typing import Any
 
 from holdfast import __version__
 from holdfast.config.document import read_document
+from holdfast.config.legacy import modernised
 from holdfast.config.load import read_yaml, resolved_yaml, validate
 from holdfast.config.model import Config
 from holdfast.config.presets import with_preset
@@ -104,8 +105,8 @@ def _choices(variations: Sequence[Variation]) -> list[tuple[tuple[str, str], ...
 
 def _varied(path: Path, changes: tuple[tuple[str, str], ...]) -> tuple[tuple[tuple[str, str], ...], str]:
     """Return the changes and the whole configuration with them, as YAML."""
-    said = "".join(f" with {key}={value}" for key, value in changes)
-    document = read_document(read_yaml(path, "`holdfast config init RECORDING` starts one"), f"{path}{said}")
+    varied = "".join(f" with {key}={value}" for key, value in changes)
+    document = read_document(read_yaml(path, "`holdfast config init RECORDING` starts one"), f"{path}{varied}")
     data: Any = document.data
     for key, value in changes:
         section, (*heads, last) = data, key.split(".")
@@ -114,7 +115,7 @@ def _varied(path: Path, changes: tuple[tuple[str, str], ...]) -> tuple[tuple[tup
             if not isinstance(section, dict):
                 raise ConfigError(f"--vary {key}={value}: {head} is no section of {path}")
         section[last] = _scalar(value)
-    document.data = with_preset(data)
+    document.data = with_preset(modernised(data) if isinstance(data, dict) else data)
     return changes, resolved_yaml(validate(document, Config))
 
 
@@ -129,7 +130,7 @@ def _scalar(text: str) -> Any:
 
 
 def _names(recordings: Sequence[Path]) -> list[str]:
-    """Return a name per recording: of its folder or file, and that of the folder above where several are alike."""
+    """Return a name per recording: of its folder or file, and that of the folder above where several are equal."""
     plain = [path.resolve().name if path.is_dir() else path.stem for path in recordings]
     return [
         name if plain.count(name) == 1 else f"{path.resolve().parent.name}-{name}"
@@ -138,7 +139,7 @@ def _names(recordings: Sequence[Path]) -> list[str]:
 
 
 def _state(recording: Path) -> list[tuple[str, int, int]]:
-    """Return the names, sizes and times of change of a recording's files: what tells that it is another one."""
+    """Return the names, sizes and times of change of a recording's files, which identify it."""
     try:
         files = sorted(file for file in recording.iterdir() if file.is_file()) if recording.is_dir() else [recording]
         return [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files]

@@ -1,4 +1,4 @@
-"""One job of a batch: a `holdfast replay` in a process of its own, so that nothing it does can harm the others."""
+"""One job of a batch: a `holdfast replay` in a process of its own, isolated from the others."""
 
 import json
 import os
@@ -16,9 +16,9 @@ from holdfast.fleet.plan import Job
 STATE, LOG, CONFIG, ESTIMATE = "run.json", "run.log", "config.yaml", "imu_in_world.tum"
 TRUTH = Path("truth") / ESTIMATE
 POLL_S = 0.1
-PATIENCE_S = 10.0  # for a replay to write what it has after it was told to stop
+STOP_TIMEOUT_S = 10.0  # in which an interrupted replay writes its results
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-INTERRUPTED = 130  # exit code of a replay
+INTERRUPTED_EXIT_CODE = 130
 MAIN = "from holdfast.cli import main; main()"
 
 State = Literal["waiting", "running", "done", "failed", "stopped"]
@@ -26,7 +26,7 @@ State = Literal["waiting", "running", "done", "failed", "stopped"]
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of a job.
+    """The outcome of a job.
 
     Attributes:
         reason: why it failed, in one line.
@@ -44,7 +44,7 @@ class Outcome:
 def run_job(job: Job, stop_file: Path) -> Outcome:
     """Replay, and keep the outcome beside the results; whatever goes wrong is an outcome too.
 
-    The replay is told to stop when `stop_file` appears.
+    The replay is interrupted when `stop_file` appears.
     """
     began = time.monotonic()
     try:
@@ -62,7 +62,7 @@ def run_job(job: Job, stop_file: Path) -> Outcome:
 
 
 def kept_outcome(job: Job) -> Outcome:
-    """Return what is known of a job from an earlier batch, or a running one; `waiting` where nothing is."""
+    """Return the outcome of a job in an earlier or running batch; `waiting` where there is none."""
     waiting = Outcome(job.name, "waiting", job.fingerprint)
     try:
         kept = Outcome(**json.loads((job.folder / STATE).read_text(encoding="utf-8")))
@@ -72,7 +72,7 @@ def kept_outcome(job: Job) -> Outcome:
 
 
 def _keep(job: Job, outcome: Outcome) -> None:
-    """Write the outcome in one step: whoever reads it meanwhile finds the old one or the new one."""
+    """Write the outcome atomically: a concurrent reader finds the old one or the new one."""
     part = job.folder / f"{STATE}.part"
     part.write_text(json.dumps(asdict(outcome), indent=1) + "\n", encoding="utf-8")
     part.replace(job.folder / STATE)
@@ -94,7 +94,7 @@ def _replay(job: Job, stop_file: Path) -> tuple[State, str]:
             _end(process)
     if process.returncode == 0:
         return "done", ""
-    if process.returncode == INTERRUPTED:  # Ctrl-C in a terminal reaches the replays, too
+    if process.returncode == INTERRUPTED_EXIT_CODE:  # Ctrl-C in a terminal reaches the replays, too
         return "stopped", "the batch was interrupted"
     return "failed", _reason(job.folder / LOG, process.returncode)
 
@@ -104,23 +104,23 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
         return
     process.send_signal(signal.SIGINT)
     try:
-        process.wait(PATIENCE_S)
+        process.wait(STOP_TIMEOUT_S)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
 
 
 def _reason(log: Path, code: int) -> str:
-    """Return why a replay failed: its own last words, or the signal that ended it."""
+    """Return why a replay failed: its last error, or the signal that ended it."""
     if code < 0:
         return f"killed by {signal.Signals(-code).name}"
     lines = [line for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
-    said = [line.removeprefix("error: ") for line in lines if line.startswith("error: ")]
-    return (said or lines or [f"exit code {code}"])[-1]
+    errors = [line.removeprefix("error: ") for line in lines if line.startswith("error: ")]
+    return (errors or lines or [f"exit code {code}"])[-1]
 
 
 def _errors(job: Job) -> dict[str, float]:
-    """Judge the estimate by the truth that lies in the folder of a simulated recording, if there is one."""
+    """Judge the estimate by the truth in the folder of a simulated recording, if there is one."""
     folder = job.recording if job.recording.is_dir() else job.recording.parent
     if not (folder / TRUTH).exists():
         return {}

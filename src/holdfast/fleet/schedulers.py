@@ -1,6 +1,6 @@
-"""Who runs the jobs: processes on this machine, or the workers of a dask.distributed cluster.
+"""The schedulers of jobs: processes on this machine, or the workers of a dask.distributed cluster.
 
-Both yield outcomes as they come, and stop what runs when the consumer does not want any more.
+Both yield outcomes as they come, and stop the running jobs when the consumer stops.
 """
 
 import logging
@@ -45,7 +45,7 @@ def run_on_cluster(jobs: Sequence[Job], output: Path, address: str) -> Generator
         from distributed import as_completed as as_completed_there
     except ImportError:
         raise ConfigError("a cluster needs dask.distributed: pip install 'holdfast[fleet]'") from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it logs what is no fault, such as its own end
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it logs its own regular end as a fault
     _check_address(address)
     stop_file = _stop_file(output)
     # distributed is typed in part only
@@ -66,7 +66,7 @@ def run_on_cluster(jobs: Sequence[Job], output: Path, address: str) -> Generator
 
 
 def _check_address(address: str) -> None:
-    """Refuse an address at which nobody listens; a client that cannot connect complains long after."""
+    """Refuse an address at which nobody listens; a client that cannot connect fails much later."""
     parts = urlsplit(address)
     try:
         if parts.scheme not in ("tcp", "tls") or not parts.hostname or not parts.port:

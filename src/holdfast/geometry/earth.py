@@ -17,9 +17,9 @@ FLATTENING = 1.0 / 298.257223563
 ECCENTRICITY_SQUARED = FLATTENING * (2.0 - FLATTENING)
 EARTH_RATE_RAD_S = 7.292115e-5
 EQUATOR_GRAVITY_M_S2 = 9.7803253359
-STANDARD_GRAVITY_M_S2 = 9.80665  # by definition: the g of datasheets, and gravity where no place is known
+STANDARD_GRAVITY_M_S2 = 9.80665  # by definition: the g of datasheets, and gravity where no position is known
 SOMIGLIANA_CONSTANT = 0.00193185265241
-CENTRIFUGAL_RATIO = 0.00344978650684  # omega^2 a^2 b / GM
+CENTRIFUGAL_RATIO = 0.00344978650684  # m = omega^2 a^2 b / GM
 
 
 class Geodetic(NamedTuple):
@@ -31,7 +31,7 @@ class Geodetic(NamedTuple):
 
 
 class _Meridian(NamedTuple):
-    """A latitude and height, with what the meridian ellipse says about them."""
+    """A latitude and height, with the quantities of the meridian ellipse there."""
 
     latitude_deg: float
     altitude_m: float
@@ -63,7 +63,7 @@ class LocalFrame:
     _meridian: _Meridian = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Check the datum and precompute its place on the meridian."""
+        """Check the datum and precompute its position on the meridian."""
         if not all(map(isfinite, self.datum)) or abs(self.datum.latitude_deg) > 90.0:
             raise ConfigError(f"datum {tuple(self.datum)}: must be finite, with a latitude within [-90, 90] deg")
         object.__setattr__(self, "_meridian", _meridian(self.datum.latitude_deg, self.datum.altitude_m))
@@ -71,19 +71,19 @@ class LocalFrame:
     def to_enu(self, point: Geodetic) -> Array:
         """Return the (3,) position of a point, east, north and up of the datum [m]; NaN goes in, NaN comes out."""
         datum, there = self._meridian, _meridian(point.latitude_deg, point.altitude_m)
-        turn = radians(_longitude_difference_deg(point.longitude_deg, self.datum.longitude_deg))
+        longitude_rad = radians(_longitude_difference_deg(point.longitude_deg, self.datum.longitude_deg))
         outward, along_axis = _meridian_difference_m(there, datum)
-        outward -= 2.0 * there.axis_distance_m * sin(turn / 2.0) ** 2
+        outward -= 2.0 * there.axis_distance_m * sin(longitude_rad / 2.0) ** 2
         return np.array(
             [
-                there.axis_distance_m * sin(turn),
+                there.axis_distance_m * sin(longitude_rad),
                 datum.cos * along_axis - datum.sin * outward,
                 datum.sin * along_axis + datum.cos * outward,
             ]
         )
 
     def to_geodetic(self, enu: Array) -> Geodetic:
-        """Return the point that lies `enu` (3,) [m] from the datum; its longitude is within [-180, 180] deg.
+        """Return the point at `enu` (3,) [m] from the datum; its longitude is within [-180, 180] deg.
 
         Longitude follows in closed form; latitude and height by a Newton step on the meridian ellipse from
         Bowring's closed form (Survey Review 23, 1976), with residuals as differences to the datum as in `to_enu`.
@@ -93,7 +93,7 @@ class LocalFrame:
         outward = datum.cos * up - datum.sin * north
         along_axis = datum.sin * up + datum.cos * north
         axis_distance = hypot(datum.axis_distance_m + outward, east)
-        turn = atan2(east, datum.axis_distance_m + outward)
+        longitude_rad = atan2(east, datum.axis_distance_m + outward)
         # axis_distance - datum.axis_distance without cancellation, where there is one to fear
         if datum.axis_distance_m > 0.0:
             total = axis_distance + datum.axis_distance_m
@@ -101,18 +101,8 @@ class LocalFrame:
         else:
             outward = axis_distance
         latitude_deg, altitude_m = _solve_meridian(datum, axis_distance, outward, along_axis)
-        longitude_deg = remainder(remainder(self.datum.longitude_deg, 360.0) + degrees(turn), 360.0)
+        longitude_deg = remainder(remainder(self.datum.longitude_deg, 360.0) + degrees(longitude_rad), 360.0)
         return Geodetic(latitude_deg, longitude_deg, altitude_m)
-
-
-def geodetic_to_enu(point: Geodetic, datum: Geodetic) -> Array:
-    """Return the (3,) position of a point, east, north and up of the datum [m]; see `LocalFrame`."""
-    return LocalFrame(datum).to_enu(point)
-
-
-def enu_to_geodetic(enu: Array, datum: Geodetic) -> Geodetic:
-    """Return the point that lies `enu` (3,) [m] from the datum; see `LocalFrame`."""
-    return LocalFrame(datum).to_geodetic(enu)
 
 
 def gravity(latitude_deg: float, altitude_m: float) -> float:
@@ -141,7 +131,7 @@ def _sin_cos(latitude_deg: float) -> tuple[float, float]:
 
 
 def _longitude_difference_deg(to_deg: float, from_deg: float) -> float:
-    """Return the shorter way from one longitude to another, without round-off where they are close."""
+    """Return the smaller difference between two longitudes, without round-off where they are close."""
     to_deg, from_deg = remainder(to_deg, 360.0), remainder(from_deg, 360.0)
     if abs(to_deg - from_deg) <= 180.0:
         return to_deg - from_deg
@@ -190,8 +180,8 @@ def _solve_meridian(here: _Meridian, axis_distance: float, outward: float, along
     there = _meridian(degrees(latitude), here.altitude_m)
     # one Newton step: Bowring's latitude is right to 1e-8 rad, whose square is below the resolution of a double
     reached_outward, reached_along = _meridian_difference_m(there, here)
-    miss_outward, miss_along = outward - reached_outward, along_axis - reached_along
-    altitude = there.altitude_m + there.sin * miss_along + there.cos * miss_outward
-    north = there.cos * miss_along - there.sin * miss_outward
+    residual_outward, residual_along = outward - reached_outward, along_axis - reached_along
+    altitude = there.altitude_m + there.sin * residual_along + there.cos * residual_outward
+    north = there.cos * residual_along - there.sin * residual_outward
     latitude_deg = there.latitude_deg + degrees(north / (there.normal_radius_m * shrink / there.w**2 + altitude))
     return max(-90.0, min(90.0, latitude_deg)), altitude

@@ -3,7 +3,7 @@
 Heading has many local minima, so the batch is solved from several headings and the best solution must stand out.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -11,14 +11,14 @@ import numpy as np
 
 from holdfast.graph.nodes import to_grid
 from holdfast.messages import Array
-from holdfast.sensors.gnss import AntennaPosition, GnssModel
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.preintegration import ImuNoise, preintegrate
+from holdfast.sensors.sensor import Position, PositionSensor
 from holdfast.state import OptimisedState
 
 HEADINGS = 8
 DISTINCT = 9.0  # difference of the objective (half a chi-square) by which the best heading must win
-VELOCITY_SIGMA = 30.0  # [m/s]: no machine is faster
+VELOCITY_SIGMA_M_S = 30.0  # no machine is faster
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,32 +43,32 @@ class BatchAligner:
         self,
         buffer: ImuBuffer,
         noise: ImuNoise,
-        antennas: dict[str, GnssModel],
+        sensors: Mapping[str, PositionSensor],
         bias_sigmas: Array,
     ) -> None:
         self._buffer = buffer
         self._noise = noise
-        self._antennas = antennas
+        self._sensors = sensors
         self._bias_sigmas = bias_sigmas  # (6,) accelerometer [m/s^2], gyroscope [rad/s]
 
     def solve(
         self,
-        positions: Sequence[AntennaPosition],
+        positions: Sequence[Position],
         bias: gtsam.imuBias.ConstantBias,
         motions: Sequence[gtsam.NonlinearFactor],
         max_heading_sigma_rad: float,
     ) -> Alignment:
         """Align the window that `positions` (sorted by stamp, within IMU coverage) span.
 
-        `motions` are relative lidar factors between keys x(0), x(1), ... of the distinct stamps, where there are any.
+        `motions` are relative factors of odometries, if there are any, between keys x(0), x(1), ... of the stamps.
         """
         stamps = sorted({to_grid(position.stamp_ns) for position in positions})
-        graph, turns = self._graph(stamps, positions, bias)
+        graph, deltas = self._graph(stamps, positions, bias)
         for factor in motions:
             graph.add(factor)
         solutions: list[tuple[float, gtsam.Values]] = []
         for k in range(HEADINGS):
-            initial = self._initial(stamps, positions, turns, bias, 2.0 * np.pi * k / HEADINGS)
+            initial = self._initial(stamps, positions, deltas, bias, 2.0 * np.pi * k / HEADINGS)
             try:
                 values = gtsam.LevenbergMarquardtOptimizer(graph, initial).optimize()
             except RuntimeError:
@@ -111,51 +111,51 @@ class BatchAligner:
         return Alignment(OptimisedState(stamps[-1], nav, bias, covariance, rate), "heading from motion", sigma)
 
     def _graph(
-        self, stamps: list[int], positions: Sequence[AntennaPosition], bias: gtsam.imuBias.ConstantBias
+        self, stamps: list[int], positions: Sequence[Position], bias: gtsam.imuBias.ConstantBias
     ) -> tuple[gtsam.NonlinearFactorGraph, list[gtsam.PreintegratedImuMeasurements]]:
         graph = gtsam.NonlinearFactorGraph()
         b0 = gtsam.symbol("b", 0)
         graph.add(gtsam.PriorFactorConstantBias(b0, bias, gtsam.noiseModel.Diagonal.Sigmas(self._bias_sigmas)))
-        turns = []
+        deltas = []
         for k in range(len(stamps) - 1):
             steps = self._buffer.steps(stamps[k], stamps[k + 1])
             pim = preintegrate(steps, self._noise, level_attitude(steps[0].specific_force), bias)
             graph.add(gtsam.ImuFactor2(gtsam.symbol("x", k), gtsam.symbol("x", k + 1), b0, pim))
-            turns.append(pim)
+            deltas.append(pim)
         index = {stamp: k for k, stamp in enumerate(stamps)}
         for position in positions:
             key = gtsam.symbol("x", index[to_grid(position.stamp_ns)])
-            graph.add(self._antennas[position.sensor].factor(key, position))
-        weak = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([10.0, 1e6, VELOCITY_SIGMA], 3))
+            graph.add(self._sensors[position.sensor].factor(key, position, 1.0))
+        weak = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([10.0, 1e6, VELOCITY_SIGMA_M_S], 3))
         graph.add(gtsam.PriorFactorNavState(gtsam.symbol("x", 0), gtsam.NavState(), weak))
-        return graph, turns
+        return graph, deltas
 
     def _initial(
         self,
         stamps: list[int],
-        positions: Sequence[AntennaPosition],
-        turns: list[gtsam.PreintegratedImuMeasurements],
+        positions: Sequence[Position],
+        deltas: list[gtsam.PreintegratedImuMeasurements],
         bias: gtsam.imuBias.ConstantBias,
         heading_rad: float,
     ) -> gtsam.Values:
-        """Gravity gives roll and pitch, GNSS position and velocity, the gyroscope the turns between."""
+        """Gravity gives roll and pitch, GNSS position and velocity, the gyroscope the rotations between."""
         attitudes = [gtsam.Rot3()]
         up = np.zeros(3)
-        for pim in turns:
+        for pim in deltas:
             up += attitudes[-1].rotate(pim.deltaVij())  # mean specific force over the window is gravity
             attitudes.append(attitudes[-1].compose(pim.deltaRij()))
         level = level_attitude(up)
         first = gtsam.Rot3.Yaw(heading_rad).compose(level)
         t = np.array(stamps) * 1e-9 - stamps[0] * 1e-9
         t_fix = np.array([to_grid(p.stamp_ns) for p in positions]) * 1e-9 - stamps[0] * 1e-9
-        p_fix = np.array([p.p_W_G for p in positions])
+        p_fix = np.array([p.p_W_P for p in positions])
         track = np.column_stack([np.interp(t, t_fix, p_fix[:, axis]) for axis in range(3)])
         velocity = np.gradient(track, t, axis=0)
         values = gtsam.Values()
         values.insert(gtsam.symbol("b", 0), bias)
         for k, attitude in enumerate(attitudes):
             R_W_I = first.compose(attitude)
-            arm = R_W_I.rotate(self._antennas[positions[0].sensor].p_I_G)
+            arm = R_W_I.rotate(self._sensors[positions[0].sensor].p_I_P)
             values.insert(gtsam.symbol("x", k), gtsam.NavState(R_W_I, track[k] - arm, velocity[k]))
         return values
 

@@ -2,43 +2,58 @@
 
 They are one smoother as long as they are identical, which costs nothing; a graph is cloned when they begin to differ:
 
-- At the loss of GNSS, if the configuration treats scans differently in the two (the paper: relative in the main graph,
-  pseudo-global by Eq. 10 in the fallback). The main graph goes on without being published.
-- At the recovery, fixes go into the main graph on trial. If it accepts them, it is published and the fallback graph
-  is given up (the paper resets it to the main one); if not, nothing that was published ever saw them.
+- At the loss of GNSS, if the configuration treats odometry differently in the two (the paper: relative in the main
+  graph, pseudo-global by Eq. 10 in the fallback). The main graph goes on without being published.
+- At the recovery, fixes go into a trial clone of the main graph. If it accepts them, it is adopted, and the fallback
+  graph is given up (the paper resets it to the main one); if not, nothing that was published ever saw them.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 
 import gtsam
 
 from holdfast.config.model import Config
-from holdfast.graph.nodes import Placed
-from holdfast.graph.scans import Scan, ScanChain
+from holdfast.graph.odometry_track import Joined, OdometryTrack
 from holdfast.graph.smoother import Smoother
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.sensors.lidar import LidarModel
+from holdfast.sensors.odometry import TrackPose
 from holdfast.state import OptimisedState, Outcome
 
 
 class _Graph:
-    """A smoother and how scans are joined in it."""
+    """A smoother and the tracks of the odometries in it, by name."""
 
-    def __init__(self, smoother: Smoother, scans: ScanChain | None) -> None:
+    def __init__(self, smoother: Smoother, tracks: dict[str, OdometryTrack]) -> None:
         self.smoother = smoother
-        self.scans = scans
+        self.tracks = tracks
+
+    def begin_tracks_anew(self, name: str | None = None) -> None:
+        for one, track in self.tracks.items():
+            if name in (None, one):
+                self.tracks[one] = track.begin_anew()
 
 
 class DualGraph:
-    """The main graph and, while GNSS is lost, the fallback graph."""
+    """The main graph and, while GNSS is lost, the fallback graph.
+
+    Args:
+        config: of the estimator.
+        buffer: of the IMU's samples.
+        gravity: [m/s^2].
+        tracks: an empty track of each odometry, by name.
+        state: where both begin.
+    """
 
     def __init__(
-        self, config: Config, buffer: ImuBuffer, gravity: float, lidar: LidarModel | None, state: OptimisedState
+        self,
+        config: Config,
+        buffer: ImuBuffer,
+        gravity: float,
+        tracks: Mapping[str, OdometryTrack],
+        state: OptimisedState,
     ) -> None:
         self._config = config.graph
-        smoother = Smoother(config, buffer, gravity)
-        smoother.start(state)
-        self._main = _Graph(smoother, None if lidar is None else ScanChain(lidar, config.graph.main_lidar))
+        self._main = _Graph(Smoother(config, buffer, gravity, state), dict(tracks))
         self._fallback: _Graph | None = None
         self.is_lost = False
 
@@ -52,15 +67,9 @@ class DualGraph:
         """The smoother that takes GNSS."""
         return self._main.smoother
 
-    @property
-    def newest_scan(self) -> Scan | None:
-        """The newest scan in the main graph."""
-        return None if self._main.scans is None else self._main.scans.newest
-
-    @property
-    def jumped_ns(self) -> int | None:
-        """When the lidar odometry jumped last."""
-        return None if self._main.scans is None else self._main.scans.jumped_ns
+    def newest_pose(self, odometry: str) -> TrackPose | None:
+        """Return the newest pose of an odometry in the main graph."""
+        return self._main.tracks[odometry].newest
 
     def smoothers(self) -> Iterator[Smoother]:
         """Yield the main smoother and, if it is another one, the fallback."""
@@ -75,52 +84,50 @@ class DualGraph:
     def lose(self) -> None:
         """GNSS is lost: from here on the fallback graph is published. It must follow an optimisation."""
         self.is_lost = True
-        different = (self._config.main_lidar, self._config.fallback_lidar) != ("anchored", "anchored")
-        if not (self._config.dual and different and self._fallback is None):
+        mode = self._config.fallback_odometry
+        differ = (self._config.main_odometry, mode) != ("anchored", "anchored")
+        if not (self._config.dual and differ and self._fallback is None):
             return
-        smoother, _ = self._main.smoother.clone()
-        scans = None if self._main.scans is None else self._main.scans.copy(self._config.fallback_lidar)
-        if scans is not None and self._config.fallback_lidar == "frozen":
-            scans.freeze(smoother)
-        self._fallback = _Graph(smoother, scans)
+        smoother = self._main.smoother.clone()
+        self._fallback = _Graph(smoother, {name: track.copy(mode) for name, track in self._main.tracks.items()})
+        if mode == "frozen":
+            for track in self._fallback.tracks.values():
+                track.freeze(smoother)
 
-    def regain(self, add_fixes: Callable[[Smoother], bool]) -> Callable[[Placed], Placed] | None:
-        """GNSS may be back: try it in the main graph and publish that if it accepts the fixes.
+    def trial(self) -> Smoother:
+        """Return a clone of the main smoother, to try in it what may be bad. It must follow an optimisation."""
+        return self._main.smoother.clone()
 
-        Args:
-            add_fixes: adds the fixes to the smoother that it is given, optimises, and says whether they agree.
-
-        Returns:
-            What finds the counterpart of a factor placed before, or None if the fixes were refused.
-        """
-        trial, counterpart = self._main.smoother.clone()
-        if not add_fixes(trial):
-            return None
+    def adopt(self, trial: Smoother) -> None:
+        """Let a trial that has accepted GNSS be the main smoother, and publish it."""
         self._main.smoother = trial
         self._fallback, self.is_lost = None, False
-        return counterpart
 
-    def add_scan(self, scan: Scan) -> Outcome:
-        """Join a scan to what was before, in both graphs; say what became of it in the published one."""
-        outcome = Outcome.IGNORED
+    def add_pose(self, pose: TrackPose) -> Joined:
+        """Join a pose to the track of its odometry in both graphs.
+
+        Returns:
+            What became of it in the published graph, and whether the main one says that the odometry has jumped.
+        """
+        joined = []
         for graph in self._graphs():
-            assert graph.scans is not None
-            key = graph.smoother.node(scan.stamp_ns)
-            outcome = Outcome.LATE if key is None else graph.scans.add(graph.smoother, key, scan)
-        return outcome
+            key = graph.smoother.node(pose.stamp_ns)
+            track = graph.tracks[pose.sensor]
+            joined.append(Joined(Outcome.LATE) if key is None else track.add(graph.smoother, key, pose))
+        return Joined(joined[-1].outcome, joined[0].has_jumped)
 
     def move(self, correction: gtsam.Pose3, position_sigma_m: float) -> None:
         """Begin anew, both graphs as one, at the published state moved by a correction in W, its position in doubt."""
         if self._fallback is not None:
-            self._main, self._fallback = self._fallback, None
-            if self._main.scans is not None:
-                self._main.scans = self._main.scans.copy(self._config.main_lidar)
+            mode = self._config.main_odometry
+            tracks = {name: track.copy(mode) for name, track in self._fallback.tracks.items()}
+            self._main, self._fallback = _Graph(self._fallback.smoother, tracks), None
         self.is_lost = False
         self._main.smoother.move(correction, position_sigma_m)
-        self.forget_scans(self._main.smoother)
+        self._main.begin_tracks_anew()
 
-    def forget_scans(self, smoother: Smoother) -> None:
-        """Begin the chain of scans anew in a smoother that lost its window."""
+    def begin_tracks_anew(self, smoother: Smoother, odometry: str | None = None) -> None:
+        """Begin the track of an odometry, or of all, anew in a smoother that lost its window or its position."""
         for graph in self._graphs():
-            if graph.smoother is smoother and graph.scans is not None:
-                graph.scans.forget()
+            if graph.smoother is smoother:
+                graph.begin_tracks_anew(odometry)

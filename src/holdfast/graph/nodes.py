@@ -9,21 +9,15 @@ from dataclasses import dataclass
 
 import gtsam
 
+from holdfast.graph.solver import Placed
+
 NODE_RESOLUTION_NS = 100_000
-NODE, FRAME = "x", "l"  # letters of the keys of nodes, and of frames of the lidar odometry
+NODE, FRAME, BIAS = "x", "l", "b"  # letters of the keys of nodes, of frames of odometries, and of biases
 
 
 def to_grid(stamp_ns: int) -> int:
     """Return the node time nearest to a stamp [ns]."""
     return (stamp_ns + NODE_RESOLUTION_NS // 2) // NODE_RESOLUTION_NS * NODE_RESOLUTION_NS
-
-
-@dataclass(slots=True, eq=False)
-class Placed:
-    """A factor and its index in the smoother, once it is there."""
-
-    factor: gtsam.NonlinearFactor
-    slot: int | None = None
 
 
 @dataclass(slots=True)

@@ -12,17 +12,22 @@ import gtsam
 import numpy as np
 
 from holdfast.config.model import Config
-from holdfast.graph.nodes import FRAME, NODE, Link, Placed, Timeline, to_grid
+from holdfast.graph.nodes import BIAS, FRAME, NODE, Link, Timeline, to_grid
+from holdfast.graph.parameters import MAX_SIZE, Parameters, parameter_letter
+from holdfast.graph.solver import Placed, Solver
 from holdfast.graph.window import Window
 from holdfast.messages import Array
 from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.noise import FREE_VARIANCE
 from holdfast.sensors.preintegration import ImuNoise, MotionModel, preintegrate
+from holdfast.sensors.sensor import Joint, Measurement, Parameter, State
 from holdfast.state import OptimisedState
 
 BIAS_EPOCH_NS = 1_000_000_000
 SETTLE_MARGIN_NS = 1_000_000_000  # a node is read this long before it leaves the window; updates are not further apart
-FREE = 1e6  # sigma of what a factor says nothing about
-MAX_VARIANCE = 1e6  # beyond this a covariance says no more
+FREE = FREE_VARIANCE**0.5  # sigma of what a factor says nothing about
+PARAMETER_THRESHOLD = 0.01  # 1 cm, 0.6 deg, 1 %: a sensor's parameter is relinearised when it has moved by more
+MAX_VARIANCE = 1e6  # beyond it a covariance says no more, whatever its unit
 FAULT_INFLATION = 4.0  # of the covariance, when the graph is re-anchored after a failed optimisation
 
 
@@ -31,20 +36,40 @@ class OptimiserError(Exception):
 
 
 class Smoother:
-    """A sliding window of nodes over one IMU."""
+    """A sliding window of nodes over one IMU, begun at one state with its covariance as the prior.
 
-    def __init__(self, config: Config, buffer: ImuBuffer, gravity: float) -> None:
-        imu = config.sensors.imu
+    Args:
+        config: of the estimator.
+        buffer: of the IMU's samples.
+        gravity: [m/s^2].
+        state: where it begins.
+        new_solver: makes an empty solver; without it a `Window`.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        buffer: ImuBuffer,
+        gravity: float,
+        state: OptimisedState,
+        new_solver: Callable[[], Solver] | None = None,
+    ) -> None:
+        imu = config.imu
         self._config = config.graph
         self._lag_ns = round(config.graph.lag_s * 1e9)
         self.imu = buffer
         self._noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
         self._motion_model = MotionModel(config.motion_model, gravity)
         self._bias_walk = np.repeat([imu.accelerometer_random_walk, imu.gyroscope_random_walk], 3)
+        self._new_solver = new_solver or (lambda: Window(self._relinearize_thresholds()))
+        self._parameters = Parameters()
+        self._frames_made = 0
+        self._begin(state)
 
-    def start(self, state: OptimisedState) -> None:
-        """Begin a window at one state with its covariance as the prior."""
-        self._window = Window(self._relinearize_thresholds())
+    def _begin(self, state: OptimisedState) -> None:
+        """Begin a window; of what was before only the parameters of the sensors are known."""
+        self._window = self._new_solver()
+        self._measured: dict[int, tuple[Measurement, Placed]] = {}  # by the identity of the measurement
         self._epoch_ns = to_grid(state.stamp_ns)
         self._bias_epoch = -1  # the newest
         self._nodes = Timeline()
@@ -59,17 +84,19 @@ class Smoother:
         self._insert(key, self._epoch_ns, state.nav)
         self.add(_joint_prior(key, bias_key, state))
 
-    def clone(self) -> "tuple[Smoother, Callable[[Placed], Placed]]":
-        """Return a smoother of its own with the same window, and what finds the counterpart of a placed factor.
+    def clone(self) -> "Smoother":
+        """Return a smoother of its own with the same window, measurements included.
 
         It must follow `optimise`, so that nothing waits to be taken in. The estimate is the same to rounding.
         """
         other = copy(self)
         other._window, counterpart = self._window.copy()
-        other._nodes = self._nodes.copy()
+        other._nodes, other._parameters = self._nodes.copy(), self._parameters.copy()
         other._links = {start: replace(link, placed=counterpart(link.placed)) for start, link in self._links.items()}
+        held = ((key, one, placed) for key, (one, placed) in self._measured.items() if self._holds(placed))
+        other._measured = {key: (one, counterpart(placed)) for key, one, placed in held}
         other._new_navs = {}
-        return other, counterpart
+        return other
 
     def _relinearize_thresholds(self) -> gtsam.ISAM2ThresholdMap:
         """Relinearise for a change of attitude; position, velocity and bias enter (almost) linearly."""
@@ -77,7 +104,9 @@ class Smoother:
         thresholds = gtsam.ISAM2ThresholdMap()
         for letter in NODE, FRAME:
             thresholds.insert((letter, np.repeat([attitude, 50.0 * attitude, 50.0 * attitude], 3)))
-        thresholds.insert(("b", np.repeat([20.0 * attitude, attitude], 3)))
+        thresholds.insert((BIAS, np.repeat([20.0 * attitude, attitude], 3)))
+        for size in range(1, MAX_SIZE + 1):
+            thresholds.insert((parameter_letter(size), np.full(size, PARAMETER_THRESHOLD)))
         return thresholds
 
     @property
@@ -91,7 +120,7 @@ class Smoother:
         return self._nodes.stamps[0]
 
     @property
-    def state(self) -> OptimisedState:
+    def newest(self) -> OptimisedState:
         """The newest node as of the last optimisation."""
         return self._state
 
@@ -112,16 +141,43 @@ class Smoother:
         return key
 
     def add(self, factor: gtsam.NonlinearFactor) -> Placed:
-        """Add a factor on existing nodes; it takes effect with the next `optimise`. Return a handle to `retract` it."""
+        """Add a factor on existing nodes; it takes effect with the next `optimise`."""
         return self._window.add(factor)
 
-    def retract(self, placed: Placed) -> None:
-        """Take out a factor, whose node is still in the window, with the next `optimise`."""
-        self._window.retract(placed)
+    def enter(self, measurement: Measurement, factor: gtsam.NonlinearFactor) -> None:
+        """Add the factor of a measurement on existing nodes; it takes effect with the next `optimise`."""
+        self._measured[id(measurement)] = measurement, self.add(factor)
 
-    def insert_frame(self, key: int, frame: gtsam.Pose3, stamp_ns: int) -> None:
-        """Make a variable for the pose of a frame in W; what joins it to others is up to the factors."""
+    def retract(self, measurement: Measurement) -> None:
+        """Take out the factor of a measurement, if the window holds it, with the next `optimise`."""
+        found = self._measured.pop(id(measurement), None)
+        if found is not None and self._holds(found[1]):
+            self._window.retract(found[1])
+
+    def _holds(self, placed: Placed) -> bool:
+        """Whether a factor is still there: it leaves with the first of its variables."""
+        return all(key in self._window for key in placed.factor.keys())  # noqa: SIM118 (no mapping)
+
+    def parameter(
+        self, name: str, prior: Parameter, stamp_ns: int, start: Array | None = None
+    ) -> tuple[int, Array, Array]:
+        """Return the key of a sensor's parameter for a factor at a time, its estimate (p,) and covariance (p, p).
+
+        `start` (p,) is where a new one is linearised; without it at the mean of the prior.
+        """
+        known = self._parameters.use(self._window, name, prior, to_grid(stamp_ns), start)
+        return known.key, known.value, known.covariance
+
+    def parameter_estimate(self, name: str) -> tuple[Array, Array] | None:
+        """Return the estimate (p,) of a sensor's parameter and its sigmas (p,), None while there is none."""
+        return self._parameters.estimate(name)
+
+    def insert_frame(self, frame: gtsam.Pose3, stamp_ns: int) -> int:
+        """Make a variable for the pose of a frame in W and return its key; what joins it to others is up to factors."""
+        self._frames_made += 1
+        key: int = gtsam.symbol(FRAME, self._frames_made)
         self._window.insert(key, gtsam.NavState(frame, np.zeros(3)), to_grid(stamp_ns))
+        return key
 
     def has_frame(self, key: int) -> bool:
         """Whether a frame is still in the window."""
@@ -141,6 +197,12 @@ class Smoother:
     def nav(self, stamp_ns: int) -> gtsam.NavState:
         """Return the current estimate of the node at a time, which must exist."""
         return self._nav(to_grid(stamp_ns))
+
+    def state_at(self, stamp_ns: int, joint: Joint | None = None) -> State:
+        """Return what a measurement at a time is compared with; its node must exist. `joint` is the turn joint then."""
+        stamp = to_grid(stamp_ns)
+        nav = self._nav(stamp)
+        return State(nav, self.covariance(stamp), self._angular_velocity(stamp, nav, self._state.bias), joint)
 
     def covariance(self, stamp_ns: int) -> Array:
         """Return the covariance (9, 9) of the node at a time, new factors left out.
@@ -171,7 +233,7 @@ class Smoother:
         nav = gtsam.NavState(correction * state.nav.pose(), correction.rotation().rotate(state.nav.velocity()))
         covariance = state.covariance.copy()
         covariance[3:6, 3:6] += np.eye(3) * min(position_sigma_m**2, MAX_VARIANCE)
-        self.start(OptimisedState(state.stamp_ns, nav, state.bias, covariance, state.angular_velocity))
+        self._begin(OptimisedState(state.stamp_ns, nav, state.bias, covariance, state.angular_velocity))
 
     def settled(self) -> list[tuple[int, gtsam.NavState]]:
         """Return the nodes, with stamps, that have almost reached the end of the window since the last call."""
@@ -195,31 +257,34 @@ class Smoother:
         try:
             self._window.solve(horizon)
             state = self._read_newest()
-        except (RuntimeError, IndexError, ValueError) as error:
+        except Exception as error:  # of GTSAM, or of a sensor whose innovation it asked for
             self._reanchor()
-            raise OptimiserError(str(error).strip().splitlines()[0]) from error
+            raise OptimiserError((str(error).strip() or repr(error)).splitlines()[0]) from error
         self._new_navs = {}
+        self._parameters.mark_solved()
         for stamp in self._nodes.forget_before(horizon):
             self._links.pop(stamp, None)
+        if self._measured and next(iter(self._measured.values()))[0].stamp_ns < self.oldest_ns:
+            self._measured = {key: one for key, one in self._measured.items() if one[0].stamp_ns >= self.oldest_ns}
         self._state, self._tail = state, state.covariance
         return state
 
     def _read_newest(self) -> OptimisedState:
         stamp, key = self.newest_ns, self._nodes.key(self.newest_ns)
-        bias_key = gtsam.symbol("b", self._bias_epoch)
+        bias_key = gtsam.symbol(BIAS, self._bias_epoch)
         nav, bias = self._window.nav(key), self._window.bias(bias_key)
         covariance = self._window.covariance(key, bias_key)
         if not (np.isfinite(covariance).all() and np.isfinite(nav.position()).all()):
             raise ValueError("the optimised state is not finite")
-        return OptimisedState(stamp, nav, bias, covariance, self._turn_rate(stamp, nav, bias))
+        return OptimisedState(stamp, nav, bias, covariance, self._angular_velocity(stamp, nav, bias))
 
-    def _turn_rate(self, stamp_ns: int, nav: gtsam.NavState, bias: gtsam.imuBias.ConstantBias) -> Array:
+    def _angular_velocity(self, stamp_ns: int, nav: gtsam.NavState, bias: gtsam.imuBias.ConstantBias) -> Array:
         """Angular velocity at a node: from the gyroscope, or where it is silent from the last two nodes."""
         if stamp_ns > self.oldest_ns:
             before = self._nodes.before(stamp_ns)
             if self._links[before].is_gap and stamp_ns - before > 20_000_000:
-                turn: Array = self._nav(before).attitude().logmap(nav.attitude())
-                return turn / ((stamp_ns - before) * 1e-9)
+                rotation: Array = self._nav(before).attitude().logmap(nav.attitude())
+                return rotation / ((stamp_ns - before) * 1e-9)
         return self.imu.angular_velocity(stamp_ns) - bias.gyroscope()
 
     def _reanchor(self) -> None:
@@ -227,7 +292,7 @@ class Smoother:
         state = self._state
         growth = min(FAULT_INFLATION, MAX_VARIANCE / float(np.diag(state.covariance).max()))
         covariance = state.covariance * max(1.0, growth)
-        self.start(OptimisedState(state.stamp_ns, state.nav, state.bias, covariance, state.angular_velocity))
+        self._begin(OptimisedState(state.stamp_ns, state.nav, state.bias, covariance, state.angular_velocity))
 
     def _milestones(self, start_ns: int, end_ns: int) -> Iterator[tuple[int, bool]]:
         """Yield the ends of the links that lead from the newest node to a new one, and whether each is a gap."""
@@ -266,7 +331,7 @@ class Smoother:
         predicted = self._join(left_ns, stamp_ns, old.bias_key, old.is_gap, nav).predict(nav, self._state.bias)
         self._insert(key, stamp_ns, predicted)
         # the epoch in which the second half begins, as if the node had come in its turn
-        bias_key = gtsam.symbol("b", (stamp_ns - self._epoch_ns) // BIAS_EPOCH_NS)
+        bias_key = gtsam.symbol(BIAS, (stamp_ns - self._epoch_ns) // BIAS_EPOCH_NS)
         bias_key = bias_key if bias_key in self._window else old.bias_key
         self._join(stamp_ns, old.end_ns, bias_key, old.is_gap, predicted)
         return key
@@ -277,7 +342,7 @@ class Smoother:
         """Link two existing neighbours; `nav` is the state at the first. Return what leads from one to the other."""
         bias = self._state.bias
         if is_gap:
-            rate = self._turn_rate(start_ns, nav, bias)
+            rate = self._angular_velocity(start_ns, nav, bias)
             pim = self._motion_model.preintegrate((end_ns - start_ns) * 1e-9, nav, rate, bias)
         else:
             pim = preintegrate(self.imu.steps(start_ns, end_ns), self._noise, nav.attitude(), self._bias_hat)
@@ -289,14 +354,14 @@ class Smoother:
     def _bias_key(self, stamp_ns: int, bias: gtsam.imuBias.ConstantBias) -> int:
         """Return the key of the bias that holds at a time; a new one walks on from the one before."""
         epoch = (stamp_ns - self._epoch_ns) // BIAS_EPOCH_NS
-        key: int = gtsam.symbol("b", epoch)
+        key: int = gtsam.symbol(BIAS, epoch)
         if epoch > self._bias_epoch:
             self._window.insert(key, bias, stamp_ns)
             if self._bias_epoch >= 0:
                 sigmas = self._bias_walk * np.sqrt((epoch - self._bias_epoch) * BIAS_EPOCH_NS * 1e-9)
                 walk = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
                 zero = gtsam.imuBias.ConstantBias()
-                self.add(gtsam.BetweenFactorConstantBias(gtsam.symbol("b", self._bias_epoch), key, zero, walk))
+                self.add(gtsam.BetweenFactorConstantBias(gtsam.symbol(BIAS, self._bias_epoch), key, zero, walk))
             self._bias_epoch = epoch
         return key
 

@@ -9,10 +9,10 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 
 import gtsam
 
-from holdfast.graph.nodes import Placed
+from holdfast.graph.solver import Placed, Value
 from holdfast.messages import Array
 
-BATCH_SHARE = 0.5  # of all variables: from here on all are eliminated anew; iSAM2 itself does so from 0.65 on
+BATCH_FRACTION = 0.5  # of all variables: from here on all are eliminated anew; iSAM2 itself does so from 0.65 on
 
 
 class Window:
@@ -20,7 +20,7 @@ class Window:
 
     A variable has the stamp of its last use, and is eliminated anew when that moves. So what lies below a variable in
     the tree was never used later than it, and the variables before a time are leaves. (GTSAM does not check that they
-    are, nor that the places that it is given are fewer than the variables: it crashes.)
+    are, nor that the groups that it is given are fewer than the variables: it crashes.)
 
     Args:
         thresholds: by the letter of a variable's key; it is relinearised when it has moved by more.
@@ -63,14 +63,14 @@ class Window:
         other = Window(self._thresholds)
         factors = self._isam.getFactorsUnsafe()
         slots = [slot for slot in range(factors.size()) if factors.exists(slot)]
-        other._factors = [Placed(factors.at(slot)) for slot in slots]
         other._values, other._stamps = self._isam.getLinearizationPoint(), dict(self._stamps)
+        other._factors = [Placed(_about(factors.at(slot), other._values)) for slot in slots]
         other._take_in()
         counterparts = dict(zip(slots, (placed.slot for placed in other._factors), strict=True))
         other._clear_waiting()
         return other, lambda placed: Placed(placed.factor, None if placed.slot is None else counterparts[placed.slot])
 
-    def insert(self, key: int, value: gtsam.NavState | gtsam.imuBias.ConstantBias, stamp_ns: int) -> None:
+    def insert(self, key: int, value: Value, stamp_ns: int) -> None:
         """Add a variable, about which a factor must follow."""
         self._values.insert(key, value)
         self._stamps[key] = stamp_ns
@@ -124,13 +124,13 @@ class Window:
         affected: Collection[int] = list(self._isam.predictUpdateInfo(graph, values, step)[0])
         if not affected:
             return []
-        if len(affected) >= BATCH_SHARE * len(self._stamps):
+        if len(affected) >= BATCH_FRACTION * len(self._stamps):
             affected = self._stamps
             step.extraReelimKeys = _key_list(affected)
         # CCOLAMD orders sets, of which there may be no more than variables: so these are all of them and no others
         order = gtsam.KeyGroupMap()
-        for place, key in enumerate(sorted(affected, key=lambda key: (self._stamps[key], key))):
-            order.insert2(key, place)
+        for group, key in enumerate(sorted(affected, key=lambda key: (self._stamps[key], key))):
+            order.insert2(key, group)
         step.constrainedKeys = order
         slots: Sequence[int] = self._isam.update(graph, values, step).getNewFactorsIndices()
         return slots
@@ -150,10 +150,26 @@ class Window:
         """Return the estimate of a bias."""
         return self._isam.calculateEstimateConstantBias(key)
 
+    def vector(self, key: int) -> Array:
+        """Return the estimate of a parameter."""
+        value: Array = self._isam.calculateEstimateVector(key)
+        return value
+
     def covariance(self, *keys: int) -> Array:
         """Return the joint covariance of some variables, in the order of the keys."""
         covariance: Array = self._isam.jointMarginalCovariance(keys).fullMatrix()
         return covariance
+
+
+def _about(factor: gtsam.NonlinearFactor, point: gtsam.Values) -> gtsam.NonlinearFactor:
+    """Return a factor for another iSAM2, in which its variables may be relinearised.
+
+    What the marginalised left behind is linear about a point that the factor does not know: iSAM2 never relinearises
+    the variables of such a factor, but only where it made that factor itself.
+    """
+    if not isinstance(factor, gtsam.LinearContainerFactor):
+        return factor
+    return gtsam.LinearContainerFactor(factor.linearize(point), point)
 
 
 def _key_list(keys: Iterable[int]) -> gtsam.KeyList:

@@ -28,7 +28,7 @@ class Registered:
         stamp_ns: the instant.
         T_L0_L: (4, 4) pose of the lidar in the frame where it was in its first sweep.
         covariance: (6, 6) of this registration against the map, rotation [rad] then translation [m], expressed in L
-            (GTSAM's order); or None where the library does not tell. It says nothing of the map's own drift.
+            (GTSAM's order); or None where the library reports none. The drift of the map is not in it.
         restarted: the sweep could not be joined to the map; a new one begins, and the motion since the last pose is
             not measured.
     """

@@ -14,10 +14,10 @@ from holdfast.lidar_odometry.registration import DEFAULT_METHOD, Registered
 from holdfast.lidar_odometry.sweep import Sweep
 from holdfast.lidar_odometry.worker import RegistrationProcess
 from holdfast.messages import Array
-from holdfast.recording.cdr import OdometryEncoder
 from holdfast.recording.mcap_writer import McapWriter
 from holdfast.recording.raw import RawBag, RawCopier
 from holdfast.recording.source import find_topic
+from holdfast.ros.cdr import OdometryEncoder
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -27,7 +27,7 @@ UNKNOWN = np.zeros(36)
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is asked for.
+    """The options of a run.
 
     Attributes:
         topic: of the clouds; None takes the only one.
@@ -49,7 +49,7 @@ class Options:
 
 @dataclass(slots=True)
 class Summary:
-    """What became of the recording."""
+    """Counts and warnings of a run."""
 
     poses: int = 0
     warnings: list[str] = field(default_factory=list)
@@ -97,9 +97,9 @@ def run(  # noqa: PLR0917 (all but the last two are needed)
         bag: what is read.
         topic: of the clouds, from `choose_topic`.
         writer: takes the copy and the poses.
-        options: what is asked for.
+        options: of the run.
         gyroscope: deskews better than the motion between the sweeps.
-        progress: is told the arrival [ns] of each cloud.
+        progress: called with the arrival [ns] of each cloud.
 
     Raises:
         RecordingError: the bag is damaged, or none of its clouds can be used.
@@ -125,6 +125,16 @@ def run(  # noqa: PLR0917 (all but the last two are needed)
             poses.write()  # what came before the damage is good
             raise
         poses.write()
+    _warn(summary, bag, reader, copier, topic)
+    return summary
+
+
+def _warn(summary: Summary, bag: RawBag, reader: SweepReader, copier: RawCopier, topic: str) -> None:
+    """Complete the warnings of a run.
+
+    Raises:
+        RecordingError: no cloud was used.
+    """
     path = str(bag.recording.path)
     skipped = reader.skipped.lines(path)
     if not summary.poses:
@@ -136,11 +146,10 @@ def run(  # noqa: PLR0917 (all but the last two are needed)
             "did not measure all of them: check its topic and time_offset_s"
         )
     summary.warnings = [*bag.recording.warnings, *skipped, *left_out, *summary.warnings]
-    return summary
 
 
 class _Poses:
-    """The poses that are asked for and not written yet, in order."""
+    """The pending poses, in order."""
 
     def __init__(self, process: RegistrationProcess, writer: McapWriter, options: Options, summary: Summary) -> None:
         self._process = process
@@ -152,7 +161,7 @@ class _Poses:
         self._encoder: OdometryEncoder | None = None
 
     def submit(self, sweep: Sweep, arrival_ns: int) -> None:
-        """Ask for the pose of a sweep; it arrives `latency_s` after it."""
+        """Submit a sweep; its pose arrives `latency_s` after it."""
         self._encoder = self._encoder or OdometryEncoder(FRAME, sweep.frame_id)
         self._process.submit(sweep)
         self._due_ns.append(arrival_ns + self._latency_ns)

@@ -21,21 +21,21 @@ RESOLUTIONS_M = (0.5, 0.25)  # the first, coarse pass finds the motion within th
 NEIGHBOURS = 10
 PARTNER_M = 1.0
 EPSILON_RAD, EPSILON_M = 1e-5, 1e-4
-MEMORY_SWEEPS = 3000  # ten minutes at 5 Hz: a machine that comes back to its place finds its map there
-# neighbouring points share the error of their voxel, which H takes for independent: on two ray-cast sites s^2 H^-1 is
-# right for new noise at one place, and 2.3 to 3.6 times too small over places; what deskewing leaves comes on top
-SHARED = 3.0
-LOST_INLIERS = 0.4  # of the points; 0.7 at the edge of the map, 1 within it, and flat ground alone fits anywhere
-GAP_S = 1.0  # nobody knows how the lidar moved in a longer one
+MEMORY_SWEEPS = 3000  # ten minutes at 5 Hz: a machine that returns finds its map
+# neighbouring points have the error of their voxel in common, which H takes for independent: on two ray-cast sites
+# s^2 H^-1 is right for new noise at one position, and 2.3 to 3.6 times too small over positions; deskewing errors add
+CORRELATION = 3.0
+LOST_INLIER_FRACTION = 0.4  # it is 0.7 at the edge of the map and 1 within; flat ground alone fits anywhere
+MAX_GAP_S = 1.0  # the motion in a longer one is unknown
 NEVER_NS = -(1 << 62)
 
 
 class SmallGicp:
     """An odometry whose poses refer to the middle of the sweep, where deskewing errs least.
 
-    Between sweeps the lidar is predicted, and during a sweep its points are deskewed, with the gyroscope's turn if the
-    sweep brings it, else with a constant rate; in either case with a constant velocity. Both are found twice: from the
-    last two sweeps, and again when this one has been aligned coarsely, because a cabin starts and stops within a sweep.
+    Between sweeps the lidar is predicted, and during a sweep its points are deskewed, with the gyroscope's rotation if
+    the sweep brings it, else with a constant rate; in either case with a constant velocity. Both are found twice: from
+    the last two sweeps, and again when this one has been aligned coarsely, because a cabin starts and stops within one.
     """
 
     def __init__(self, threads: int) -> None:
@@ -51,16 +51,16 @@ class SmallGicp:
         at_s = sweep.middle_s
         at_ns = sweep.stamp_ns + round(at_s * 1e9)
         interval_s = (at_ns - self._at_ns) * 1e-9
-        if interval_s > GAP_S:
+        if interval_s > MAX_GAP_S:
             self._angular, self._velocity = np.zeros(3), np.zeros(3)
             return self._begin(sweep, at_s, self._T_L0_L)
-        turn = self._rates(sweep).turn(at_s - interval_s, at_s)
-        T_L0_L = self._T_L0_L.compose(gtsam.Pose3(turn, self._velocity * interval_s))
-        self._velocity = turn.unrotate(self._velocity)
+        rotation = self._rates(sweep).rotation(at_s - interval_s, at_s)
+        T_L0_L = self._T_L0_L.compose(gtsam.Pose3(rotation, self._velocity * interval_s))
+        self._velocity = rotation.unrotate(self._velocity)
         for resolution_m in RESOLUTIONS_M:
             cloud = self._cloud(sweep, at_s, resolution_m)
             result = self._align(cloud, T_L0_L)
-            if result.num_inliers < LOST_INLIERS * cloud.size():
+            if result.num_inliers < LOST_INLIER_FRACTION * cloud.size():
                 return self._begin(sweep, at_s, T_L0_L)
             T_L0_L = gtsam.Pose3(result.T_target_source)
             motion = self._T_L0_L.between(T_L0_L)
@@ -103,9 +103,9 @@ def covariance(result: small_gicp.RegistrationResult) -> Array:
     """Return the covariance (6, 6) of an alignment: rotation [rad], then translation [m], expressed in L.
 
     The library minimises e = 1/2 sum r^T M r over T Exp(delta), delta rotation first, so its Hessian H is that of
-    GTSAM's tangent. M is the library's guess (planes 3 cm thick); the residuals tell how good: s^2 = 2 e / (n - 6), as
-    each of n points is measured across its plane only. The covariance is SHARED s^2 H^-1: see there.
+    GTSAM's tangent. M is the library's guess (planes 3 cm thick), scaled by the residuals: s^2 = 2 e / (n - 6), as
+    each of n points is measured across its plane only. The covariance is CORRELATION s^2 H^-1.
     """
-    ratio = SHARED * 2.0 * result.error / max(result.num_inliers - 6, 1)
+    ratio = CORRELATION * 2.0 * result.error / max(result.num_inliers - 6, 1)
     scaled: Array = ratio * np.linalg.inv(result.H)
     return scaled

@@ -11,15 +11,15 @@ from holdfast.messages import Array
 from holdfast.recording.decode import UndecodableError, stamp_ns
 
 TIME_FIELDS = ("t", "time", "timestamp", "offset_time")
-DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # of sensor_msgs/PointField
-EPOCH_S = 1e6  # times beyond it count from the epoch, not from the stamp
-NANOSECONDS = 1e4  # no sweep lasts so many seconds: such floats are nanoseconds
+DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
+MAX_SINCE_STAMP_S = 1e6  # larger times count from the epoch, not from the stamp
+MAX_SWEEP_S = 1e4  # larger floats are nanoseconds
 MAX_OFFSET_S = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweep:
-    """The returns of one turn of the lidar, without those that are not finite.
+    """The returns of one revolution of the lidar, without those that are not finite.
 
     Attributes:
         stamp_ns: of the message.
@@ -61,7 +61,7 @@ def decode_sweep(message: Any) -> Sweep:
 
     A field named t, time, timestamp or offset_time is the time of each point: integers are nanoseconds after the stamp;
     floats are seconds, or nanoseconds where no sweep could last so many seconds, after the stamp or since the epoch.
-    Times that are all equal say nothing.
+    Times that are all equal are ignored.
 
     Raises:
         UndecodableError: fields are missing, do not fit the data or are no times of a sweep.
@@ -108,13 +108,13 @@ def _offsets_s(times: NDArray[Any], name: str, at_ns: int) -> Array | None:
         seconds = times.astype(np.float64)
         if not np.isfinite(seconds).all():
             raise UndecodableError(f"field {name} is not finite")
-        scale = 1e-9 if np.ptp(seconds) > NANOSECONDS else 1.0
-        since_epoch = abs(seconds[0] * scale) > EPOCH_S
+        scale = 1e-9 if np.ptp(seconds) > MAX_SWEEP_S else 1.0
+        since_epoch = abs(seconds[0] * scale) > MAX_SINCE_STAMP_S
         # float64 since the epoch resolves 0.24 us, in seconds as in nanoseconds
         offsets_s = (seconds - (at_ns * 1e-9 / scale if since_epoch else 0.0)) * scale
     largest_s = float(np.abs(offsets_s).max())
     if largest_s > MAX_OFFSET_S:
         raise UndecodableError(
-            f"field {name} lies {largest_s:.3g} s from the stamp (allowed: {MAX_OFFSET_S:g}); is it in other units?"
+            f"field {name} is {largest_s:.3g} s from the stamp (allowed: {MAX_OFFSET_S:g}); is it in other units?"
         )
     return None if np.ptp(offsets_s) == 0.0 else offsets_s

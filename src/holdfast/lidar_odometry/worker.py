@@ -1,6 +1,6 @@
 """A registration library in a process of its own, because it holds the interpreter's lock for whole sweeps.
 
-The process is spawned and speaks over one pipe. It ends when its end of the pipe closes, however the parent ends.
+The process is spawned and connected by one pipe. It ends when the pipe closes, however the parent ends.
 """
 
 import signal
@@ -14,7 +14,7 @@ from holdfast.errors import EstimatorError
 from holdfast.lidar_odometry.registration import Registered, make_registration
 from holdfast.lidar_odometry.sweep import Sweep
 
-AHEAD = 2  # sweeps on their way: one is registered while the next one is decoded
+MAX_PENDING_SWEEPS = 2  # one is registered while the next one is decoded
 PATIENCE_S = 5.0
 
 
@@ -44,17 +44,17 @@ class RegistrationProcess:
         return self._process.pid
 
     def submit(self, sweep: Sweep) -> None:
-        """Hand over a sweep; waits while too many are on their way.
+        """Hand over a sweep; waits while too many are pending.
 
         Raises:
-            EstimatorError: the process failed; one line says how.
+            EstimatorError: the process failed, with its error in one line.
         """
-        while self._in_flight >= AHEAD:
+        while self._in_flight >= MAX_PENDING_SWEEPS:
             self._results.append(self._receive())
         try:
             self._connection.send(sweep)
         except OSError:
-            while True:  # until it says why it ended, or how it ended
+            while True:  # until it sends its error, or its exit code is known
                 self._results.append(self._receive())
         self._in_flight += 1
 
@@ -95,13 +95,13 @@ class RegistrationProcess:
 
 
 def serve(connection: Connection, method: str, threads: int) -> None:
-    """Answer each sweep with its pose until the other end closes; a failure is answered with a line that says why."""
+    """Answer each sweep with its pose until the other end closes; a failure is answered with its error in one line."""
     try:
         registration = make_registration(method, threads)
         while True:
             connection.send(registration.register(connection.recv()))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return
-    except Exception as error:  # whatever a library throws, the parent shall say it in one line
+    except Exception as error:  # whatever a library throws, the parent reports it in one line
         text = " ".join(str(error).split())
         connection.send(f"lidar odometry by {method} failed: {type(error).__name__}: {text}")

@@ -1,6 +1,6 @@
 """The ROS 2 network over DDS, without a ROS installation: raw CDR in, raw CDR out.
 
-Two settings make ROS' own DDS match, and nothing says so where they are missing: samples are CDR version 1, and the
+Two settings make ROS' own DDS match, and where they are missing nothing reports it: samples are CDR version 1, and the
 type information of eProsima's Fast DDS (vendor 1.15) is not compared with ours.
 """
 
@@ -27,16 +27,19 @@ from holdfast.errors import ConfigError
 from holdfast.live.idl import dds_type, ros_name
 
 ANY = SampleState.Any | ViewState.Any | InstanceState.Any
-INPUT_DEPTH = 2000  # samples that wait per topic while the process is held up: 5 s of an IMU at 400 Hz
-OUTPUT_DEPTH = 100  # messages that a reader which is held up for a second still gets
+INPUT_DEPTH = 2000
+"""Samples that wait per topic while the process is held up: 5 s of an IMU at 400 Hz."""
+OUTPUT_DEPTH = 100
+"""Messages that a reader which is held up for a second still gets."""
 TAKE = 200
-MAX_BLOCKING_MS = 1  # no reader that has fallen asleep may hold up the IMU path
+MAX_BLOCKING_MS = 1
+"""No reader that has fallen asleep may hold up the IMU path."""
 MAX_DOMAIN_ID = 232
 UNLIMITED = -1
 
 
 class Sample(NamedTuple):
-    """One message as it came: its CDR, undecoded."""
+    """One message as it was received: its CDR, undecoded."""
 
     topic: str
     type_name: str
@@ -119,7 +122,7 @@ class Network:
         return publish
 
     def wait(self, timeout_s: float) -> list[Sample]:
-        """Return what has come, at the latest after `timeout_s`; topics in the order in which they were subscribed."""
+        """Return what has arrived, after `timeout_s` at the latest; topics in the order of their subscription."""
         self._waiting.wait(duration(seconds=timeout_s))
         samples = []
         for (topic, type_name), (reader, _) in self._readers.items():
@@ -190,7 +193,7 @@ def domain_id(live: LiveConfig) -> int:
 
 
 def configuration(live: LiveConfig) -> str:
-    """Return the configuration of Cyclone DDS; what CYCLONEDDS_URI says is read before ours.
+    """Return the configuration of Cyclone DDS; that of CYCLONEDDS_URI is read before ours.
 
     Raises:
         ConfigError: this machine has no such network card.

@@ -12,13 +12,15 @@ from multiprocessing.connection import Connection
 from threading import Thread
 from typing import NamedTuple
 
-BATCHES = 4096  # that may wait for a slow consumer: 20 s at 200 wake-ups a second
+MAX_WAITING_BATCHES = 4096
+"""For a slow consumer: 20 s at 200 wake-ups a second."""
 FINISH_S = 30.0
-NICE = 10  # whoever feeds comes first
+NICE = 10
+"""Whoever feeds comes first."""
 
 
 class Record(NamedTuple):
-    """One message with the time at which it came or went."""
+    """One message with the time at which it was received or published."""
 
     topic: str
     type_name: str
@@ -38,8 +40,8 @@ class Consumer:
         return Batches(self._incoming, timeout_s)
 
     def complain(self, text: str) -> None:
-        """Tell the feeding process, in one line, that something is wrong."""
-        with suppress(OSError):  # it is gone: nobody is left to be told
+        """Report to the feeding process, in one line, that something is wrong."""
+        with suppress(OSError):  # it is gone
             self._complaints.send(text)
 
 
@@ -79,7 +81,7 @@ class Feed:
         self._complaints, complaints = context.Pipe(duplex=False)
         self.name = name
         self.dropped = 0
-        self._waiting: queue.Queue[Sequence[Record] | None] = queue.Queue(BATCHES)
+        self._waiting: queue.Queue[Sequence[Record] | None] = queue.Queue(MAX_WAITING_BATCHES)
         self._process = context.Process(target=_run, args=(consume, incoming, complaints, *arguments), name=name)
         self._process.start()
         incoming.close()
@@ -95,7 +97,7 @@ class Feed:
             self.dropped += len(batch)
 
     def complaint(self) -> str | None:
-        """Return what the consumer has to tell since the last call, or None."""
+        """Return the complaint of the consumer since the last call, or None."""
         try:
             return str(self._complaints.recv()) if self._complaints.poll() else None
         except (EOFError, OSError):
@@ -134,7 +136,7 @@ class Feed:
 def _run(
     consume: Callable[..., None], incoming: Connection, complaints: Connection, *arguments: object
 ) -> None:  # pragma: no cover (in the other process)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the feeding process says when to end
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the feeding process decides
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     os.nice(NICE)
     consumer = Consumer(incoming, complaints)

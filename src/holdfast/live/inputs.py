@@ -1,4 +1,4 @@
-"""From samples on the network to measurements, by the decoders of recordings; nothing that comes is fatal."""
+"""From samples on the network to measurements, by the decoders of recordings; no sample is fatal."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -7,14 +7,15 @@ from holdfast.errors import ConfigError
 from holdfast.live.dds import Network, Publication, Sample
 from holdfast.live.idl import STORE
 from holdfast.messages import Message
-from holdfast.recording.decode import DECODERS, Decoder
+from holdfast.recording.decode import Decoder
+from holdfast.recording.kinds import KINDS
 from holdfast.recording.source import Subscription
 
 
 class Inputs:
-    """Subscribes to the topics of the sensors and decodes what comes.
+    """Subscribes to the topics of the sensors and decodes what arrives.
 
-    A kind of measurement that several message types can carry is subscribed to once somebody publishes one of them.
+    A topic that may have one of several types is subscribed to once somebody publishes one of them.
 
     Args:
         network: where to subscribe.
@@ -22,7 +23,7 @@ class Inputs:
         reliable: ask for lost samples again.
 
     Raises:
-        ConfigError: one topic is to be two sensors that no message can be at once.
+        ConfigError: no message type can serve all the sensors that name one topic, or serve a sensor at all.
     """
 
     def __init__(self, network: Network, subscriptions: Sequence[Subscription], *, reliable: bool = False) -> None:
@@ -34,9 +35,11 @@ class Inputs:
         self.reasons: dict[str, str] = {}
         self.topics: dict[str, tuple[str, ...]] = {}
         for subscription in subscriptions:
-            allowed = DECODERS[subscription.kind]
+            allowed = KINDS[subscription.kind].decoders
             known = self.topics.get(subscription.topic)
             types = tuple(allowed) if known is None else tuple(name for name in known if name in allowed)
+            if not allowed:
+                raise ConfigError(f"sensors.{subscription.sensor}.kind: {subscription.kind} has no message types")
             if not types:
                 raise ConfigError(
                     f"sensors.{subscription.sensor}.topic: {subscription.topic} is that of another sensor"
@@ -59,16 +62,25 @@ class Inputs:
 
         Args:
             sample: of any topic; of one that is no sensor's, nothing is returned.
-            arrival_ns: when it came.
+            arrival_ns: when it arrived.
         """
         decoders = self._decoders.get((sample.topic, sample.type_name))
         if decoders is None:
             return []
         self.received[sample.topic] += 1
         try:
-            message = STORE.deserialize_cdr(sample.data, sample.type_name)
-            return [decode(message, arrival_ns) for decode in decoders]
+            content = STORE.deserialize_cdr(sample.data, sample.type_name)
         except Exception as error:  # damaged bytes raise anything; one sample must not end the node
-            self.malformed[sample.topic] += 1
-            self.reasons[sample.topic] = f"{type(error).__name__}: {error}" if not str(error) else str(error)
+            self._count_malformed(sample.topic, error)
             return []
+        messages = []
+        for decode in decoders:  # of several sensors: what is none of one may well be another
+            try:
+                messages.append(decode(content, arrival_ns))
+            except Exception as error:
+                self._count_malformed(sample.topic, error)
+        return messages
+
+    def _count_malformed(self, topic: str, error: Exception) -> None:
+        self.malformed[topic] += 1
+        self.reasons[topic] = str(error) or type(error).__name__

@@ -1,4 +1,4 @@
-"""The live node: what comes over the network goes into the estimator, what it says goes out and into the feeds."""
+"""The live node: samples from the network go into the estimator, its estimates out and into the feeds."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -16,13 +16,20 @@ from holdfast.live.outputs import Level, Outputs
 from holdfast.live.watch import MALFORMED, Finding, Watch
 from holdfast.realtime.engine import RealtimeEstimator
 from holdfast.recording.source import Subscription
-from holdfast.replay.ros_messages import OK, WARN, Status, estimator_status
+from holdfast.ros.messages import OK, WARN, Status, estimator_status
 from holdfast.state import Event, EventKind
 
 REVIEW_NS = 1_000_000_000
-WAIT_S = 0.1  # the longest that a wish to stop goes unheard
-REPEAT_NS = 10_000_000_000  # an event of the same kind is said again only after so long
-GRAVE = {EventKind.OPTIMISER_FAULT, EventKind.CLOCK_STEP, EventKind.GNSS_LOST, EventKind.IMU_GAP}
+STOP_WITHIN_S = 0.1
+REPEAT_NS = 10_000_000_000
+"""An event of the same kind is reported again only after so long."""
+GRAVE = {
+    EventKind.OPTIMISER_FAULT,
+    EventKind.CLOCK_STEP,
+    EventKind.GNSS_LOST,
+    EventKind.SENSOR_LOST,
+    EventKind.IMU_GAP,
+}
 EMPTY, FIX = "std_msgs/msg/Empty", "sensor_msgs/msg/NavSatFix"
 
 
@@ -33,9 +40,9 @@ class LiveNode:
         config: of the estimator and of the node.
         subscriptions: which topic feeds which sensor.
         engine: the estimator.
-        network: where to listen and to publish.
-        feeds: processes that get a copy of everything that comes and goes.
-        say: prints one line for the user.
+        network: where to subscribe and to publish.
+        feeds: processes that get a copy of everything that is received and published.
+        show: prints one line for the user.
     """
 
     def __init__(
@@ -46,14 +53,14 @@ class LiveNode:
         network: Network,
         *,
         feeds: Sequence[Feed],
-        say: Callable[[str], None],
+        show: Callable[[str], None],
     ) -> None:
         live = config.live
         self.name = f"{live.namespace}/{live.node_name}"
         self._engine = engine
         self._network = network
         self._feeds = feeds
-        self._say = say
+        self._show = show
         self._clock = ArrivalClock()
         full = [
             replace(subscription, topic=full_name(subscription.topic, live.namespace)) for subscription in subscriptions
@@ -72,16 +79,16 @@ class LiveNode:
             network.subscribe(topic, type_name, reliable=True)
         self._findings: dict[str, Finding] = {}
         self._complaints: dict[str, str] = {}
-        self._said_ns: dict[tuple[str, str], int] = {}
+        self._reported_ns: dict[tuple[str, str], int] = {}
         self._datum: Geodetic | None = None
         self.has_started = False
 
     def run(self, keep_on: Callable[[], bool]) -> None:
-        """Work until `keep_on` says no; it is asked ten times a second at least."""
+        """Work until `keep_on` returns False; it is called ten times a second at least."""
         next_review_ns = self._clock.now_ns() + REVIEW_NS
         while keep_on():
             refresh_in_s = self._engine.refresh_in_s
-            samples = self._network.wait(WAIT_S if refresh_in_s is None else min(WAIT_S, refresh_in_s))
+            samples = self._network.wait(STOP_WITHIN_S if refresh_in_s is None else min(STOP_WITHIN_S, refresh_in_s))
             if not samples and refresh_in_s is not None:
                 self._engine.refresh()
             now_ns = self._clock.now_ns()
@@ -89,9 +96,9 @@ class LiveNode:
             for sample in samples:
                 self._take(sample, now_ns)
             if self._engine.datum != self._datum:
-                self._tell_datum(now_ns)
+                self._report_datum(now_ns)
             for event in self._engine.take_events():
-                self._tell_event(event, now_ns)
+                self._report_event(event, now_ns)
             if now_ns >= next_review_ns:
                 next_review_ns = now_ns + REVIEW_NS
                 self._review(now_ns)
@@ -118,7 +125,7 @@ class LiveNode:
     # --- controls ------------------------------------------------------------------------------------------------
 
     def _reset(self, sample: Sample, now_ns: int) -> None:
-        self.outputs.forget_path()
+        self.outputs.clear_path()
         self._engine.reset()
         self._log(Level.WARN, f"{sample.topic}: the estimator begins anew", now_ns)
 
@@ -131,18 +138,18 @@ class LiveNode:
         datum = Geodetic(fix.latitude, fix.longitude, fix.altitude)
         if not all(map(isfinite, datum)) or abs(datum.latitude_deg) > 90.0 or abs(datum.longitude_deg) > 360.0:
             self._log(
-                Level.ERROR, f"{sample.topic}: {tuple(datum)} is no place on the Earth; nothing is changed", now_ns
+                Level.ERROR, f"{sample.topic}: {tuple(datum)} is no position on the Earth; nothing is changed", now_ns
             )
             return
-        self.outputs.forget_path()
+        self.outputs.clear_path()
         self._engine.set_datum(datum)
 
-    def _tell_datum(self, now_ns: int) -> None:
+    def _report_datum(self, now_ns: int) -> None:
         self._datum = self._engine.datum
         if self._datum is not None:
             self.outputs.datum(self._datum, now_ns)
-            place = f"{self._datum.latitude_deg:.8f}, {self._datum.longitude_deg:.8f}, {self._datum.altitude_m:.3f} m"
-            self._log(Level.INFO, f"the world's origin is {place}", now_ns)
+            origin = f"{self._datum.latitude_deg:.8f}, {self._datum.longitude_deg:.8f}, {self._datum.altitude_m:.3f} m"
+            self._log(Level.INFO, f"the world's origin is {origin}", now_ns)
 
     # --- what is wrong -------------------------------------------------------------------------------------------
 
@@ -153,7 +160,7 @@ class LiveNode:
         for topic, finding in findings.items():
             before = self._findings.get(topic)
             if before is None or before.kind != finding.kind:
-                self._tell(topic, finding.kind, Level.WARN, f"{topic}: {finding.text}", now_ns)
+                self._report(topic, finding.kind, Level.WARN, f"{topic}: {finding.text}", now_ns)
         for topic in self._findings.keys() - findings.keys():
             if self._findings[topic].kind != MALFORMED:
                 self._log(Level.INFO, f"{topic}: is well again", now_ns)
@@ -168,13 +175,13 @@ class LiveNode:
     def _statuses(self, now_ns: int) -> list[Status]:
         statuses = [estimator_status(self._engine)]
         for topic, types in self.inputs.topics.items():
-            finding, heard = self._findings.get(topic), self._watch.heard[topic]
+            finding, reception = self._findings.get(topic), self._watch.received[topic]
             values = [
                 ("type", " | ".join(types)),
                 ("received", str(self.inputs.received[topic])),
                 ("malformed", str(self.inputs.malformed[topic])),
-                ("rate_hz", f"{heard.rate_hz(now_ns):.2f}"),
-                ("stamp_minus_clock_s", f"{heard.offset_ns * 1e-9:.6f}"),
+                ("rate_hz", f"{reception.rate_hz(now_ns):.2f}"),
+                ("stamp_minus_clock_s", f"{reception.offset_ns * 1e-9:.6f}"),
             ]
             text = "ok" if finding is None else finding.text
             statuses.append(Status(OK if finding is None else WARN, f"holdfast: {topic}", text, values))
@@ -189,19 +196,20 @@ class LiveNode:
             )
         return statuses
 
-    def _tell_event(self, event: Event, now_ns: int) -> None:
+    def _report_event(self, event: Event, now_ns: int) -> None:
         level = Level.WARN if event.kind in GRAVE else Level.INFO
         source = f"{event.sensor}: " if event.sensor else ""
-        self._tell(event.kind, f"{event.sensor} {event.reason}", level, f"{source}{event.kind}: {event.reason}", now_ns)
+        text = f"{source}{event.kind}: {event.reason}"
+        self._report(event.kind, f"{event.sensor} {event.reason}", level, text, now_ns)
 
-    def _tell(self, subject: str, kind: str, level: Level, text: str, now_ns: int) -> None:
-        """Say something, unless the same was said a short while ago."""
-        if now_ns - self._said_ns.get((subject, kind), -REPEAT_NS) >= REPEAT_NS:
-            self._said_ns[subject, kind] = now_ns
+    def _report(self, subject: str, kind: str, level: Level, text: str, now_ns: int) -> None:
+        """Log something, unless the same was logged a short while ago."""
+        if now_ns - self._reported_ns.get((subject, kind), -REPEAT_NS) >= REPEAT_NS:
+            self._reported_ns[subject, kind] = now_ns
             self._log(level, text, now_ns)
 
     def _log(self, level: Level, text: str, now_ns: int) -> None:
-        self._say(text if level is Level.INFO else f"{'warning' if level is Level.WARN else 'error'}: {text}")
+        self._show(text if level is Level.INFO else f"{'warning' if level is Level.WARN else 'error'}: {text}")
         self.outputs.log(level, text, now_ns)
 
 

@@ -1,4 +1,4 @@
-"""What a live node publishes: odometry, transforms, the path, the datum, diagnostics and what it has to say."""
+"""What a live node publishes: odometry, transforms, the path, the datum, diagnostics and log."""
 
 from collections.abc import Sequence
 from enum import IntEnum
@@ -12,8 +12,8 @@ from holdfast.live.dds import Network, Publish
 from holdfast.live.feed import Record
 from holdfast.live.idl import STORE
 from holdfast.live.path import DrivenPath
-from holdfast.replay.frame_transforms import translation_and_quaternion
-from holdfast.replay.ros_messages import (
+from holdfast.ros.frame_transforms import translation_and_quaternion
+from holdfast.ros.messages import (
     DIAGNOSTICS,
     TRANSFORMS,
     EstimateMessages,
@@ -30,7 +30,7 @@ NO_COVARIANCE = np.zeros(9)
 
 
 class Level(IntEnum):
-    """Severity of what is said, numbered as in rcl_interfaces/Log."""
+    """Severity of a line of the log, numbered as in rcl_interfaces/Log."""
 
     INFO = 20
     WARN = 30
@@ -90,13 +90,13 @@ class Outputs:
             self._path_grew = False
             self._send(RosMessage(f"{self._node}/path", PATH, self._path.encode(self._stamp_ns)), now_ns)
 
-    def forget_path(self) -> None:
+    def clear_path(self) -> None:
         """Begin the path anew."""
         self._path.clear()
         self._path_grew = False
 
     def datum(self, datum: Geodetic, now_ns: int) -> None:
-        """Publish the origin of the world frame; who comes later gets it, too."""
+        """Publish the origin of the world frame; a later subscriber gets it, too."""
         types = STORE.types
         message = types[FIX](
             header=self._header(now_ns, self._world_frame),

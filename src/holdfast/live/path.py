@@ -1,14 +1,15 @@
-"""The way that was driven, as nav_msgs/Path: poses some distance apart, thinned out so that the message stays small."""
+"""The driven path, as nav_msgs/Path: poses some distance apart, thinned out so that the message stays small."""
 
 import struct
 
 import numpy as np
 
 from holdfast.messages import Array
-from holdfast.recording.cdr import ENCAPSULATION, NS_PER_S
+from holdfast.ros.cdr import ENCAPSULATION, NS_PER_S
 
-MAX_POSES = 2000  # 150 kB, written once a second at most
-POSE = 7  # position, quaternion
+MAX_POSES = 2000
+"""150 kB, written once a second at most."""
+POSE_WIDTH = 7
 
 
 class DrivenPath:
@@ -28,7 +29,7 @@ class DrivenPath:
                 ("stamp", "<i4", 2),
                 ("frame", f"V{len(self._frame)}"),
                 ("gap", f"V{-(8 + len(self._frame)) % 8}"),
-                ("pose", "<f8", POSE),
+                ("pose", "<f8", POSE_WIDTH),
             ]
         )
         self.clear()
@@ -45,7 +46,7 @@ class DrivenPath:
         return self._count
 
     def add(self, stamp_ns: int, position: Array, quaternion_xyzw: Array) -> bool:
-        """Take in a pose if it is far enough from the last one, and tell whether it was.
+        """Take in a pose if it is far enough from the last one, and return whether it was.
 
         Args:
             stamp_ns: time of the pose.

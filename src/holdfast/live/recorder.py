@@ -1,4 +1,4 @@
-"""Writes what a live node hears and says as MCAP, in a process of its own: a slow disk holds nobody up."""
+"""Writes what a live node receives and publishes as MCAP, in a process of its own: a slow disk holds nobody up."""
 
 from pathlib import Path
 from time import monotonic
@@ -7,14 +7,15 @@ from holdfast.errors import ConfigError, RecordingError
 from holdfast.live.feed import Consumer
 from holdfast.recording.mcap_writer import McapWriter
 
-FLUSH_S = 2.0  # the most that a power cut can lose
+FLUSH_S = 2.0
+"""The most that a power cut can lose."""
 
 
 def check_destination(path: str | Path) -> None:
     """Refuse a file that cannot be written, or that is there already: a log is not overwritten.
 
     Raises:
-        ConfigError: says why.
+        ConfigError: the text gives the reason.
     """
     try:
         with Path(path).open("xb"):

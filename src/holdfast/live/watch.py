@@ -13,15 +13,15 @@ MALFORMED = "malformed"
 
 
 class Finding(NamedTuple):
-    """What is wrong with a topic; `kind` stays the same while it is the same trouble."""
+    """What is wrong with a topic; `kind` stays the same while it is the same fault."""
 
     kind: str
     text: str
 
 
 @dataclass(slots=True)
-class Heard:
-    """What was heard on one topic."""
+class Reception:
+    """When messages of one topic arrived."""
 
     arrival_ns: int
     offset_ns: int = 0
@@ -37,11 +37,11 @@ class Heard:
 
 
 class Watch:
-    """Judges topics by what was heard and by who publishes; it knows no clock and no network of its own.
+    """Judges topics by what was received and by who publishes; it knows no clock and no network of its own.
 
     Args:
         topics: the types that are allowed, by topic.
-        silent_after_s: a publisher or a message is missed after so long.
+        silent_after_s: a publisher or a message is missing after so long.
         max_clock_offset_s: stamps may be so far from the time of arrival.
         reliable: whether the readers ask for lost samples again.
         began_ns: now, in the time of arrivals.
@@ -61,15 +61,15 @@ class Watch:
         self._max_clock_offset_s = max_clock_offset_s
         self._reliable = reliable
         self._began_ns = began_ns
-        self.heard = {topic: Heard(began_ns) for topic in topics}
+        self.received = {topic: Reception(began_ns) for topic in topics}
         self._malformed: dict[str, int] = {}
 
     def note(self, topic: str, stamp_ns: int, arrival_ns: int, clock_ns: int) -> None:
         """Note a message: its stamp, its arrival, and what this machine's clock showed then."""
-        heard = self.heard[topic]
-        heard.arrival_ns = arrival_ns
-        heard.offset_ns = stamp_ns - clock_ns
-        heard.arrivals_ns.append(arrival_ns)
+        reception = self.received[topic]
+        reception.arrival_ns = arrival_ns
+        reception.offset_ns = stamp_ns - clock_ns
+        reception.arrivals_ns.append(arrival_ns)
 
     def review(
         self, now_ns: int, publications: Sequence[Publication], malformed: Mapping[str, int], reasons: Mapping[str, str]
@@ -98,7 +98,7 @@ class Watch:
         here = [publication for publication in publications if publication.topic == topic]
         fitting = [publication for publication in here if publication.type_name in allowed]
         expected = " or ".join(allowed)
-        silent = (now_ns - self.heard[topic].arrival_ns) / NS_PER_S > self._silent_after_s
+        silent = (now_ns - self.received[topic].arrival_ns) / NS_PER_S > self._silent_after_s
         for other in here:
             if other.type_name not in allowed:
                 also = " as well" if fitting else ""
@@ -117,9 +117,9 @@ class Watch:
         return self._judge_clock(topic, fitting)
 
     def _judge_clock(self, topic: str, fitting: Sequence[Publication]) -> Finding | None:
-        heard = self.heard[topic]
-        offset_s = heard.offset_ns / NS_PER_S
-        if heard.arrivals_ns and abs(offset_s) > self._max_clock_offset_s:
+        reception = self.received[topic]
+        offset_s = reception.offset_ns / NS_PER_S
+        if reception.arrivals_ns and abs(offset_s) > self._max_clock_offset_s:
             side = "ahead of" if offset_s > 0 else "behind"
             return Finding(f"clock {side}", f"stamps are {abs(offset_s):.3g} s {side} this machine's clock")
         if len(fitting) > 1:

@@ -21,9 +21,9 @@ def curves(published: Published, truth: Truth, errors: StateErrors) -> Curves:
     """Return columns of at most `MAX_ROWS` rows beside `time_s`; worst values stand for all since the row before.
 
     `east_m`, `north_m`, `up_m`: estimate minus truth; `x_m` to `z_m` and `true_x_m` to `true_z_m`: positions in W;
-    `heading_deg`, `velocity_m_s`: errors; `sigma_horizontal_m`, `sigma_up_m`: what the estimate says of itself;
+    `heading_deg`, `velocity_m_s`: errors; `sigma_horizontal_m`, `sigma_up_m`: standard deviations as reported;
     `nees_attitude`, `nees_position`, `nees_velocity`: per degree of freedom; `step_m`, `step_deg`: worst steps of O;
-    `trusted`: whether GNSS is used; `base_m`, `base_yaw_rate_rad_s`: what is wrong with the chassis beyond the cabin.
+    `trusted`: whether GNSS is used; `base_m`, `base_yaw_rate_rad_s`: errors of the chassis beyond those of the cabin.
     """
     poses = published.world.poses
     rows = rows_of(len(poses.stamps_ns))
@@ -38,7 +38,7 @@ def curves(published: Published, truth: Truth, errors: StateErrors) -> Curves:
         found[f"true_{axis}_m"] = truth.states.poses.positions[rows, k]
     found["heading_deg"] = np.degrees(errors.attitude[rows, 2])
     found["velocity_m_s"] = np.linalg.norm(errors.tangent[rows, 6:], axis=1)
-    found |= _sureness(published, errors, rows)
+    found |= _consistency(published, errors, rows)
     moved, turned = steps(published.odometry, published.inertial)
     found |= {"step_m": worst_since(moved, rows), "step_deg": worst_since(turned, rows)}
     if published.chassis is not None:
@@ -59,7 +59,7 @@ def curves_at_fixes(published: Published, truth: Truth, found: AtFixes) -> Curve
     return thin(
         {
             "rtk_time_s": truth.seconds(found.stamps_ns[chosen]),
-            "rtk_m": np.linalg.norm(found.misses[chosen], axis=1),
+            "rtk_m": np.linalg.norm(found.residuals[chosen], axis=1),
             "nis": values[chosen] / 3.0,
         }
     )
@@ -73,8 +73,8 @@ def curves_of_corrections(truth: Truth, stamps_ns: NDArray[np.int64], distances_
 
 
 def curves_of_outcomes(truth: Truth, log: OutcomeLog) -> Curves:
-    """Return `outcome_time_s` with `outcome:SENSOR:OUTCOME`: how many came to what in the second before."""
-    keys = sorted({key for _, counts in log.rows for key in counts if key[0] in ("gnss", "gnss_right", "heading")})
+    """Return `outcome_time_s` with `outcome:SENSOR:OUTCOME`: counts of the receivers in the second before."""
+    keys = sorted({key for _, counts in log.rows for key in counts if key[0] in log.receivers})
     rows = rows_of(len(log.rows))
     stamps = np.array([stamp for stamp, _ in log.rows], dtype=np.int64)
     found: Curves = {"outcome_time_s": truth.seconds(stamps[rows])}
@@ -84,7 +84,7 @@ def curves_of_outcomes(truth: Truth, log: OutcomeLog) -> Curves:
     return thin(found)
 
 
-def _sureness(published: Published, errors: StateErrors, rows: NDArray[np.intp]) -> Curves:
+def _consistency(published: Published, errors: StateErrors, rows: NDArray[np.intp]) -> Curves:
     covariances = published.covariances[rows]
     found: Curves = {}
     for name, block in BLOCKS.items():

@@ -1,6 +1,6 @@
 """The whole evaluation: every job in a pool of processes, the latencies alone, and the results in one file.
 
-What is done is kept: a finished run is a file, and an evaluation that was interrupted goes on where it stopped.
+A finished run is kept as a file: an evaluation that was interrupted continues where it stopped.
 """
 
 import json
@@ -18,6 +18,7 @@ import numpy as np
 import holdfast
 from holdfast.baselines.msf import MSF_TUNING
 from holdfast.baselines.tsif import TSIF_TUNING
+from holdfast.bench.replay import describe_machine
 from holdfast.config.load import resolved_yaml
 from holdfast.errors import ConfigError
 from holdfast.messages import Array
@@ -34,22 +35,17 @@ from holdfast.paper.results import (
     write_whole,
 )
 from holdfast.paper.study import QUICK, TASKS, Job, plan
-from holdfast.replay.benchmark import describe_machine
 from holdfast.sim.scenario import load_scenario
 from holdfast.trial.pool import processes, run_all
 
 SETTINGS, LATENCY = "settings.json", "latency.json"
 LATENCY_S, QUICK_LATENCY_S = 120.0, 30.0
-# tables, maps and pages are drawn anew from the runs each time
-ROOMS = (
-    *("baselines", "config", "estimator", "evaluation", "geometry", "graph", "recording", "replay", "sensors", "sim"),
-    "trial",
-)
-FILES = ("curves", "job", "latency", "stream", "study", "systems", "verdict")
-MAKES_RUNS = ("*.py", *(f"{room}/**/*.py" for room in ROOMS), *(f"paper/{name}.py" for name in FILES))
+# neither makes a number: tables, maps and pages are drawn anew from the runs each time
+OTHER_ROOMS = {"cli", "fleet", "lidar_odometry", "live", "report", "viz"}
+DRAWING = {"losses", "maps", "page", "page_figures", "page_tables", "picture", "tables"}
 
 Progress = Callable[[int, int], None]
-"""Is told how many runs are done, and how many there are."""
+"""Takes how many runs are done, and how many there are."""
 
 
 def evaluate(  # noqa: PLR0917 (what the command line asks for)
@@ -110,19 +106,24 @@ def run_jobs(planned: Sequence[Job], output: Path, jobs: int, progress: Progress
         return
     lost = f"{output}: a process of the evaluation was killed (out of memory?); what is done is kept: run it again"
 
-    def tell(_: list[None]) -> None:
+    def report(_: list[None]) -> None:
         if progress is not None:
             progress(sum(file.exists() for file in files), len(files))
 
     # the folder is of this process: the others may be ended
     with TemporaryDirectory(prefix="holdfast-paper-") as scratch, processes(jobs, lost) as pool:
-        run_all(pool, [partial(run_job, job, output, Path(scratch)) for job in open_jobs], tell)
+        run_all(pool, [partial(run_job, job, output, Path(scratch)) for job in open_jobs], report)
 
 
 def _claim(output: Path, quick: bool, scenarios: Mapping[str, str]) -> None:
-    """Refuse a folder whose runs were made in another way, or by other code; say in a new one what is run."""
+    """Refuse a folder whose runs were made with other settings or by other code; write into a new one what is run."""
     digest = sha256("\n".join(scenarios.values()).encode()).hexdigest()
-    mine = {"quick": quick, "scenarios": digest, "code": _code_digest(), "versions": _versions()}
+    mine = {
+        "quick": quick,
+        "scenarios": digest,
+        "code": code_digest(Path(holdfast.__file__).parent),
+        "versions": _versions(),
+    }
     path = output / SETTINGS
     if path.exists():
         try:
@@ -138,12 +139,13 @@ def _claim(output: Path, quick: bool, scenarios: Mapping[str, str]) -> None:
     write_whole(path, json.dumps(mine, indent=1).encode())
 
 
-def _code_digest() -> str:
-    """Return what changes with any line that makes a run: the version does not, while somebody works on the code."""
-    root = Path(holdfast.__file__).parent
+def code_digest(root: Path) -> str:
+    """Return the digest of all code of the package in a folder that a number can come from; a version hides changes."""
     digest = sha256()
-    for file in sorted(file for place in MAKES_RUNS for file in root.glob(place)):
-        digest.update(str(file.relative_to(root)).encode() + file.read_bytes())
+    for file in sorted(root.rglob("*.py")):
+        room, *_ = path = file.relative_to(root).parts
+        if room not in OTHER_ROOMS and not (room == "paper" and file.stem in DRAWING):
+            digest.update("/".join(path).encode() + file.read_bytes())
     return digest.hexdigest()
 
 

@@ -59,7 +59,7 @@ def run_job(job: Job, output: Path, scratch: Path | None = None) -> None:
         return
     scenario = load_scenario(job.scenario, dict(job.overrides))
     simulation = simulate(scenario, job.seed)
-    given = configuration_data(scenario)
+    given = configuration_data(scenario, job.seed)
     with TemporaryDirectory(prefix="holdfast-paper-", dir=scratch) as folder:
         recording = Path(folder) / "recording.mcap"
         write_recording(simulation, recording, False, None)
@@ -86,12 +86,12 @@ def _run(job: Job, task: Task, config: Config, simulation: Simulation, recording
     }
     if task.disturbance is not None:
         d = task.disturbance
-        about |= {"sensor": d.sensor, "delay_s": d.delay_s, "clock_s": d.clock_s}
+        about |= {"sensor": d.kind, "delay_s": d.delay_s, "clock_s": d.clock_s}
     try:
         recorder = PublishedRecorder(config, SYSTEMS[task.system].make(config))
         log = OutcomeLog(recorder.estimator)
         with open_recording(recording) as opened:
-            messages = disturbed(opened.read(subscriptions(config)), task.disturbance)
+            messages = disturbed(opened.read(subscriptions(config)), task.disturbance, config)
             recorder.run(log.watch(messages))
         stamps = recorder.published().world.poses.stamps_ns
         if not len(stamps):

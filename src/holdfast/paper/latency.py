@@ -1,14 +1,13 @@
 """Table II: how long each system takes from an IMU sample to its state, all in one program, in turn.
 
 The paper's latency is the time from the arrival of an IMU sample until the propagated state is available (V-B.2). All
-systems get the same message one after the other, in an order that moves on with every message, so that caches, clocks
-and other programs treat them alike. Samples on which a system also takes in measurements are counted as updates, and
-with the others once more among all samples: who waits for a state waits for these, too. Beside the time that passes
-stands that of the processor, which other programs on the machine do not lengthen. The chassis, which no baseline knows,
-is left out.
+systems get the same message one after the other, in an order that rotates with every message, so that caches, clocks
+and other programs affect them equally. Samples on which a system also takes in measurements are counted as updates, and
+with the others once more among all samples: a user of the state waits for these, too. Beside the wall time there is the
+CPU time, which other programs on the machine do not lengthen. The chassis, which no baseline estimates, is left out.
 
 Ours is there twice: as the estimator, which optimises between two samples, and as the realtime engine, whose optimiser
-is another process: there every sample counts, also one that goes on from a new optimised state.
+is another process: there every sample counts, also one that continues from a new optimised state.
 """
 
 from array import array
@@ -21,6 +20,8 @@ from typing import Any
 
 import numpy as np
 
+from holdfast.bench.realtime import without_chassis
+from holdfast.evaluation.percentiles import percentiles
 from holdfast.messages import ImuSample, Message
 from holdfast.paper.results import Latency
 from holdfast.paper.systems import ENGINE, SYSTEMS, configured
@@ -28,17 +29,13 @@ from holdfast.realtime.engine import RealtimeEstimator
 from holdfast.recording.source import open_recording
 from holdfast.recording.subscriptions import subscriptions
 from holdfast.replay.published import Localiser
-from holdfast.replay.spread import spread
 from holdfast.sim.configuration import configuration_data
 from holdfast.sim.recorder import write_recording
 from holdfast.sim.scenario import load_scenario
 from holdfast.sim.simulation import simulate
-from holdfast.trial.variations import changed
 
 QUANTILES = (0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99, 0.995, 0.999, 1.0)
-# only ours says where the chassis is; that would be compared with nothing
-WITHOUT_CHASSIS: dict[str, Any] = {"turn_joint": None, "sensors": {"joint": None, "base_imu": None}}
-WARM_UP = 200  # samples after the start that are not counted
+WARM_UP_SAMPLES = 200
 
 
 class Stopwatch:
@@ -66,13 +63,13 @@ class Stopwatch:
         if self._localiser.events:
             self._localiser.take_events()
         if self._engine is not None and not self._engine.initialised:
-            self._engine.flush()  # the messages come faster than on a machine: all would be over before it starts
+            self._engine.flush()  # the messages come faster than on a machine, and would end before it starts
         is_sample = output.estimate is not None and isinstance(message, ImuSample)
         has_update = output.optimised is not None and self._engine is None
         self._seen += is_sample
         if has_update:
             self.update_ns.append(took_ns)
-        if is_sample and self._seen > WARM_UP:
+        if is_sample and self._seen > WARM_UP_SAMPLES:
             self.every_cpu_ns.append(took_cpu_ns)
             if not has_update:
                 self.imu_ns.append(took_ns)
@@ -87,8 +84,8 @@ def measure(scenario: str, overrides: Mapping[str, Any]) -> tuple[Latency, ...]:
         EstimatorError: the optimiser process of the realtime engine does not answer.
     """
     loaded = load_scenario(scenario, dict(overrides))
-    given = changed(configuration_data(loaded), WITHOUT_CHASSIS)
-    configs = {name: configured(name, given) for name in SYSTEMS}
+    given = configuration_data(loaded, seed=0)
+    configs = {name: without_chassis(configured(name, given)) for name in SYSTEMS}
     watches = {name: Stopwatch(SYSTEMS[name].make(config)) for name, config in configs.items()}
     with (
         TemporaryDirectory(prefix="holdfast-paper-") as folder,
@@ -107,10 +104,10 @@ def measure(scenario: str, overrides: Mapping[str, Any]) -> tuple[Latency, ...]:
 
 
 def _interleave(watches: list[Stopwatch], messages: list[Message]) -> None:
-    turns = watches + watches
+    twice = watches + watches
     for count, message in enumerate(messages):
         first = count % len(watches)
-        for watch in islice(turns, first, first + len(watches)):
+        for watch in islice(twice, first, first + len(watches)):
             watch.feed(message)
 
 
@@ -119,9 +116,9 @@ def _latency(name: str, watch: Stopwatch) -> Latency:
     quantiles = np.quantile(imu_us, QUANTILES).tolist() if len(imu_us) else []
     return Latency(
         system=name,
-        imu_us=spread(imu_us),
-        imu_cpu_us=spread(np.frombuffer(watch.imu_cpu_ns, dtype=np.int64) * 1e-3),
-        every_cpu_us=spread(np.frombuffer(watch.every_cpu_ns, dtype=np.int64) * 1e-3),
-        update_ms=spread(np.frombuffer(watch.update_ns, dtype=np.int64) * 1e-6),
+        imu_us=percentiles(imu_us),
+        imu_cpu_us=percentiles(np.frombuffer(watch.imu_cpu_ns, dtype=np.int64) * 1e-3),
+        every_cpu_us=percentiles(np.frombuffer(watch.every_cpu_ns, dtype=np.int64) * 1e-3),
+        update_ms=percentiles(np.frombuffer(watch.update_ns, dtype=np.int64) * 1e-6),
         quantiles_us=tuple(zip(QUANTILES, quantiles, strict=False)),
     )

@@ -1,7 +1,7 @@
 """Maps of the paper's two tasks (Figs. 1 and 5): scans gathered with the poses of every system, judged by the site.
 
-The scans of seed 0 are ray-cast in memory; every system runs on the same recording, and so do the true poses. What is
-done is kept, task by task: a map is a PLY file, a view from above and a row of maps.json.
+The scans of seed 0 are ray-cast in memory; every system runs on the same recording, and so do the true poses. Finished
+tasks are kept: a map is a PLY file, a view from above and a row of maps.json.
 """
 
 import json
@@ -31,16 +31,17 @@ from holdfast.sim.configuration import configuration_data
 from holdfast.sim.readings import generator
 from holdfast.sim.recorder import write_recording
 from holdfast.sim.scenario import load_scenario
+from holdfast.sim.sensors.scanner import SimulatedScanner
 from holdfast.sim.simulation import START_NS, Simulation, simulate
 from holdfast.state import Trajectory
 from holdfast.trial.pool import processes, run_all
 from holdfast.trial.truth import true_states
 
 FOLDER, SCORES, TRUE_POSES = "maps", "maps.json", "truth"
-QUICK_EVERY = 3  # of the scans of a quick look one in so many is used
+QUICK_DECIMATION = 3  # one in so many scans is used where it has to be quick
 COLOUR_LIMIT_M = 0.2
 SCALE = ((0.0, (24, 90, 70)), (0.25, (60, 160, 110)), (0.5, (240, 220, 110)), (1.0, (200, 60, 40)))
-"""From the surface to `COLOUR_LIMIT_M` beside it: share of the limit -> red, green, blue."""
+"""From the surface to `COLOUR_LIMIT_M` beside it: fraction of the limit -> red, green, blue."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,14 +80,14 @@ def make_maps(output: Path, quick: bool, jobs: int, progress: Callable[[int, int
         return
     files = [_folder(output, scenario, f"{system}.ply") for scenario in tasks for system in (TRUE_POSES, *SYSTEMS)]
 
-    def tell(_: list[None]) -> None:
+    def report(_: list[None]) -> None:
         if progress is not None:
             progress(sum(file.exists() for file in files), len(files))
 
     lost = f"{output}: a process that made maps was killed (out of memory?)"
     # the folder is of this process: the others may be ended
     with TemporaryDirectory(prefix="holdfast-maps-") as scratch, processes(min(jobs, len(tasks)), lost) as pool:
-        run_all(pool, [partial(map_task, scenario, output, quick, Path(scratch)) for scenario in tasks], tell)
+        run_all(pool, [partial(map_task, scenario, output, quick, Path(scratch)) for scenario in tasks], report)
 
 
 def load_maps(output: Path) -> Maps | None:
@@ -98,13 +99,13 @@ def map_figures(maps: Maps) -> Iterator[Figure]:
     """Yield each map from above, coloured by its distance to the surface."""
     from holdfast.report.figures import picture_map
 
-    colours = [[share, f"rgb{colour}"] for share, colour in SCALE]
+    colours = [[fraction, f"rgb{colour}"] for fraction, colour in SCALE]
     bar = {"title": {"text": "error [m]", "side": "right"}, "thickness": 12}
     marker = {"cmin": 0.0, "cmax": COLOUR_LIMIT_M, "colorscale": colours, "colorbar": bar}
     for score in maps:
         if score.view is not None:
             near = score.closeness[WHOLE]
-            caption = f"{100.0 * near.share_within:.2f} % within 5 cm, median {1e3 * near.median_m:.1f} mm, from "
+            caption = f"{100.0 * near.fraction_within:.2f} % within 5 cm, median {1e3 * near.median_m:.1f} mm, from "
             caption += f"{score.scans} scans; {score.left_out} left out, for which there was no pose."
             plot = picture_map(coloured(score.view.errors), score.view.corner, score.view.pixel_m, marker, 400)
             key = f"map-{score.scenario}-{score.system}"
@@ -112,18 +113,18 @@ def map_figures(maps: Maps) -> Iterator[Figure]:
 
 
 def title(score: MapScore) -> str:
-    """Return what the report calls the system."""
+    """Return the name of the system in the report."""
     return "the truth" if score.system == TRUE_POSES else SYSTEMS[score.system].title
 
 
 def coloured(errors: Array) -> NDArray[np.uint8]:
     """Return pixels (H, W, 4) of errors (H, W) [m]; what is NaN stays transparent."""
     known = np.isfinite(errors)
-    share = np.clip(np.where(known, errors, 0.0) / COLOUR_LIMIT_M, 0.0, 1.0)
-    at = [share for share, _ in SCALE]
+    fraction = np.clip(np.where(known, errors, 0.0) / COLOUR_LIMIT_M, 0.0, 1.0)
+    at = [known_fraction for known_fraction, _ in SCALE]
     pixels = np.zeros((*errors.shape, 4), dtype=np.uint8)
     for channel in range(3):
-        values = np.interp(share, at, [colour[channel] for _, colour in SCALE])
+        values = np.interp(fraction, at, [colour[channel] for _, colour in SCALE])
         pixels[..., channel] = np.where(known, np.rint(values), 0.0)
     pixels[..., 3] = np.where(known, 255, 0)
     return pixels
@@ -137,11 +138,9 @@ def cast_scans(simulation: Simulation, every: int, options: MapOptions) -> list[
     """
     from holdfast.sim.scans import Scanner
 
-    sheet = simulation.scenario.sensors.scanner
-    if sheet is None:
-        raise ConfigError("sensors.scanner: there is none, so there is nothing to make a map of")
+    name, sheet = _scanner(simulation)
     scanner = Scanner(sheet, simulation.site.mesh())
-    times_s = simulation.delivered["scanner"].readings.times_s
+    times_s = simulation.delivered[name].readings.times_s
     scans = []
     for row in range(0, len(times_s), every):
         moving = simulation.motion.frame(sheet.frame, scanner.column_times_s(times_s[row]))
@@ -152,14 +151,20 @@ def cast_scans(simulation: Simulation, every: int, options: MapOptions) -> list[
     return scans
 
 
+def _scanner(simulation: Simulation) -> tuple[str, SimulatedScanner]:
+    scanners = simulation.scenario.sensors_of(SimulatedScanner)
+    if not scanners:
+        raise ConfigError("sensors: none has `kind: scanner`, so there is nothing to make a map of")
+    return next(iter(scanners.items()))
+
+
 def map_task(scenario_name: str, output: Path, quick: bool, scratch: Path | None = None) -> None:
     """Make all maps of one task; whoever started this process removes the folder `scratch`."""
     scenario = load_scenario(scenario_name, dict(QUICK[scenario_name]) if quick else {})
     simulation, options = simulate(scenario, 0), MapOptions()
-    scans = cast_scans(simulation, QUICK_EVERY if quick else 1, options)
-    given = configuration_data(scenario)
-    scanner = scenario.sensors.scanner
-    assert scanner is not None
+    scans = cast_scans(simulation, QUICK_DECIMATION if quick else 1, options)
+    given = configuration_data(scenario, simulation.seed)
+    _, scanner = _scanner(simulation)
     folder = _folder(output, scenario_name)
     folder.mkdir(parents=True, exist_ok=True)
     rows = []

@@ -36,18 +36,18 @@ def paper_page(results: Results, maps: Maps | None = None) -> Page:
         Section("Figs. 3 and 4: through the outages", list(_outages(results))),
         Section("Fig. 6: consistency", list(_consistency(results))),
         Section("Figs. 1 and 5: maps", list(_maps(maps))),
-        Section("What the paper lacks", list(_beyond(results))),
-        Section("What each part is worth", list(_ablations(results))),
+        Section("Consistency, steps and chassis: not in the paper", list(_beyond(results))),
+        Section("Ablations", list(_ablations(results))),
         Section("Delays, clocks and long outages", list(_robustness(results))),
         Section("Switches and their reasons", [page_tables.switches(results, scenario) for scenario in TASKS]),
-        Section("What this depends on", list(page_tables.about(results))),
+        Section("Machine and tuning", list(page_tables.about(results))),
     ]
     heading = "Holdfast: the paper's evaluation, rebuilt"
     return Page(heading, _lead(results), provenance, [section for section in sections if section.blocks])
 
 
 def _lead(results: Results) -> str:
-    """Say in three sentences what came out."""
+    """Return the results in three sentences."""
     cells = len(QUANTITIES) * len(TASKS)
     lost = {(one.scenario, one.quantity.key) for one in lost_cells(results)}
     failed = [task for task in TASKS if not results.of("accuracy", task, OURS)]
@@ -55,7 +55,7 @@ def _lead(results: Results) -> str:
     lead = f"Both tasks of the paper on simulated recordings whose truth is known, {results.seeds} "
     lead += f"seed{'s' * (results.seeds > 1)} each" + (", shortened to be quick. " if results.quick else ". ")
     lead += f"In {cells - len(lost)} of {cells} rows of Table I (RMS) no baseline does better than ours"
-    lead += "; in the others ours loses, as said there. " if lost else ". "
+    lead += "; in the others ours loses, as listed there. " if lost else ". "
     return lead + "The real recordings are in docs/results.md."
 
 
@@ -72,7 +72,7 @@ def _accuracy(results: Results) -> Iterator[Block]:
 
 def _latency(results: Results) -> Iterator[Block]:
     yield page_tables.table_two(results)
-    yield from (Text(said, note=True) for said in losses.latency_in_words(results))
+    yield from (Text(line, note=True) for line in losses.latency_in_words(results))
     yield page_figures.latency(results)
 
 
@@ -80,7 +80,7 @@ def _consistency(results: Results) -> Iterator[Block]:
     if "navigation" in page_figures.drawn(results):
         yield page_figures.figure_six(results)
     yield page_tables.consistency(results)
-    yield from (Text(said, note=True) for said in losses.consistency_in_words(results))
+    yield from (Text(line, note=True) for line in losses.consistency_in_words(results))
 
 
 def _outages(results: Results) -> Iterator[Block]:
@@ -100,7 +100,7 @@ def _maps(maps: Maps | None) -> Iterator[Block]:
         if score.failure:
             yield Text(f"No map of {score.scenario} with the poses of {title(score)}: {score.failure}", note=True)
     yield page_tables.maps_table(maps)
-    yield from (Text(said, note=True) for said in losses.maps_in_words(maps))
+    yield from (Text(line, note=True) for line in losses.maps_in_words(maps))
     for scenario in TASKS:
         drawn = list(map_figures(tuple(score for score in maps if score.scenario == scenario)))
         if drawn:
@@ -109,7 +109,7 @@ def _maps(maps: Maps | None) -> Iterator[Block]:
 
 def _beyond(results: Results) -> Iterator[Block]:
     for scenario in page_figures.drawn(results):
-        yield page_figures.sureness(results, scenario)
+        yield page_figures.consistency(results, scenario)
         yield page_figures.steps(results, scenario)
         found: list[Figure | None] = [page_figures.chassis(results, scenario), page_figures.gate(results, scenario)]
         yield from (figure for figure in found if figure is not None)

@@ -109,16 +109,16 @@ def latency(results: Results) -> Figure:
     lines = []
     for one in results.latency:
         if one.quantiles_us:
-            shares, values = (np.array(column) for column in zip(*one.quantiles_us, strict=True))
-            lines.append(_line(one.system, values, 100.0 * shares))
+            quantiles, values = (np.array(column) for column in zip(*one.quantiles_us, strict=True))
+            lines.append(_line(one.system, values, 100.0 * quantiles))
     return Figure(
         "latencies",
         "Latency of the IMU path, distribution",
-        curves(lines, "time from IMU sample to state [us]", "share of samples below [%]", "log"),
+        curves(lines, "time from IMU sample to state [us]", "fraction of samples below [%]", "log"),
     )
 
 
-def sureness(results: Results, scenario: str) -> Figure:
+def consistency(results: Results, scenario: str) -> Figure:
     """Return NEES and NIS over time with their bounds."""
     found, bands = _curves(results, scenario), _bands(results, scenario)
     panels = []
@@ -132,10 +132,10 @@ def sureness(results: Results, scenario: str) -> Figure:
         lines = [_line(system, of[time], np.clip(of[key], 1e-3, 1e6)) for system, of in found.items() if key in of]
         panels.append(Panel(f"{label} [1]", [*lines, *_bounds(found)], "log"))
     caption = (
-        f"Per degree of freedom: 1 on average for an honest covariance. Dashed: {100 * PROBABILITY:.0f} % bounds of "
+        f"Per degree of freedom: 1 on average for a consistent covariance. Dashed: {100 * PROBABILITY:.0f} % bounds of "
+        "a single value. Above: overconfident; below: too pessimistic."
     )
-    caption += "a single value. Above: it believes itself too much; below: too little."
-    return Figure(f"nees-{scenario}", f"Honesty of the covariance, {scenario}", over_time(panels, bands), caption)
+    return Figure(f"nees-{scenario}", f"Consistency of the covariance, {scenario}", over_time(panels, bands), caption)
 
 
 def steps(results: Results, scenario: str) -> Figure:
@@ -144,8 +144,8 @@ def steps(results: Results, scenario: str) -> Figure:
     found = {system: of for system, of in _curves(results, scenario).items() if of["step_m"].any()}
     moved = [_line(s, of["time_s"], np.maximum(1e3 * of["step_m"], 1e-3)) for s, of in found.items()]
     turned = [_line(s, of["time_s"], np.maximum(of["step_deg"], 1e-5)) for s, of in found.items()]
-    panels = [Panel("step [mm]", moved, "log"), Panel("turn [deg]", turned, "log")]
-    caption = "How far each pose in O departs from the one before, carried on by the IMU: what a controller feels. "
+    panels = [Panel("step [mm]", moved, "log"), Panel("rotation [deg]", turned, "log")]
+    caption = "Departure of each pose in O from the one before, propagated by the IMU: what a controller sees. "
     return Figure(
         f"steps-{scenario}",
         f"Steps of the odometry frame, {scenario}",
@@ -155,7 +155,7 @@ def steps(results: Results, scenario: str) -> Figure:
 
 
 def chassis(results: Results, scenario: str) -> Figure | None:
-    """Return what is wrong with the chassis beyond the cabin's error; None where no system has one."""
+    """Return the errors of the chassis beyond those of the cabin; None where no system has one."""
     found = {s: of for s, of in _curves(results, scenario).items() if "base_m" in of}
     if not found:
         return None
@@ -166,7 +166,7 @@ def chassis(results: Results, scenario: str) -> Figure | None:
 
 
 def gate(results: Results, scenario: str) -> Figure | None:
-    """Return what became of the fixes of ours over time; None where it is not known."""
+    """Return the outcomes of the fixes of ours over time; None where they are not known."""
     of = _curves(results, scenario).get(OURS, {})
     counts: dict[str, Array] = {}
     for name, values in of.items():
@@ -180,7 +180,7 @@ def gate(results: Results, scenario: str) -> Figure | None:
         f"gate-{scenario}",
         f"Decisions of the gate, {scenario}",
         counted_areas(of["outcome_time_s"], counts, "measurements per second"),
-        "What became of the fixes of both antennas and of the headings.",
+        "Outcomes of the fixes of all antennas and of the headings.",
     )
 
 
@@ -212,7 +212,7 @@ def growth(results: Results) -> Figure | None:
 
 
 def sensitivity(results: Results) -> Iterator[Figure]:
-    """Yield how delays and clock offsets of a sensor show in the error."""
+    """Yield the error over delays and clock offsets of a kind of sensor."""
     runs = results.of("sensitivity")
     for key, label in (("delay_s", "delay"), ("clock_s", "clock offset")):
         for sensor in dict.fromkeys(run.sensor for run in runs if getattr(run, key)):
@@ -221,7 +221,7 @@ def sensitivity(results: Results) -> Iterator[Figure]:
                 f"sensitivity-{key.removesuffix('_s')}-{sensor}",
                 f"Sensitivity: {label} of {sensor}",
                 curves(lines, f"{label} [ms]", "horizontal RMS, whole run [mm]", vertical="log"),
-                "Beside that which the configuration knows of.",
+                "In addition to those in the configuration.",
             )
 
 

@@ -16,7 +16,7 @@ from holdfast.report.words import ROUTINE, in_words
 
 OTHERS = ("mean", "std", "max")
 OF_PAPER = {
-    "construction": "The paper against RTK: 1.8 mm mean, 12.8 mm deviation; TSIF deviates by 15.4, MSF by 16.0 mm.",
+    "construction": "The paper against RTK: 1.8 mm mean, 12.8 mm std; TSIF 15.4 mm std, MSF 16.0 mm.",
     "navigation": "The paper has no such table of this task.",
 }
 OF_PAPER_US = {"paper": "41 ± 15", "msf": "32.9 ± 18.7"}
@@ -30,7 +30,7 @@ MEASURE: dict[str, Measure] = {measure.key: measure for measure in MEASURES}
 
 def table_one(results: Results, scenario: str) -> Table:
     """Return Table I: RMS of every quantity and system; the best stands out, and ours where a baseline is better."""
-    caption = f"RMS, mean over {_seeds(results)} ± spread. Bold: the best. Red: a baseline does better than ours. "
+    caption = f"RMS, mean over {_seeds(results)} ± std. Bold: the best. Red: a baseline does better than ours. "
     rows, marks = _by_quantity(results, scenario, ("rms",))
     caption += "Against RTK is the paper's measure: nearer to fixes that were fused is not nearer to the truth. "
     caption += OF_PAPER[scenario]
@@ -38,8 +38,8 @@ def table_one(results: Results, scenario: str) -> Table:
 
 
 def table_one_whole(results: Results, scenario: str) -> Table:
-    """Return the mean, deviation and maximum of what `table_one` has."""
-    caption = f"Mean over {_seeds(results)} ± spread; vertical and heading are signed, so that a mean is a bias."
+    """Return the mean, standard deviation and maximum of the quantities of `table_one`."""
+    caption = f"Mean over {_seeds(results)} ± std; vertical and heading are signed, so that a mean is a bias."
     rows, _ = _by_quantity(results, scenario, OTHERS)
     title = f"Table I, {scenario}: mean, standard deviation, maximum"
     return Table(f"table-1-whole-{scenario}", title, _head(), rows, caption)
@@ -61,9 +61,9 @@ def table_two(results: Results) -> Table:
     caption = (
         f"All systems fed in turn with the same messages, faster than they came: {results.latency_scenario}. CPU: "
         "without the time that other programs took meanwhile. Samples on which a system takes in measurements count "
-        "only where it says so; the optimiser in its own process (the realtime engine) has none of them. The lidar "
+        "only in `updates too`; the optimiser in its own process (the realtime engine) has none of them. The lidar "
         "odometry alone has no IMU path. Last column: the paper's Table II, C++ on its authors' machine; there TSIF is "
-        "slower than the proposed system, and deviates by 40 us."
+        "slower than the proposed system, with a std of 40 us."
     )
     cpus = ("CPU mean [us]", "CPU std [us]", "CPU mean, updates too [us]")
     head = (
@@ -72,7 +72,7 @@ def table_two(results: Results) -> Table:
         *cpus,
         "update, median [ms]",
         "samples",
-        "the paper says [us]",
+        "paper [us]",
     )
     return Table("table-2", "Table II, latency of the IMU path", head, rows, caption, marks=marks)
 
@@ -88,7 +88,7 @@ def consistency(results: Results) -> Table:
                 p95, most = fmean(one.p95 for one in found), max(one.max for one in found)
                 values = (1e3 * value for value in (mean, std, p95, most))
                 rows.append([scenario, SYSTEMS[system].title, *values])
-    caption = "The paper on its navigation task: 5.8 mm mean, 31.6 mm deviation. To be reached: 3 and 15 mm."
+    caption = "The paper on its navigation task: 5.8 mm mean, 31.6 mm std. Target: 3 and 15 mm."
     head = ("task", "system", "mean [mm]", "std [mm]", "p95 [mm]", "max [mm]")
     return Table("figure-6-table", "Fig. 6, |propagated − optimised|", head, rows, caption)
 
@@ -107,8 +107,8 @@ def targets(results: Results) -> Table:
                 marks[len(rows), len(cells)] = "reached" if measure.is_reached(worst, scenario) else "missed"
             cells.append(measure.text(worst) if applies else None)
         rows.append(cells)
-    head = ("measure", "unit", "to be reached", *(f"{scenario}, worst seed" for scenario in TASKS))
-    return Table("targets", "What ours was to reach", head, rows, marks=marks)
+    head = ("measure", "unit", "target", *(f"{scenario}, worst seed" for scenario in TASKS))
+    return Table("targets", "Targets of ours", head, rows, marks=marks)
 
 
 def outages(results: Results) -> Table:
@@ -144,7 +144,7 @@ def outages(results: Results) -> Table:
 
 
 def ablation(results: Results, scenario: str) -> Table | None:
-    """Return what each part is worth: ours, and ours with a part changed; None if it was not run."""
+    """Return the ablation of a task: ours, and ours with one part changed; None if it was not run."""
     runs = _of_first_seed(results, "ablation", scenario)
     if not runs:
         return None
@@ -161,7 +161,7 @@ def ablation(results: Results, scenario: str) -> Table | None:
     ]
     labels = (f"{MEASURE[key].label} [{MEASURE[key].unit}]" for key in ABLATED)
     head = ("variation", *labels, "update, median [ms]")
-    return Table(f"ablation-{scenario}", f"What each part is worth, {scenario}, seed 0", head, rows)
+    return Table(f"ablation-{scenario}", f"Ablation, {scenario}, seed 0", head, rows)
 
 
 def maps_table(maps: Maps) -> Table:
@@ -170,33 +170,31 @@ def maps_table(maps: Maps) -> Table:
     rows: list[list[Cell]] = []
     for score in maps:
         near = score.closeness.get(WHOLE)
-        found = [score.closeness[name].share_within if name in score.closeness else None for name in (WHOLE, *regions)]
-        shares = [None if share is None else 100.0 * share for share in found]
+        found = [score.closeness.get(name) for name in (WHOLE, *regions)]
+        percents = [None if one is None else 100.0 * one.fraction_within for one in found]
         ends = (None, None, None) if near is None else (near.points, 1e3 * near.median_m, 1e3 * near.p95_m)
-        rows.append([score.scenario, title(score), *ends, *shares])
+        rows.append([score.scenario, title(score), *ends, *percents])
     caption = (
-        "Distance of the map to the true surface; the map of the true poses shows what the lidar alone allows. To "
-    )
-    caption += (
-        "be reached: within 5 cm a larger share than every baseline, and at most 2 points less than the true poses."
+        "Distance of the map to the true surface; the map of the true poses shows the limit of the lidar. Target: "
+        "within 5 cm a larger fraction than every baseline, and at most 2 points less than the true poses."
     )
     head = ("task", "poses of", "points", "median [mm]", "p95 [mm]", "within 5 cm [%]", *(f"{r} [%]" for r in regions))
     return Table("maps", "Maps against the site's mesh", head, rows, caption)
 
 
 def switches(results: Results, scenario: str) -> Table:
-    """Return what happened to ours, in words."""
+    """Return the events of ours, in words."""
     rows: list[list[Cell]] = [
         [f"{at_s:.2f}", in_words({"kind": kind, "sensor": sensor, "reason": reason})]
         for run in _of_first_seed(results, "accuracy", scenario)
         for at_s, kind, sensor, reason in run.events
         if run.system == OURS and kind not in ROUTINE
     ]
-    return Table(f"switches-{scenario}", f"What happened, {scenario}, seed 0", ("time [s]", "what and why"), rows)
+    return Table(f"switches-{scenario}", f"Events, {scenario}, seed 0", ("time [s]", "event and reason"), rows)
 
 
 def about(results: Results) -> Iterator[Table]:
-    """Yield what the numbers depend on: the machine, and the tuning of the baselines."""
+    """Yield the machine, and the tuning of the baselines."""
     machine: list[list[Cell]] = [[key, str(value)] for key, value in results.machine.items()]
     yield Table("machine", "The machine", ("", ""), machine)
     tuned: list[list[Cell]] = [
@@ -207,7 +205,7 @@ def about(results: Results) -> Iterator[Table]:
         "Tuning of the baselines",
         ("system", "setting", "value"),
         tuned,
-        "The reasons stand in docs/baselines.md.",
+        "docs/baselines.md gives the reasons.",
     )
 
 
@@ -226,7 +224,7 @@ def _by_quantity(
             found = {name: cell(results, scenario, name, quantity, statistic) for name in SYSTEMS}
             label = quantity.label if len(statistics) == 1 else f"{quantity.label}, {statistic}"
             means = {name: round(one.mean, quantity.digits) for name, one in found.items() if not isnan(one.mean)}
-            texts = [_with_spread(one.mean, one.spread, one.runs, quantity) for one in found.values()]
+            texts = [_with_std(one.mean, one.std, one.runs, quantity) for one in found.values()]
             if len(statistics) == 1:
                 marks |= _marks(len(rows), means)
             rows.append([label, quantity.unit, *texts])
@@ -245,11 +243,11 @@ def _marks(row: int, means: dict[str, float]) -> dict[tuple[int, int], Mark]:
     return marks
 
 
-def _with_spread(mean: float, spread: float, runs: int, quantity: Quantity) -> Cell:
+def _with_std(mean: float, std: float, runs: int, quantity: Quantity) -> Cell:
     if isnan(mean):
         return None
     text = f"{mean:.{quantity.digits}f}"
-    return text if runs == 1 or not isfinite(spread) else f"{text} ± {spread:.{quantity.digits}f}"
+    return text if runs == 1 or not isfinite(std) else f"{text} ± {std:.{quantity.digits}f}"
 
 
 def _of_first_seed(results: Results, study: str, scenario: str) -> list[Run]:

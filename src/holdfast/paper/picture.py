@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 PICTURE = "outage.png"
-BINS = 120  # of equal length per task: few enough that five lines can be told apart
+BINS = 120  # of equal length per task: few enough to distinguish five lines
 LEAST_MM = 1.0
 OUTAGE = "#d55e00"
 
@@ -70,7 +70,7 @@ def rms_in_bins(times_s: Array, values: Array, bins: int) -> tuple[Array, Array]
 
 def _draw(axes: "Axes", results: Results, scenario: str) -> None:
     found = {name: results.curves.get(f"{scenario}-0-{name}") for name in SYSTEMS}
-    for name, of in reversed(found.items()):  # ours lies above the others
+    for name, of in reversed(found.items()):  # ours is drawn above the others
         if of is not None:
             error_mm = 1e3 * np.sqrt(of["east_m"] ** 2 + of["north_m"] ** 2 + of["up_m"] ** 2)
             at_s, rms_mm = rms_in_bins(of["time_s"], np.maximum(error_mm, LEAST_MM), BINS)

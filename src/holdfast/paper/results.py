@@ -1,4 +1,4 @@
-"""What came out, as frozen values; `load` reads what `holdfast paper` wrote."""
+"""The results, as frozen values; `load` reads what `holdfast paper` wrote."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,7 +19,7 @@ FORMAT = 2
 
 @dataclass(frozen=True, slots=True)
 class Growth:
-    """How wrong a system is `after_s` into an outage of GNSS."""
+    """The errors of a system `after_s` into an outage of GNSS."""
 
     after_s: float
     horizontal_m: float
@@ -49,7 +49,7 @@ class Run:
         study: accuracy, ablation, sensitivity or growth.
         scenario: of the simulator, shortened if the results are quick.
         variation: name of the change of the configuration; empty for none.
-        sensor: whose messages were disturbed by `delay_s` and `clock_s`; empty for none.
+        sensor: kind of sensor whose messages were disturbed by `delay_s` and `clock_s`; empty for none.
         failure: why there is no verdict; empty if there is one.
         scores: of `holdfast.evaluation.scenario.judge`.
         errors: statistics by part and quantity, such as `good/horizontal_m`: parts are good (GNSS is), outage and all;
@@ -58,7 +58,7 @@ class Run:
         corrections_m: |propagated - optimised| (paper, Fig. 6); None for a system without updates.
         imu_us: time per IMU sample that no update follows.
         update_ms: time per IMU sample or message with an update.
-        outcomes: how often the measurements of a sensor came to what.
+        outcomes: number of measurements by sensor and outcome.
         events: (seconds, kind, sensor, reason), but for single rejected measurements.
     """
 
@@ -205,7 +205,7 @@ def run_from_json(plain: Mapping[str, Any]) -> Run:
 
 def latency_from_json(plain: Mapping[str, Any]) -> Latency:
     """Return a latency from its JSON."""
-    quantiles = tuple((float(share), float(value)) for share, value in plain["quantiles_us"])
+    quantiles = tuple((float(quantile), float(value)) for quantile, value in plain["quantiles_us"])
     return Latency(**{**plain, "quantiles_us": quantiles})
 
 
@@ -231,7 +231,7 @@ def _numbers(plain: Mapping[str, Any]) -> dict[str, float]:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file so that it is there whole or not at all."""
+    """Write a file atomically."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}")
     partial.write_bytes(content)

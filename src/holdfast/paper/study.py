@@ -1,4 +1,4 @@
-"""What is run: jobs of one simulation each, on which tasks are run one after the other; quick and full."""
+"""The plan: jobs of one simulation each, on which tasks are run one after the other; quick and full."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,19 +8,19 @@ from holdfast.paper.systems import SYSTEMS
 from holdfast.trial.variations import VARIATIONS
 
 Study = Literal["accuracy", "ablation", "sensitivity", "growth"]
-TASKS = ("construction", "navigation")  # of the paper
+TASKS = ("construction", "navigation")  # those of the paper
 
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """What happens to the messages of one sensor on their way; `gnss` stands for both antennas and their heading.
+    """A delay or a clock offset of the messages of one kind of sensor; `gnss` stands for antennas and their heading.
 
     Attributes:
         delay_s: they arrive so much later.
         clock_s: their stamps are so much late, which no configuration knows.
     """
 
-    sensor: str
+    kind: str
     delay_s: float = 0.0
     clock_s: float = 0.0
 
@@ -41,11 +41,11 @@ class Task:
 
     @property
     def name(self) -> str:
-        """What its file is called, within the job's folder."""
+        """The name of its file within the job's folder."""
         parts = [self.study, self.system, self.variation]
         if self.disturbance is not None:
             d = self.disturbance
-            parts += [d.sensor, f"delay{d.delay_s * 1e3:g}ms" if d.delay_s else f"clock{d.clock_s * 1e3:g}ms"]
+            parts += [d.kind, f"delay{d.delay_s * 1e3:g}ms" if d.delay_s else f"clock{d.clock_s * 1e3:g}ms"]
         return "-".join(part for part in parts if part)
 
 
@@ -67,11 +67,11 @@ class Job:
 
     @property
     def name(self) -> str:
-        """What its folder is called."""
+        """The name of its folder."""
         return f"{self.label or self.scenario}-{self.seed}"
 
 
-# shorter and with earlier outages, so that a look takes minutes
+# shorter and with earlier outages, so that a quick evaluation takes minutes
 QUICK: dict[str, dict[str, Any]] = {
     "construction": {
         "duration_s": 110.0,
@@ -107,9 +107,9 @@ QUICK: dict[str, dict[str, Any]] = {
 QUICK_ABLATIONS = ("single-graph", "relative-scans", "no-innovation", "one-antenna", "no-lidar")
 SENSITIVE = ("holdfast", "msf", "tsif")
 GNSS_DELAYS_S = (0.1, 0.3, 1.0, 2.0)
-LIDAR_DELAYS_S = (0.2, 0.5, 1.0, 2.0)
+ODOMETRY_DELAYS_S = (0.2, 0.5, 1.0, 2.0)
 GNSS_CLOCKS_S = (0.002, 0.005, 0.01, 0.02, 0.05)
-LIDAR_CLOCKS_S = (0.005, 0.01, 0.02, 0.05, 0.1)
+ODOMETRY_CLOCKS_S = (0.005, 0.01, 0.02, 0.05, 0.1)
 SENSITIVITY_S = 180.0
 GROWTH_SEEDS = 5
 
@@ -126,7 +126,7 @@ def plan(seeds: int, quick: bool) -> list[Job]:
         for seed in range(seeds)
         for scenario in TASKS
     ]
-    # the preset is among the systems, and the default is what they all are compared with
+    # the preset is among the systems, and all are compared with the default
     names = QUICK_ABLATIONS if quick else [name for name in VARIATIONS if name not in ("default", "paper")]
     ablation = tuple(Task("ablation", "holdfast", name) for name in names)
     jobs += [
@@ -148,15 +148,15 @@ def _accuracy() -> tuple[Task, ...]:
 
 
 def _sensitivity(quick: bool) -> dict[str, tuple[Task, ...]]:
-    """Return tasks by what disturbs them: jobs of their own, so that the last of all does not take long."""
+    """Return tasks by their disturbance: jobs of their own, so that the last of all does not take long."""
     groups: dict[str, list[Disturbance | None]] = {"none": [None]}
     if quick:
-        groups["some"] = [Disturbance("gnss", delay_s=0.3), Disturbance("lidar", clock_s=0.05)]
+        groups["some"] = [Disturbance("gnss", delay_s=0.3), Disturbance("odometry", clock_s=0.05)]
     else:
         groups["gnss-delay"] = [Disturbance("gnss", delay_s=value) for value in GNSS_DELAYS_S]
-        groups["lidar-delay"] = [Disturbance("lidar", delay_s=value) for value in LIDAR_DELAYS_S]
+        groups["odometry-delay"] = [Disturbance("odometry", delay_s=value) for value in ODOMETRY_DELAYS_S]
         groups["gnss-clock"] = [Disturbance("gnss", clock_s=value) for value in GNSS_CLOCKS_S]
-        groups["lidar-clock"] = [Disturbance("lidar", clock_s=value) for value in LIDAR_CLOCKS_S]
+        groups["odometry-clock"] = [Disturbance("odometry", clock_s=value) for value in ODOMETRY_CLOCKS_S]
     return {
         name: tuple(Task("sensitivity", system, "", one) for one in disturbances for system in SENSITIVE)
         for name, disturbances in groups.items()

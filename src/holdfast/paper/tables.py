@@ -1,4 +1,4 @@
-"""Tables I and II, and those that the paper lacks, as rows of text."""
+"""Tables I and II, and those that the paper does not have, as rows of text."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -51,13 +51,13 @@ class Cell:
 
     Attributes:
         mean: over the seeds, in the unit that is shown; NaN without a run.
-        spread: standard deviation over the seeds.
+        std: standard deviation over the seeds.
         worst: of all seeds.
         runs: how many seeds there are.
     """
 
     mean: float
-    spread: float
+    std: float
     worst: float
     runs: int
 
@@ -87,7 +87,7 @@ def cell(results: Results, scenario: str, system: str, quantity: Quantity, stati
 
 
 def lost_cells(results: Results, statistics: Sequence[str] = ("rms",)) -> list[Lost]:
-    """Return the cells in which a baseline does better than ours, by more than the table's digits hide.
+    """Return the cells in which a baseline does better than ours, by more than the rounding of the table.
 
     Where ours has no value, every baseline that has one does better.
     """
@@ -106,7 +106,7 @@ def lost_cells(results: Results, statistics: Sequence[str] = ("rms",)) -> list[L
 
 
 def table_one(results: Results, scenario: str, statistics: Sequence[str] = ("rms",)) -> list[list[str]]:
-    """Return Table I of a task: a head, then quantity, unit and one cell per system: mean over seeds +- spread."""
+    """Return Table I of a task: a head, then quantity, unit and one cell per system: mean over seeds +- std."""
     rows = [["", "unit", *(system.title for system in SYSTEMS.values())]]
     for quantity in QUANTITIES:
         for statistic in statistics:
@@ -117,11 +117,9 @@ def table_one(results: Results, scenario: str, statistics: Sequence[str] = ("rms
 
 
 def table_two(results: Results) -> list[list[str]]:
-    """Return Table II: a head, then one row per system; mean and deviation are of the time of the processor, too."""
+    """Return Table II: a head, then one row per system; mean and std are of the CPU time, too."""
     columns = ("mean", "std", "median", "p99", "max")
-    rows = [
-        ["", *(f"{column} [us]" for column in columns), "processor [us]", "updates too [us]", "update, median [ms]"]
-    ]
+    rows = [["", *(f"{column} [us]" for column in columns), "CPU [us]", "updates too [us]", "update, median [ms]"]]
     for one in results.latency:
         cells = ["-"] * (len(columns) + 2)
         if one.imu_us is not None and one.imu_cpu_us is not None:
@@ -136,7 +134,7 @@ def table_two(results: Results) -> list[list[str]]:
 def faster_baselines(results: Results, times: str = "imu_cpu_us") -> list[tuple[str, str, float, float]]:
     """Return ours (the estimator, the engine) and each baseline that answers sooner than it.
 
-    After both names stand our and their mean time of the processor per IMU sample [us].
+    Both names are followed by our and their mean CPU time per IMU sample [us].
 
     Args:
         results: of the evaluation.
@@ -178,4 +176,4 @@ def _text(one: Cell, digits: int) -> str:
     if isnan(one.mean):
         return "-"
     text = f"{one.mean:.{digits}f}"
-    return text if one.runs == 1 or not isfinite(one.spread) else f"{text} +- {one.spread:.{digits}f}"
+    return text if one.runs == 1 or not isfinite(one.std) else f"{text} +- {one.std:.{digits}f}"

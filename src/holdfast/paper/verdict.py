@@ -1,4 +1,4 @@
-"""The verdict on one run: what the judge says, and the statistics of the paper's tables."""
+"""The verdict on one run: that of the judge, and the statistics of the paper's tables."""
 
 from collections.abc import Sequence
 from math import nan
@@ -12,6 +12,7 @@ from holdfast.evaluation.at_fixes import AtFixes, at_fixes
 from holdfast.evaluation.corrections import corrections
 from holdfast.evaluation.evidence import Published, Truth
 from holdfast.evaluation.outages import Outage, nominal, outage_spans, within
+from holdfast.evaluation.percentiles import percentiles
 from holdfast.evaluation.scenario import judge
 from holdfast.evaluation.spans import Span
 from holdfast.evaluation.states import StateErrors, state_errors
@@ -20,8 +21,7 @@ from holdfast.paper.curves import Curves, curves, curves_at_fixes, curves_of_cor
 from holdfast.paper.results import Growth, OutageScore
 from holdfast.paper.stream import OutcomeLog
 from holdfast.replay.published import PublishedRecorder
-from holdfast.replay.ros import quaternion_xyzw
-from holdfast.replay.spread import spread
+from holdfast.ros.outputs import quaternion_xyzw
 from holdfast.state import OptimisedState, Trajectory
 
 AFTER_S = (1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 75.0, 90.0, 120.0, 150.0, 180.0)
@@ -34,7 +34,7 @@ def verdict(recorder: PublishedRecorder, truth: Truth, start_ns: int) -> dict[st
         EstimatorError: nothing was published.
     """
     published = recorder.published()
-    said = judge(published, truth)
+    judged = judge(published, truth)
     errors = state_errors(published.world, truth.states)
     times_s, spans = spans_of(published, truth)
     good = nominal(times_s, spans)
@@ -42,16 +42,16 @@ def verdict(recorder: PublishedRecorder, truth: Truth, start_ns: int) -> dict[st
     moved = _corrections(published, recorder.optimised)
     timing = recorder.timing
     return {
-        "scores": said.scores,
+        "scores": judged.scores,
         "errors": _statistics(errors, parts) | _against_fixes(at_fixes(published.world.poses, truth, good)),
         "corrections_m": None if moved is None else summarise(moved[1]),
-        "imu_us": spread(np.frombuffer(timing.imu_ns, dtype=np.int64) * 1e-3),
-        "update_ms": spread(np.frombuffer(timing.update_ns, dtype=np.int64) * 1e-6),
+        "imu_us": percentiles(np.frombuffer(timing.imu_ns, dtype=np.int64) * 1e-3),
+        "update_ms": percentiles(np.frombuffer(timing.update_ns, dtype=np.int64) * 1e-6),
         "real_time_factor": timing.real_time_factor or nan,
-        "outages": tuple(_outage(outage) for outage in said.outages),
+        "outages": tuple(_outage(outage) for outage in judged.outages),
         "growth": _growth(errors, times_s, spans),
         "outcomes": recorder.outcomes(),
-        "events": recorder.told(start_ns),
+        "events": recorder.event_rows(start_ns),
     }
 
 
@@ -90,7 +90,7 @@ def _statistics(errors: StateErrors, parts: dict[str, NDArray[np.bool_]]) -> dic
 
 
 def _against_fixes(found: AtFixes) -> dict[str, Statistics]:
-    lengths, axes = summarise(np.linalg.norm(found.misses, axis=1)), summarise(found.misses.ravel())
+    lengths, axes = summarise(np.linalg.norm(found.residuals, axis=1)), summarise(found.residuals.ravel())
     return {} if lengths is None or axes is None else {"good/rtk_m": lengths, "good/rtk_axes_m": axes}
 
 

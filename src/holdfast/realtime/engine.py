@@ -5,7 +5,6 @@ The IMU path takes no lock, waits for nothing, and goes on whatever becomes of t
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import replace
 from time import monotonic, sleep, time_ns
 from types import TracebackType
 from typing import Self
@@ -14,30 +13,30 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from holdfast.config.model import Config
+from holdfast.config.sensors import BaseImuConfig, GnssConfig, HeadingConfig, JointConfig, OdometryConfig
 from holdfast.errors import ConfigError, EstimatorError
 from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import ImuPath
-from holdfast.estimator.journal import Journal
-from holdfast.estimator.optimiser import Measurement
+from holdfast.event_log import EventLog
 from holdfast.geometry.earth import Geodetic, LocalFrame
-from holdfast.messages import FixStatus, GnssFix, Heading, ImuSample, JointAngle, LidarPose, Message
-from holdfast.realtime.chronicle import Chronicle
+from holdfast.messages import Array, FixStatus, GnssFix, Heading, ImuSample, JointAngle, Message, SensorPose
+from holdfast.realtime.event_log import EngineLog
+from holdfast.realtime.follower import StateFollower
 from holdfast.realtime.layout import Board
 from holdfast.realtime.memory import Word
 from holdfast.realtime.placement import place_caller
-from holdfast.realtime.records import Published, Request, pack_request, pack_sample
-from holdfast.realtime.rehearsal import Rehearsal
+from holdfast.realtime.records import Records, Request
 from holdfast.realtime.supervisor import START_S, Supervisor
+from holdfast.realtime.warm_up import WarmUp
 from holdfast.realtime.worker import Settings
 from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.registry import inputs_of
 from holdfast.state import NOTHING, Event, EventKind, Health, HealthReport, OptimisedState, Outcome, Output
 
 FLUSH_S = 30.0
 LEAVE = 2  # for so many samples a new state is left to calls that are in less of a hurry
 SPARE_ROWS = 64  # of the ring of measurements, kept for requests
-KEPT_NS = 1_000_000_000  # of samples before the newest optimised state
 WAITING_NS = 30_000_000_000  # of samples before the start
-RESCUE_S = 5.0  # without an optimised state for so long, or three node intervals, the propagated one takes its place
 
 
 class RealtimeEstimator:
@@ -57,23 +56,22 @@ class RealtimeEstimator:
         cores = place_caller(config.realtime)
         self.config = config
         self._in_step = in_step
-        self._journal = Journal()
-        self._chronicle = Chronicle(self._journal)
-        self._buffer = ImuBuffer(config.sensors.imu)
-        self._path = ImuPath(config, self._buffer, self._journal)
-        self._rehearsal = None if in_step else Rehearsal(config)
+        self._imu, self._inputs = config.imu_name, frozenset(inputs_of(config))
+        self._log = EventLog(self._imu)
+        self._reports = EngineLog(self._log)
+        self._buffer = ImuBuffer(config.imu)
+        self._path = ImuPath(config, self._buffer, self._log)
+        self._records = Records(config)
+        self._warm_up = None if in_step else WarmUp(config, self._records)
         self._monitor = HealthMonitor(config)
-        self._sensors = frozenset(name for name, sensor in config.sensors if sensor is not None)
-        self._board = Board()
-        self._slot, self._samples, self._requests = self._board.published, self._board.samples, self._board.requests
-        self._epoch = self._life = self._recoveries = self._seen = self._left = self._anchor_ns = 0
-        self._rescue_ns = round(max(RESCUE_S, 3.0 * config.graph.max_node_interval_s) * 1e9)
-        self._newest: Published | None = None
-        self._world: LocalFrame | None = None
-        self._is_full = self._is_rescued = self._is_closed = False
-        self._fault_version: int | None = None  # of the slot when the optimiser failed, until a successor publishes
+        self._board = Board(self._records)
+        self._samples, self._requests = self._board.samples, self._board.requests
+        self._states = StateFollower(config, self._board, self._records, self._path, self._buffer)
+        self._left = 0  # samples for which a new state was left to calls that are in less of a hurry
+        self._is_full = self._is_closed = False
+        self._fault_version: int | None = None  # of the states when the optimiser failed, until a successor publishes
         self._supervisor = Supervisor(
-            Settings(config, in_step, cores), self._board, self._chronicle.hear, self._hear_fault
+            Settings(config, in_step, cores), self._board, self._reports.receive, self._receive_fault
         )
 
     def __enter__(self) -> Self:
@@ -83,24 +81,24 @@ class RealtimeEstimator:
         self.close()
 
     def close(self) -> None:
-        """Let the optimiser take in what is left, and end it; what it told can still be asked for."""
+        """Let the optimiser take in what is left, and end it; its log can still be read."""
         if not self._is_closed:
             self._is_closed = True
             self._supervisor.stop()
-            self._look()
+            self._take()
             self._board.close()
 
-    # --- what a program asks -----------------------------------------------------------------------------------------
+    # --- what it knows ------------------------------------------------------------------------------------------------
 
     @property
     def datum(self) -> Geodetic | None:
         """Origin of W on the ellipsoid, or None until the first accepted fix."""
-        return None if self._world is None else self._world.datum
+        return self._states.world.datum
 
     @property
     def world(self) -> LocalFrame | None:
         """The world frame W about the datum, or None until there is one."""
-        return self._world
+        return self._states.world.frame
 
     @property
     def initialised(self) -> bool:
@@ -110,43 +108,44 @@ class RealtimeEstimator:
     @property
     def waiting_for(self) -> str:
         """What keeps the estimator from starting."""
-        return self._told().waiting_for
+        return self._log_now().waiting_for
 
     @property
     def health(self) -> Health:
         """How the estimator is now, in one word."""
-        newest = self._newest
+        newest = self._states.newest
         if newest is None or self._path.predictor is None:
             return Health.INITIALISING
-        if self._fault_version == self._seen:
+        if self._fault_version == self._states.seen:
             return Health.OPTIMISER_RESET  # no successor has published yet
         self._monitor.restore(newest.health)
         return self._monitor.assess(
             self._buffer.latest_ns,
-            hears_imu=self._path.hears_imu,
-            is_lost=bool(newest.lost & 4),
-            antenna_lost=bool(newest.lost & 3),
+            has_imu=self._path.has_imu,
+            is_lost=newest.is_lost,
+            lost=newest.lost,
         )
 
     @property
     def counts(self) -> Counter[tuple[str, Outcome]]:
         """How many measurements of each sensor had which outcome; those that still wait are not counted yet."""
-        return self._told().counts
+        return self._log_now().counts
 
     @property
     def event_counts(self) -> Counter[EventKind]:
         """How many events of each kind there were."""
-        return self._told().event_counts
+        return self._log_now().event_counts
 
     @property
     def events(self) -> list[Event]:
         """The events that have not been taken."""
-        return self._told().events
+        return self._log_now().events
 
     @property
     def newest_state(self) -> OptimisedState | None:
         """The optimised state from which the IMU path goes on."""
-        return None if self._newest is None else self._newest.state
+        newest = self._states.newest
+        return None if newest is None else newest.state
 
     @property
     def optimiser_pid(self) -> int | None:
@@ -156,7 +155,7 @@ class RealtimeEstimator:
     @property
     def optimiser_cpu_s(self) -> float:
         """Processor time of the other process, as of its last report [s]."""
-        return self._told().optimiser_cpu_s
+        return self._log_now().optimiser_cpu_s
 
     def health_report(self) -> HealthReport:
         """Return the health now with what it rests on."""
@@ -164,11 +163,11 @@ class RealtimeEstimator:
 
     def take_events(self) -> list[Event]:
         """Return the events since the last call."""
-        return self._told().take_events()
+        return self._log_now().take_events()
 
     def take_update_times(self) -> list[int]:
         """Return how long each update since the last call took [ns]."""
-        return self._told().take_update_times()
+        return self._log_now().take_update_times()
 
     def wait_until_ready(self, timeout_s: float = START_S) -> None:
         """Wait until the optimiser process has come up; not needed, because what comes before waits for it.
@@ -191,20 +190,20 @@ class RealtimeEstimator:
             timeout_s,
             "answer",
         )
-        optimised = self._look() if self._slot.version != self._seen else None
-        return Output(None, optimised, self._told().take_smoothed())
+        optimised = self._take() if self._states.has_new else None
+        return Output(None, optimised, self._log_now().take_smoothed())
 
     def _wait(self, is_done: Callable[[], bool], timeout_s: float, what: str) -> None:
         until_s = monotonic() + timeout_s
         while not is_done():
             if monotonic() > until_s:
-                fault = self._told().last_fault
+                fault = self._log_now().last_fault
                 reason = f"the optimiser process does not {what} within {timeout_s:g} s"
                 raise EstimatorError(f"{reason}: {fault}" if fault else reason)
-            self._told()
+            self._log_now()
             sleep(20e-6 if self._in_step else 1e-3)
 
-    # --- what a program tells ----------------------------------------------------------------------------------------
+    # --- what comes in ------------------------------------------------------------------------------------------------
 
     def process(self, message: Message) -> Output:
         """Take in one message, in the order of arrival; always from the same thread.
@@ -218,19 +217,26 @@ class RealtimeEstimator:
         """
         if self._is_closed:
             raise EstimatorError("the estimator is closed")
-        if isinstance(message, ImuSample) and message.sensor != "base_imu":
+        name = message.sensor
+        if isinstance(message, ImuSample) and name == self._imu:
             return self._process_imu(message)
-        if isinstance(message, ImuSample | JointAngle):
-            self._path.add_to_base(message)
-            if self._rehearsal is not None:
-                self._rehearsal.add_to_base(message)
-            return self._take_new()
-        return self._process_measurement(message)
+        if name not in self.config.sensors:
+            raise ConfigError(f"sensors.{name}: not in the configuration, but a message of it came")
+        if isinstance(message, ImuSample | JointAngle) and self._path.serves_chassis(name):
+            self._path.add_to_chassis(message)
+            if self._warm_up is not None:
+                self._warm_up.add_to_chassis(message)
+        if name in self._inputs:
+            self._ask(message)
+            return self.flush() if self._in_step else self._take_new()
+        if not self._path.serves_chassis(name):
+            self._log.count(name, Outcome.IGNORED)
+        return self._take_new()
 
     @property
     def refresh_in_s(self) -> float | None:
         """In how many seconds `refresh` is best called [s]; None if the next sample needs no further call."""
-        return None if self._rehearsal is None else self._rehearsal.due_in_s
+        return None if self._warm_up is None else self._warm_up.due_in_s
 
     def refresh(self) -> Output:
         """Get ready for the next sample of the IMU; for a program that has nothing else to do until then.
@@ -241,24 +247,25 @@ class RealtimeEstimator:
         are not samples of the IMU, or else by the third sample.
         """
         output = self._take_new()
-        if self._rehearsal is not None:
-            self._rehearsal.run(self._newest)
+        if self._warm_up is not None:
+            self._warm_up.run(self._states.newest)
         return output
 
     def _take_new(self) -> Output:
-        if self._slot.version == self._seen:
+        if not self._states.has_new:
             return NOTHING
-        return Output(None, self._look(), self._told().take_smoothed())
+        return Output(None, self._take(), self._log_now().take_smoothed())
 
     def add_imu(
         self, stamp_ns: int, angular_velocity: ArrayLike, specific_force: ArrayLike, arrival_ns: int | None = None
     ) -> Output:
-        """Take in a sample of the IMU: (3,) [rad/s] and (3,) [m/s^2], as in `ImuSample`.
+        """Take in a sample of the primary IMU: (3,) [rad/s] and (3,) [m/s^2], as in `ImuSample`.
 
-        Here as in what follows, `arrival_ns` is the time at which it came; now, if it is left out.
+        Here as in what follows, `arrival_ns` is the time at which it came; now, if it is left out. `sensor` is the name
+        in the configuration; it may be left out where there is one of the kind. Other kinds go through `process`.
         """
-        rate, force = np.asarray(angular_velocity, dtype=np.float64), np.asarray(specific_force, dtype=np.float64)
-        return self.process(ImuSample(stamp_ns, arrival_ns or time_ns(), "imu", rate, force))
+        readings = _array(angular_velocity), _array(specific_force)
+        return self.process(ImuSample(stamp_ns, arrival_ns or time_ns(), self._imu, *readings))
 
     def add_gnss(
         self,
@@ -269,44 +276,55 @@ class RealtimeEstimator:
         *,
         covariance: ArrayLike | None = None,
         status: FixStatus = FixStatus.GBAS,
-        sensor: str = "gnss",
+        sensor: str | None = None,
         arrival_ns: int | None = None,
     ) -> Output:
-        """Take in a fix of the antenna `gnss` or `gnss_right`, with its covariance (3, 3) [m^2], as in `GnssFix`."""
-        place = latitude_deg, longitude_deg, altitude_m
-        known = None if covariance is None else np.asarray(covariance, dtype=np.float64).reshape(3, 3)
-        return self.process(GnssFix(stamp_ns, arrival_ns or time_ns(), sensor, *place, known, status))
+        """Take in a fix of an antenna, with its covariance (3, 3) [m^2], as in `GnssFix`."""
+        name, point = self.config.only(GnssConfig, sensor), (latitude_deg, longitude_deg, altitude_m)
+        known = None if covariance is None else _array(covariance).reshape(3, 3)
+        return self.process(GnssFix(stamp_ns, arrival_ns or time_ns(), name, *point, known, status))
 
     def add_heading(
-        self, stamp_ns: int, yaw_rad: float, sigma_rad: float | None = None, arrival_ns: int | None = None
+        self,
+        stamp_ns: int,
+        yaw_rad: float,
+        sigma_rad: float | None = None,
+        *,
+        sensor: str | None = None,
+        arrival_ns: int | None = None,
     ) -> Output:
         """Take in a heading: 0 is east, counter-clockwise, as in `Heading`."""
-        return self.process(Heading(stamp_ns, arrival_ns or time_ns(), "heading", yaw_rad, sigma_rad))
+        name = self.config.only(HeadingConfig, sensor)
+        return self.process(Heading(stamp_ns, arrival_ns or time_ns(), name, yaw_rad, sigma_rad))
 
-    def add_lidar(
+    def add_odometry(
         self,
         stamp_ns: int,
         position: ArrayLike,
         quaternion: ArrayLike,
         *,
         covariance: ArrayLike | None = None,
+        sensor: str | None = None,
         arrival_ns: int | None = None,
     ) -> Output:
-        """Take in a pose of the lidar's odometry: (3,) [m], (4,) x, y, z, w, covariance (6, 6), as in `LidarPose`."""
-        pose = np.asarray(position, dtype=np.float64), np.asarray(quaternion, dtype=np.float64)
-        known = None if covariance is None else np.asarray(covariance, dtype=np.float64).reshape(6, 6)
-        return self.process(LidarPose(stamp_ns, arrival_ns or time_ns(), "lidar", *pose, known))
+        """Take in a pose of an odometry: (3,) [m], (4,) x, y, z, w, covariance (6, 6), as in `SensorPose`."""
+        name = self.config.only(OdometryConfig, sensor)
+        pose = _array(position), _array(quaternion)
+        known = None if covariance is None else _array(covariance).reshape(6, 6)
+        return self.process(SensorPose(stamp_ns, arrival_ns or time_ns(), name, *pose, known))
 
     def add_joint(self, stamp_ns: int, angle_rad: float, arrival_ns: int | None = None) -> Output:
         """Take in the angle of the turn joint, as in `JointAngle`."""
-        return self.process(JointAngle(stamp_ns, arrival_ns or time_ns(), "joint", angle_rad))
+        return self.process(
+            JointAngle(stamp_ns, arrival_ns or time_ns(), self.config.only(JointConfig, None), angle_rad)
+        )
 
     def add_base_imu(
         self, stamp_ns: int, angular_velocity: ArrayLike, specific_force: ArrayLike, arrival_ns: int | None = None
     ) -> Output:
         """Take in a sample of the IMU on the chassis, as `add_imu`."""
-        rate, force = np.asarray(angular_velocity, dtype=np.float64), np.asarray(specific_force, dtype=np.float64)
-        return self.process(ImuSample(stamp_ns, arrival_ns or time_ns(), "base_imu", rate, force))
+        name, readings = self.config.only(BaseImuConfig, None), (_array(angular_velocity), _array(specific_force))
+        return self.process(ImuSample(stamp_ns, arrival_ns or time_ns(), name, *readings))
 
     def reset(self) -> None:
         """Forget the state and begin anew, as at power-on; W stays where it is."""
@@ -314,104 +332,67 @@ class RealtimeEstimator:
 
     def set_datum(self, datum: Geodetic) -> None:
         """Put the origin of W somewhere else and begin anew: no pose of before compares with one of now."""
-        self._world = LocalFrame(datum)
+        self._states.world.place(datum)
         self._begin_anew(datum)
 
     def _process_imu(self, sample: ImuSample) -> Output:
-        self._left += self._slot.version != self._seen
+        self._left += self._states.has_new
         is_time = self._left > LEAVE or (self._left > 0 and self._path.predictor is None)
-        optimised = self._look() if is_time else None
-        heard = self._path.hear(sample)
-        if heard is None:
+        optimised = self._take() if is_time else None
+        received = self._path.receive(sample)
+        if received is None:
             return NOTHING if optimised is None else Output(None, optimised)
-        if heard.has_stepped_back:
-            self._forget()
-        estimate = self._path.propagate(heard)
+        if received.has_stepped_back:
+            self._states.begin_anew()
+        estimate = self._path.propagate(received)
         base = None if estimate is None else self._path.chassis(estimate)
-        self._samples.push(pack_sample(self._epoch, sample))
-        if self._rehearsal is None:
+        self._samples.push(self._records.pack_sample(self._states.epoch, sample))
+        if self._warm_up is None:
             return self.flush()._replace(estimate=estimate, base=base)
-        self._rehearsal.note(sample)
+        self._warm_up.note(sample)
         if estimate is None:
             self._buffer.forget_before(self._buffer.latest_ns - WAITING_NS)
-        elif estimate.stamp_ns - self._anchor_ns > self._rescue_ns:
-            self._rescue()
-        return Output(estimate, optimised, self._chronicle.take_smoothed(), base)
-
-    def _process_measurement(self, message: Measurement) -> Output:
-        if message.sensor not in self._sensors:
-            raise ConfigError(f"sensors.{message.sensor}: not in the configuration, but a measurement of it came")
-        self._ask(message)
-        return self.flush() if self._in_step else self._take_new()
+        else:
+            self._states.rescue_if_due(estimate.stamp_ns)
+        return Output(estimate, optimised, self._reports.take_smoothed(), base)
 
     def _ask(self, request: Request) -> None:
         waiting = self._requests.written - self._board.words[Word.BEGUN]
-        if isinstance(request, GnssFix | Heading | LidarPose) and waiting >= self._requests.rows - SPARE_ROWS:
-            self._journal.count(request.sensor, Outcome.LATE, 1)
+        if request is not None and not isinstance(request, Geodetic) and waiting >= self._requests.rows - SPARE_ROWS:
+            self._log.count(request.sensor, Outcome.LATE)
             if not self._is_full:
                 reason = f"the optimiser is {waiting} measurements behind: those that follow are lost"
-                self._journal.tell(EventKind.LATE, request.stamp_ns, request.sensor, reason)
+                self._log.report(EventKind.LATE, request.stamp_ns, request.sensor, reason)
             self._is_full = True
         else:
             self._is_full = False
-            self._requests.push(pack_request(self._epoch, self._samples.written, request))
+            self._requests.push(self._records.pack_request(self._states.epoch, self._samples.written, request))
             self._supervisor.wake()
 
     def _begin_anew(self, datum: Geodetic | None) -> None:
         self._path.stop()
-        self._forget()
+        self._states.begin_anew()
         self._ask(datum)
         if self._in_step:
             self.flush()
 
-    def _forget(self) -> None:
-        self._epoch, self._newest = self._epoch + 1, None
+    def _take(self) -> OptimisedState | None:
+        self._left = 0
+        return self._states.take()
 
-    # --- what the optimiser tells ------------------------------------------------------------------------------------
-
-    def _look(self) -> OptimisedState | None:
-        """Take in the newest optimised state."""
-        found = self._slot.read()
-        if found is None:
-            return None
-        self._left, (self._seen, record) = 0, found
-        newest = Published.unpack(record)
-        if newest.epoch != self._epoch:
-            return None  # the optimiser does not know yet that all began anew
-        if newest.datum is not None and newest.datum != self.datum:
-            self._world = LocalFrame(newest.datum)
-        state = newest.state
-        if state is None:
-            return None
-        if self._path.predictor is None or newest.life != self._life:
-            self._path.start(state, newest.gravity)
-        elif state.stamp_ns < self._anchor_ns and self._is_rescued:
-            return None  # of an optimiser that had been stopped: the samples since are no longer kept
-        else:
-            self._path.anchor(state, is_recovery=newest.recoveries != self._recoveries)
-        self._life, self._recoveries, self._newest = newest.life, newest.recoveries, newest
-        self._anchor_ns, self._is_rescued = state.stamp_ns, False
-        self._buffer.forget_before(state.stamp_ns - KEPT_NS)
-        return state
-
-    def _rescue(self) -> None:
-        """Without news for long: go on from the propagated state, and let a successor begin there."""
-        assert self._newest is not None
-        state = self._path.settle()
-        self._newest = replace(self._newest, state=state)
-        self._board.rescue.write(self._newest.pack())
-        self._anchor_ns, self._is_rescued = state.stamp_ns, True
-        self._buffer.forget_before(state.stamp_ns - KEPT_NS)
-
-    def _told(self) -> Chronicle:
-        """Return the chronicle with what has come until now."""
+    def _log_now(self) -> EngineLog:
+        """Return the log of both processes with what has come until now."""
         if not self._is_closed:
             self._supervisor.collect()
-        return self._chronicle
+        return self._reports
 
-    def _hear_fault(self, why: str) -> None:
+    def _receive_fault(self, why: str) -> None:
         """Note, in the thread of the supervisor, why an optimiser has ended."""
         words = self._board.words
         lost = words[Word.WAITING] + words[Word.BEGUN] - words[Word.REQUESTS]
-        self._chronicle.hear_fault(self._buffer.latest_ns, why, lost)
-        self._fault_version = self._slot.version
+        self._reports.receive_fault(self._buffer.latest_ns, why, lost)
+        self._fault_version = self._states.version
+
+
+def _array(values: ArrayLike) -> Array:
+    return np.asarray(values, dtype=np.float64)

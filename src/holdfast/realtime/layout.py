@@ -1,7 +1,7 @@
 """Where everything lies in the shared memory, equal in both processes."""
 
-from holdfast.realtime import records
 from holdfast.realtime.memory import WORDS, Memory, Ring, Slot
+from holdfast.realtime.records import Records
 
 SAMPLES = 1 << 14  # 41 s at 400 Hz
 REQUESTS = 1 << 13  # 8 s of a flood of 1 kHz
@@ -11,19 +11,19 @@ class Board:
     """The shared memory of one engine.
 
     Args:
+        records: how long the rows are.
         descriptor: of the file in which it lies; a new one is made without it.
     """
 
-    def __init__(self, descriptor: int | None = None) -> None:
-        row = records.SAMPLE.size + 12
-        size = 8 * WORDS + SAMPLES * row + REQUESTS * (records.REQUEST.size + 12)
-        size += 2 * (8 + 2 * (records.SIZE + 12))
+    def __init__(self, records: Records, descriptor: int | None = None) -> None:
+        size = 8 * WORDS + SAMPLES * (records.sample_size + 12) + REQUESTS * (records.request_size + 12)
+        size += 2 * (8 + 2 * (records.published_size + 12))
         self.memory = Memory(size, descriptor)
         self.words = self.memory.words
-        self.samples = Ring(self.memory, 8 * WORDS, SAMPLES, records.SAMPLE.size)
-        self.requests = Ring(self.memory, self.samples.end, REQUESTS, records.REQUEST.size)
-        self.published = Slot(self.memory, self.requests.end, records.SIZE)
-        self.rescue = Slot(self.memory, self.published.end, records.SIZE)  # written by the IMU path
+        self.samples = Ring(self.memory, 8 * WORDS, SAMPLES, records.sample_size)
+        self.requests = Ring(self.memory, self.samples.end, REQUESTS, records.request_size)
+        self.published = Slot(self.memory, self.requests.end, records.published_size)
+        self.rescue = Slot(self.memory, self.published.end, records.published_size)  # written by the IMU path
         assert self.rescue.end == size
 
     def close(self) -> None:

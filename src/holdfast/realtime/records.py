@@ -1,83 +1,32 @@
-"""How samples, measurements and optimised states lie in the shared memory: fixed lengths, every bit of a float kept."""
+"""How samples, measurements and optimised states lie in the shared memory: fixed lengths, every bit of a float kept.
+
+A message packs itself into a row of numbers. How long the rows are, and which sensors there are, follows from the
+configuration, which both processes have.
+"""
 
 from dataclasses import dataclass
 from struct import Struct
+from typing import Literal
 
 import gtsam
 import numpy as np
 
+from holdfast.config.model import Config
+from holdfast.estimator.health import HealthMonitor
 from holdfast.geometry.earth import Geodetic
-from holdfast.messages import Array, FixStatus, GnssFix, Heading, ImuSample, LidarPose
+from holdfast.messages import Array, ImuSample, Message
+from holdfast.sensors.registry import inputs_of
 from holdfast.state import OptimisedState
 
-SENSORS = ("gnss", "gnss_right", "heading", "lidar")
-FIX, HEADING, LIDAR, RESET, DATUM = range(5)  # kinds of rows in the ring of measurements
-VALUES = 43  # of a row: 7 and a covariance (6, 6) of a lidar pose, the longest
+MESSAGE, RESET, DATUM = range(3)  # kinds of requests
+HAS_DATUM, HAS_STATE, IS_FORTRAN, IS_LOST = 1, 2, 4, 8  # flags of what is published
+COUNTERS = 5  # of what is published: epoch, life, updates, recoveries, lost sensors
+STATE_VALUES, COVARIANCE_VALUES = 24, 225
 
 SAMPLE = Struct("<qqq6d")  # epoch, stamp, arrival, readings
-REQUEST = Struct(f"<qqqqqqq{VALUES}d")  # epoch, sample number, kind, sensor, flag, stamp, arrival, values
-_HEAD = Struct("<14q4d24d")  # counters, gravity and datum, state; the covariance follows
 
-Request = GnssFix | Heading | LidarPose | Geodetic | None
-"""What the optimiser may be asked to take in: a measurement, a datum to begin anew at, or None for a reset."""
-
-
-def pack_sample(epoch: int, sample: ImuSample) -> bytes:
-    """Return the row of a sample of the IMU."""
-    rates, forces = sample.angular_velocity.tolist(), sample.specific_force.tolist()
-    return SAMPLE.pack(epoch, sample.stamp_ns, sample.arrival_ns, *rates, *forces)
-
-
-def unpack_sample(row: bytes) -> tuple[int, ImuSample]:
-    """Return the epoch and the sample of a row."""
-    epoch, stamp_ns, arrival_ns, *readings = SAMPLE.unpack(row)
-    values = np.array(readings)
-    return epoch, ImuSample(stamp_ns, arrival_ns, "imu", values[:3], values[3:])
-
-
-def pack_request(epoch: int, samples: int, request: Request) -> bytes:
-    """Return the row of a measurement or a request that comes after so many samples."""
-    kind, sensor, flag, times, values = _parts(request)
-    padding = (0.0,) * (VALUES - len(values))
-    return REQUEST.pack(epoch, samples, kind, sensor, flag, *times, *values, *padding)
-
-
-def _parts(request: Request) -> tuple[int, int, int, tuple[int, int], tuple[float, ...]]:
-    if request is None:
-        return RESET, 0, 0, (0, 0), ()
-    if isinstance(request, Geodetic):
-        return DATUM, 0, 0, (0, 0), tuple(request)
-    sensor, times = SENSORS.index(request.sensor), (request.stamp_ns, request.arrival_ns)
-    if isinstance(request, Heading):
-        return HEADING, sensor, request.sigma_rad is not None, times, (request.yaw_rad, request.sigma_rad or 0.0)
-    covariance = () if request.covariance is None else request.covariance.ravel().tolist()
-    if isinstance(request, GnssFix):
-        place = request.latitude_deg, request.longitude_deg, request.altitude_m
-        return FIX, sensor, int(request.status) * 2 + bool(covariance), times, (*place, *covariance)
-    pose = *request.position.tolist(), *request.quaternion.tolist()
-    return LIDAR, sensor, bool(covariance), times, (*pose, *covariance)
-
-
-def unpack_request(row: bytes) -> tuple[int, int, Request]:
-    """Return the epoch, after how many samples it came, and what it is."""
-    epoch, samples, kind, sensor, flag, stamp_ns, arrival_ns, *values = REQUEST.unpack(row)
-    return epoch, samples, _request(kind, flag, (stamp_ns, arrival_ns, SENSORS[sensor]), values)
-
-
-def _request(kind: int, flag: int, head: tuple[int, int, str], values: list[float]) -> Request:
-    if kind == RESET:
-        return None
-    if kind == DATUM:
-        return Geodetic(values[0], values[1], values[2])
-    if kind == FIX:
-        covariance = np.array(values[3:12]).reshape(3, 3) if flag % 2 else None
-        return GnssFix(*head, values[0], values[1], values[2], covariance, FixStatus(flag // 2))
-    if kind == HEADING:
-        return Heading(*head, values[0], values[1] if flag else None)
-    if kind == LIDAR:
-        covariance = np.array(values[7:43]).reshape(6, 6) if flag else None
-        return LidarPose(*head, np.array(values[:3]), np.array(values[3:7]), covariance)
-    raise ValueError(f"a row of unknown kind {kind}")
+Request = Message | Geodetic | None
+"""What the optimiser may be asked to take in: a message, a datum to begin anew at, or None for a reset."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +38,8 @@ class Published:
         life: how often a first state was found.
         updates: how many optimisations there were.
         recoveries: how often GNSS was regained.
-        lost: bits of the antennas that are not trusted; the third one says that no antenna is.
+        is_lost: no receiver of positions is trusted.
+        lost: the sensors that are not trusted.
         health: what `HealthMonitor.snapshot` says.
         gravity: in m/s^2.
         datum: of W, None until there is one.
@@ -100,44 +50,107 @@ class Published:
     life: int
     updates: int
     recoveries: int
-    lost: int
+    is_lost: bool
+    lost: tuple[str, ...]
     health: tuple[int, ...]
     gravity: float
     datum: Geodetic | None
     state: OptimisedState | None
 
-    def pack(self) -> bytes:
-        """Return the record, of `SIZE` bytes."""
-        datum, state = self.datum or (0.0, 0.0, 0.0), self.state
-        flags = 1 * (self.datum is not None) + 2 * (state is not None)
-        stamp_ns, numbers = 0, np.zeros(24 + 225)
+
+class Records:
+    """The layouts of one configuration, equal in both processes."""
+
+    def __init__(self, config: Config) -> None:
+        self._imu = config.imu_name
+        self._messages = inputs_of(config)
+        self._inputs = list(self._messages)
+        self._monitored = HealthMonitor(config).names
+        self._width = max([len(Geodetic._fields), *(message.WIDTH for message in self._messages.values())])
+        self._request = Struct(f"<qqqqqq{self._width}d")  # epoch, sample number, kind, sensor, stamp, arrival, values
+        integers = COUNTERS + 2 + len(HealthMonitor(config).snapshot())  # flags, stamp
+        self._head = Struct(f"<{integers}q{1 + len(Geodetic._fields)}d{STATE_VALUES}d")
+        self.sample_size, self.request_size = SAMPLE.size, self._request.size
+        self.published_size = self._head.size + 8 * COVARIANCE_VALUES
+
+    # --- samples and requests ----------------------------------------------------------------------------------------
+
+    def pack_sample(self, epoch: int, sample: ImuSample) -> bytes:
+        """Return the row of a sample of the IMU."""
+        return SAMPLE.pack(epoch, sample.stamp_ns, sample.arrival_ns, *sample.values())
+
+    def unpack_sample(self, row: bytes) -> tuple[int, ImuSample]:
+        """Return the epoch and the sample of a row."""
+        epoch, stamp_ns, arrival_ns, *readings = SAMPLE.unpack(row)
+        return epoch, ImuSample.of(stamp_ns, arrival_ns, self._imu, readings)
+
+    def pack_request(self, epoch: int, samples: int, request: Request) -> bytes:
+        """Return the row of a message or a request that comes after so many samples."""
+        kind, sensor, stamp_ns, arrival_ns, values = MESSAGE, 0, 0, 0, tuple[float, ...]()
+        if request is None:
+            kind = RESET
+        elif isinstance(request, Geodetic):
+            kind, values = DATUM, tuple(request)
+        else:
+            sensor, values = self._inputs.index(request.sensor), request.values()
+            stamp_ns, arrival_ns = request.stamp_ns, request.arrival_ns
+        padding = (0.0,) * (self._width - len(values))
+        return self._request.pack(epoch, samples, kind, sensor, stamp_ns, arrival_ns, *values, *padding)
+
+    def unpack_request(self, row: bytes) -> tuple[int, int, Request]:
+        """Return the epoch, after how many samples it came, and what it is."""
+        epoch, samples, kind, sensor, stamp_ns, arrival_ns, *values = self._request.unpack(row)
+        if kind == RESET:
+            return epoch, samples, None
+        if kind == DATUM:
+            return epoch, samples, Geodetic(*values[: len(Geodetic._fields)])
+        name = self._inputs[sensor]
+        message = self._messages[name]
+        return epoch, samples, message.of(stamp_ns, arrival_ns, name, values[: message.WIDTH])
+
+    # --- what is published -------------------------------------------------------------------------------------------
+
+    def pack_published(self, record: Published) -> bytes:
+        """Return a record, of `published_size` bytes."""
+        datum, state = record.datum, record.state
+        flags = HAS_DATUM * (datum is not None) + HAS_STATE * (state is not None) + IS_LOST * record.is_lost
+        stamp_ns, numbers = 0, np.zeros(STATE_VALUES + COVARIANCE_VALUES)
         if state is not None:
-            stamp_ns, flags = state.stamp_ns, flags + 4 * bool(state.covariance.flags.f_contiguous)
+            stamp_ns, flags = state.stamp_ns, flags + IS_FORTRAN * bool(state.covariance.flags.f_contiguous)
             nav, bias = state.nav, state.bias
             numbers[:9] = nav.attitude().matrix().ravel()
             numbers[9:12], numbers[12:15] = nav.position(), nav.velocity()
             numbers[15:18], numbers[18:21] = bias.accelerometer(), bias.gyroscope()
             numbers[21:24] = state.angular_velocity
-            numbers[24:] = state.covariance.ravel(order="F" if flags & 4 else "C")
-        counters = self.epoch, self.life, self.updates, self.recoveries, self.lost
-        head = *counters, flags, stamp_ns, *self.health, self.gravity, *datum
-        return _HEAD.pack(*head, *numbers[:24].tolist()) + numbers[24:].tobytes()
+            numbers[24:] = state.covariance.ravel(order="F" if flags & IS_FORTRAN else "C")
+        lost = sum(1 << self._monitored.index(name) for name in record.lost)
+        counters = record.epoch, record.life, record.updates, record.recoveries, lost
+        head = *counters, flags, stamp_ns, *record.health, record.gravity, *(datum or (0.0, 0.0, 0.0))
+        return self._head.pack(*head, *numbers[:STATE_VALUES].tolist()) + numbers[STATE_VALUES:].tobytes()
 
-    @staticmethod
-    def unpack(record: bytes) -> "Published":
-        """Return what a record says."""
-        epoch, life, updates, recoveries, lost, flags, stamp_ns, *rest = _HEAD.unpack_from(record)
-        health, (gravity, *place), values = tuple(rest[:7]), rest[7:11], rest[11:]
-        datum = Geodetic(*place) if flags & 1 else None
+    def unpack_published(self, packed: bytes) -> Published:
+        """Return the record that was packed."""
+        epoch, life, updates, recoveries, lost, flags, stamp_ns, *rest = self._head.unpack_from(packed)
+        count = len(rest) - STATE_VALUES - 1 - len(Geodetic._fields)
+        health, (gravity, *point), values = tuple(rest[:count]), rest[count : count + 4], rest[count + 4 :]
         state = None
-        if flags & 2:
+        if flags & HAS_STATE:
             # numpy multiplies a matrix otherwise if it lies otherwise, and then the last bit differs
-            covariance = np.frombuffer(record, offset=_HEAD.size).reshape((15, 15), order="F" if flags & 4 else "C")
+            order: Literal["F", "C"] = "F" if flags & IS_FORTRAN else "C"
+            covariance = np.frombuffer(packed, offset=self._head.size).reshape((15, 15), order=order)
             state = _state(stamp_ns, values, covariance)
-        return Published(epoch, life, updates, recoveries, lost, health, gravity, datum, state)
-
-
-SIZE = _HEAD.size + 8 * 225
+        return Published(
+            epoch,
+            life,
+            updates,
+            recoveries,
+            bool(flags & IS_LOST),
+            tuple(name for bit, name in enumerate(self._monitored) if lost >> bit & 1),
+            health,
+            gravity,
+            Geodetic(*point) if flags & HAS_DATUM else None,
+            state,
+        )
 
 
 def pack_nav(nav: gtsam.NavState) -> bytes:

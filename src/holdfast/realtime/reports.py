@@ -1,4 +1,4 @@
-"""What the optimiser tells besides its state: events, counts, smoothed nodes. Through a pipe that never blocks it."""
+"""What the optimiser reports besides its state: events, counts, smoothed nodes. Through a pipe that never blocks it."""
 
 import os
 import pickle
@@ -94,6 +94,6 @@ class Inbox:
             yield report
 
     def close(self) -> None:
-        """Hear no more."""
+        """Receive no more."""
         self.is_open = False
         os.close(self._descriptor)

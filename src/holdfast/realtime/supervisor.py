@@ -1,4 +1,4 @@
-"""Starts the optimiser process, hears its reports, and starts a successor when it dies or hangs.
+"""Starts the optimiser process, receives its reports, and starts a successor when it dies or hangs.
 
 All of it in a thread that sleeps, so that it costs the IMU path nothing. The same thread ends the process: where the
 kernel is to end a child with its parent, it looks at the thread that started it.
@@ -33,8 +33,8 @@ class Supervisor:
     Args:
         settings: for the process.
         board: the shared memory.
-        on_report: is given what the process tells, and after its end None.
-        on_fault: is told why a process ended that was not asked to.
+        on_report: is given each report of the process, and after its end None.
+        on_fault: is given the reason why a process ended that was not asked to.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class Supervisor:
         self._on_report, self._on_fault = on_report, on_fault
         self._process: subprocess.Popen[bytes] | None = None
         self._inbox: Inbox | None = None
-        self._told_fault = ""
+        self._reported_fault = ""
         self._hang_s = settings.config.realtime.hang_s
         self._began_s = self._beat_s = monotonic()
         self._beat = board.words[Word.HEARTBEAT]
@@ -66,7 +66,7 @@ class Supervisor:
         return None if process is None or process.poll() is not None else process.pid
 
     def wake(self) -> None:
-        """Tell the process that something has come; never blocks."""
+        """Signal the process that something has come; never blocks."""
         process = self._process
         try:
             if process is not None and process.stdin is not None:
@@ -75,15 +75,15 @@ class Supervisor:
             pass  # it has ended, which the thread notices; where the pipe is full, it has been woken
 
     def collect(self) -> None:
-        """Hear the reports that are there; in the thread of the caller, who can tell when there is time for it."""
+        """Receive the reports that are there; in the thread of the caller, who knows when there is time for it."""
         with self._collecting:
             if self._inbox is not None:
                 for report in self._inbox.receive():
-                    self._told_fault = report.fault or self._told_fault
+                    self._reported_fault = report.fault or self._reported_fault
                     self._on_report(report)
 
     def stop(self) -> None:
-        """Let the process take in what is left, hear its last reports, and end it."""
+        """Let the process take in what is left, receive its last reports, and end it."""
         self._stopping.set()
         self._thread.join()
 
@@ -102,7 +102,7 @@ class Supervisor:
             fault = self._fault(now_s)
             if fault is not None:
                 self._end(0.0)
-                self._on_fault(self._told_fault or fault)
+                self._on_fault(self._reported_fault or fault)
                 lived_s = now_s - self._began_s
                 self._pause_s = 0.0 if lived_s > STEADY_S else min(MAX_PAUSE_S, max(0.25, 2.0 * self._pause_s))
                 if self._stopping.wait(self._pause_s):
@@ -124,7 +124,7 @@ class Supervisor:
         memory = self._board.memory.descriptor
         command = [sys.executable, "-P", "-m", "holdfast.realtime.worker", str(memory), str(writable)]
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-        self._told_fault, self._has_beaten = "", False
+        self._reported_fault, self._has_beaten = "", False
         self._began_s = self._beat_s = monotonic()
         try:
             process = subprocess.Popen(
@@ -138,7 +138,7 @@ class Supervisor:
             )
         except OSError as error:
             os.close(readable)
-            self._told_fault = f"cannot be started ({error.strerror})"
+            self._reported_fault = f"cannot be started ({error.strerror})"
             return
         finally:
             os.close(writable)

@@ -16,15 +16,16 @@ from time import perf_counter_ns, process_time
 from typing import NamedTuple
 
 from holdfast.config.model import Config
-from holdfast.estimator.imu_path import take_in
-from holdfast.estimator.journal import Journal
-from holdfast.estimator.optimiser import Optimiser, Update
+from holdfast.estimator.imu_path import receive
+from holdfast.estimator.optimiser import Optimiser
+from holdfast.estimator.tracking import Update
+from holdfast.event_log import EventLog
 from holdfast.geometry.earth import Geodetic
 from holdfast.messages import ImuSample
 from holdfast.realtime.layout import Board
 from holdfast.realtime.memory import Word
 from holdfast.realtime.placement import place_optimiser
-from holdfast.realtime.records import SENSORS, Published, Request, pack_nav, unpack_request, unpack_sample
+from holdfast.realtime.records import Published, Records, Request, pack_nav
 from holdfast.realtime.reports import Outbox, Report
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.state import OptimisedState, Outcome
@@ -51,18 +52,18 @@ class Settings(NamedTuple):
 class Worker:
     """The optimiser and its end of the shared memory."""
 
-    def __init__(self, settings: Settings, board: Board, reports: Outbox) -> None:
-        self._config = settings.config
+    def __init__(self, settings: Settings, records: Records, board: Board, reports: Outbox) -> None:
+        self._config, self._records = settings.config, records
         self._in_step = settings.in_step
         self._board, self._words, self._reports = board, board.words, reports
         self._epoch = self._life = self._updates = self._recoveries = 0
         self._sample, self._request = self._words[Word.SAMPLES], self._words[Word.BEGUN]
-        self._buffer = ImuBuffer(self._config.sensors.imu)
-        self._journal = Journal()
-        self._optimiser = Optimiser(self._config, self._buffer, self._journal)
+        self._buffer = ImuBuffer(self._config.imu)
+        self._log = EventLog(self._config.imu_name)
+        self._optimiser = Optimiser(self._config, self._buffer, self._log)
         self._datum: Geodetic | None = None
         self._waiting_for = ""
-        self._told_counts: dict[tuple[str, Outcome], int] = {}
+        self._reported_counts: dict[tuple[str, Outcome], int] = {}
         self._smoothed: list[tuple[int, bytes]] = []
         self._took_ns: list[int] = []
         self._resume()
@@ -80,7 +81,7 @@ class Worker:
     @property
     def counts(self) -> dict[tuple[str, Outcome], int]:
         """What became of the measurements."""
-        return dict(self._journal.counts)
+        return dict(self._log.counts)
 
     def take_in(self) -> bool:
         """Take in what has come, in the order of arrival, and optimise at the end of it; whether there was anything."""
@@ -88,11 +89,11 @@ class Worker:
         for _ in range(BATCH):
             row = self._board.requests.read(self._request)
             if row is None:
-                self._hear_until(None)
+                self._receive_until(None)
                 break
             self._words[Word.BEGUN] = self._request + 1
-            epoch, samples, request = unpack_request(row)
-            if not self._hear_until(samples):
+            epoch, samples, request = self._records.unpack_request(row)
+            if not self._receive_until(samples):
                 break  # in step: an update first
             self._request += 1
             self._add(epoch, request)
@@ -101,11 +102,11 @@ class Worker:
         if self._optimiser.is_due:
             self._update()
         self._report()
-        self._words[Word.WAITING] = len(self._optimiser.pending)
+        self._words[Word.WAITING] = self._optimiser.waiting.total()
         self._words[Word.REQUESTS], self._words[Word.SAMPLES] = self._request, self._sample
         return (self._sample, self._request) != before
 
-    def _hear_until(self, number: int | None) -> bool:
+    def _receive_until(self, number: int | None) -> bool:
         """Take in the samples before a number, or all that there are; False if an update should come first."""
         ring = self._board.samples
         while number is None or self._sample < number:
@@ -117,17 +118,17 @@ class Worker:
                 self._sample = oldest  # too slow by the length of the ring: a gap that the graph bridges
                 continue
             self._sample += 1
-            self._hear(*unpack_sample(row))
+            self._receive(*self._records.unpack_sample(row))
             if self._in_step and self._optimiser.is_due:
                 return False
         return True
 
-    def _hear(self, epoch: int, sample: ImuSample) -> None:
-        heard = take_in(self._buffer, sample)
-        if epoch != self._epoch and not heard.has_stepped_back:
+    def _receive(self, epoch: int, sample: ImuSample) -> None:
+        received = receive(self._buffer, sample)
+        if epoch != self._epoch and not received.has_stepped_back:
             self._optimiser.restart()  # a request that a predecessor has read but not answered
         self._epoch = epoch
-        self._optimiser.hear(heard)
+        self._optimiser.receive(received)
 
     def _add(self, epoch: int, request: Request) -> None:
         if request is None or isinstance(request, Geodetic):
@@ -138,15 +139,14 @@ class Worker:
         first = self._optimiser.add(request)
         if first is not None:
             self._life += 1
-        world = self._optimiser.world
-        if first is not None or (world is not None and world.datum != self._datum):
+        if first is not None or self._optimiser.world.datum != self._datum:
             self._publish(first)
 
     def _update(self) -> None:
         began_ns = perf_counter_ns()
         update: Update = self._optimiser.update()
         self._took_ns.append(perf_counter_ns() - began_ns)
-        self._optimiser.forget()
+        self._optimiser.drop_samples()
         self._updates += 1
         self._recoveries += update.is_recovery
         self._smoothed += [(stamp_ns, pack_nav(nav)) for stamp_ns, nav in update.smoothed]
@@ -155,18 +155,17 @@ class Worker:
 
     def _publish(self, state: OptimisedState | None) -> None:
         optimiser = self._optimiser
-        self._datum = None if optimiser.world is None else optimiser.world.datum
-        lost = sum(1 << SENSORS.index(name) for name in optimiser.lost_antennas()) + 4 * optimiser.is_lost
-        counters = self._epoch, self._life, self._updates, self._recoveries, lost
-        health = optimiser.monitor.snapshot()
-        record = Published(*counters, health, optimiser.gravity, self._datum, state)
-        self._board.published.write(record.pack())
+        self._datum = optimiser.world.datum
+        counters = self._epoch, self._life, self._updates, self._recoveries
+        trust, health = (optimiser.is_lost, tuple(optimiser.lost())), optimiser.monitor.snapshot()
+        record = Published(*counters, *trust, health, optimiser.gravity, self._datum, state)
+        self._board.published.write(self._records.pack_published(record))
 
     def _report(self) -> None:
         counts, waiting_for = self.counts, self._optimiser.waiting_for
-        if self._took_ns or self._journal.events or counts != self._told_counts or waiting_for != self._waiting_for:
-            self._told_counts, self._waiting_for = counts, waiting_for
-            taken = self._journal.take_events(), counts, self._smoothed, self._took_ns
+        if self._took_ns or self._log.events or counts != self._reported_counts or waiting_for != self._waiting_for:
+            self._reported_counts, self._waiting_for = counts, waiting_for
+            taken = self._log.take_events(), counts, self._smoothed, self._took_ns
             self._smoothed, self._took_ns = [], []
             self._reports.send(Report(*taken, waiting_for, process_time()))
         else:
@@ -174,14 +173,14 @@ class Worker:
 
     def _sleep(self) -> bool:
         """Wait until something may have come; False if nothing ever will."""
-        patience_s = POLL_S if self._optimiser.pending else IDLE_S
+        patience_s = POLL_S if self._optimiser.waiting else IDLE_S
         readable, _, _ = select.select([0], [], [], patience_s)
         return not readable or bool(os.read(0, 4096))
 
     def _resume(self) -> None:
         """Go on where a predecessor has ended: at the newest state that was published."""
         records = [slot.read() for slot in (self._board.published, self._board.rescue)]
-        found = [Published.unpack(record[1]) for record in records if record is not None]
+        found = [self._records.unpack_published(record[1]) for record in records if record is not None]
         if not found:
             return
         newest = max(found, key=lambda one: (one.epoch, -1 if one.state is None else one.state.stamp_ns))
@@ -192,21 +191,20 @@ class Worker:
             self._optimiser.place(newest.datum)
         if newest.state is not None:
             self._fill(newest.state.stamp_ns - HISTORY_NS)
-            lost = [name for bit, name in enumerate(SENSORS[:2]) if newest.lost >> bit & 1]
-            self._optimiser.resume(newest.state, lost)
+            self._optimiser.resume(newest.state, newest.lost)
 
     def _fill(self, since_ns: int) -> None:
         """Read again the samples that a predecessor had."""
         first, rows = self._sample, self._board.samples
         kept: list[ImuSample] = []
         while first > 0 and (row := rows.read(first - 1)) is not None:
-            epoch, sample = unpack_sample(row)
+            epoch, sample = self._records.unpack_sample(row)
             if epoch != self._epoch or sample.stamp_ns < since_ns:
                 break
             kept.append(sample)
             first -= 1
         for sample in reversed(kept):
-            take_in(self._buffer, sample)
+            receive(self._buffer, sample)
 
 
 def main() -> None:
@@ -219,7 +217,8 @@ def main() -> None:
     place_optimiser(settings.config.realtime, settings.cores)
     worker = None
     try:
-        worker = Worker(settings, Board(memory), outbox)
+        records = Records(settings.config)
+        worker = Worker(settings, records, Board(records, memory), outbox)
         worker.run()
     except BrokenPipeError:
         sys.exit(0)  # nobody is left

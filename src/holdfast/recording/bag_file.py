@@ -71,7 +71,7 @@ class IndexedBagFile:
     """A file, or a folder with compressed files, that rosbags reads by its index.
 
     Raises:
-        RecordingError: rosbags refuses it; the line says why and what mends it.
+        RecordingError: rosbags refuses it; the line gives the reason and the remedy.
     """
 
     def __init__(self, path: Path) -> None:
@@ -105,7 +105,7 @@ class IndexedBagFile:
 
     @property
     def indexed(self) -> bool:
-        """Tell whether an MCAP file has an index of its chunks; without it rosbags fails on unsorted messages."""
+        """Return whether an MCAP file has an index of its chunks; without it rosbags fails on unsorted messages."""
         chunks = getattr(getattr(self._reader, "storage", None), "chunks", [])
         return any(chunk.channel_count for chunk in chunks)
 

@@ -4,86 +4,22 @@ The format is documented in docs/recordings.md; the header of EuRoC's IMU files 
 """
 
 import re
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from math import isfinite, nan
+from collections.abc import Iterator, Sequence
+from math import nan
 from pathlib import Path
 
-import numpy as np
-
 from holdfast.errors import RecordingError
-from holdfast.messages import FixStatus, GnssFix, Heading, ImuSample, JointAngle, LidarPose, Message
-from holdfast.recording.decode import STATUSES, UndecodableError, normalised
+from holdfast.messages import Message
+from holdfast.recording.columns import Columns
+from holdfast.recording.decode import UndecodableError
+from holdfast.recording.kinds import KINDS
 from holdfast.recording.merge import SkippedMessages
-from holdfast.recording.source import Kind, TopicInfo
+from holdfast.recording.source import TopicInfo
 from holdfast.recording.tracks import TrackRecording, last_line
 
-Build = Callable[[int, int, str, list[float]], Message]
-"""Takes stamp [ns], arrival [ns], sensor and the values of the columns in the order of the layout."""
-
-
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """The columns of one kind of file; the optional ones come all or not at all and may be left empty."""
-
-    kind: Kind
-    type: str
-    columns: tuple[str, ...]
-    optional: tuple[str, ...]
-    build: Build
-
-
-def _imu(stamp_ns: int, arrival_ns: int, sensor: str, v: list[float]) -> Message:
-    return ImuSample(stamp_ns, arrival_ns, sensor, np.array(v[:3]), np.array(v[3:]))
-
-
-def _gnss(stamp_ns: int, arrival_ns: int, sensor: str, v: list[float]) -> Message:
-    variances = [sigma * sigma for sigma in v[4:]]
-    known = any(variances) and all(map(isfinite, variances))
-    covariance = np.diag(variances) if known else None
-    status = STATUSES.get(int(v[3]), FixStatus.UNKNOWN) if isfinite(v[3]) else FixStatus.UNKNOWN
-    return GnssFix(stamp_ns, arrival_ns, sensor, v[0], v[1], v[2], covariance, status)
-
-
-def _lidar(stamp_ns: int, arrival_ns: int, sensor: str, v: list[float]) -> Message:
-    if not all(map(isfinite, v[:3])):
-        raise UndecodableError("position is not finite")
-    return LidarPose(stamp_ns, arrival_ns, sensor, np.array(v[:3]), normalised(np.array(v[3:])), None)
-
-
-def _heading(stamp_ns: int, arrival_ns: int, sensor: str, v: list[float]) -> Message:
-    if not isfinite(v[0]):
-        raise UndecodableError("yaw is not finite")
-    sigma_rad = v[1] if len(v) > 1 and isfinite(v[1]) and v[1] > 0 else None
-    return Heading(stamp_ns, arrival_ns, sensor, v[0], sigma_rad)
-
-
-def _joint(stamp_ns: int, arrival_ns: int, sensor: str, v: list[float]) -> Message:
-    if not isfinite(v[0]):
-        raise UndecodableError("angle is not finite")
-    return JointAngle(stamp_ns, arrival_ns, sensor, v[0])
-
-
-LAYOUTS = (
-    Layout(
-        "imu",
-        "sensor_msgs/msg/Imu",
-        ("wx_rad_s", "wy_rad_s", "wz_rad_s", "ax_m_s2", "ay_m_s2", "az_m_s2"),
-        (),
-        _imu,
-    ),
-    Layout(
-        "gnss",
-        "sensor_msgs/msg/NavSatFix",
-        ("latitude_deg", "longitude_deg", "altitude_m", "status"),
-        ("sigma_east_m", "sigma_north_m", "sigma_up_m"),
-        _gnss,
-    ),
-    Layout("lidar", "geometry_msgs/msg/PoseStamped", ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"), (), _lidar),
-    Layout("heading", "geometry_msgs/msg/QuaternionStamped", ("yaw_rad",), ("sigma_rad",), _heading),
-    Layout("joint", "sensor_msgs/msg/JointState", ("angle_rad",), (), _joint),
-)
 STAMP, ARRIVAL = "stamp_ns", "arrival_ns"
+ABSENT = -1
+"""Index of an optional column that a file has not: behind the cells of every line stands `nan`."""
 EUROC = {
     "timestamp": STAMP,
     **{f"w_RS_S_{axis}": f"w{axis}_rad_s" for axis in "xyz"},
@@ -116,7 +52,7 @@ class _ForeignFileError(RecordingError):
 
 
 class CsvTrack:
-    """One CSV file; see `holdfast.recording.tracks.Track`.
+    """One CSV file; see `holdfast.recording.tracks.Track`. It can be of every kind whose columns it has.
 
     Raises:
         RecordingError: the header names columns that are unknown or misses some; or the first line cannot be read.
@@ -127,54 +63,31 @@ class CsvTrack:
         with file.open(encoding="utf-8-sig", errors="replace") as stream:
             header = stream.readline()
         self._names = [_column_name(name) for name in header.split(",")]
-        self._layout = self._find_layout()
-        self.kind: str = self._layout.kind
-        self.info = TopicInfo(file.stem, self._layout.type, None)
-        wanted = self._layout.columns + tuple(name for name in self._layout.optional if name in self._names)
-        self._optional = frozenset(self._layout.optional)
-        self._values = [(self._names.index(name), name) for name in wanted]
+        self._columns = _fitting_columns(self._names, f"{file}:1")
+        self.kinds = tuple(self._columns)
+        self.info = TopicInfo(file.stem, KINDS[self.kinds[0]].csv_type, None)
         self._stamp = self._names.index(STAMP)
         self._arrival = self._names.index(ARRIVAL) if ARRIVAL in self._names else self._stamp
         self.start_ns = next((self._times(cells, line)[1] for line, cells, _ in self._lines()), None)
         self.end_ns = None if self.start_ns is None else self._last_arrival()
 
-    def messages(self, sensor: str, skipped: SkippedMessages, warnings: list[str]) -> Iterator[Message]:
+    def messages(self, kind: str, sensor: str, skipped: SkippedMessages, warnings: list[str]) -> Iterator[Message]:
         """Read the file line by line; see `Track.messages`. A last line that was cut off is a warning."""
-        build = self._layout.build
+        columns = self._columns[kind]
+        indices = [self._names.index(name) if name in self._names else ABSENT for name in columns.names]
         for line, cells, whole in self._lines():
             try:
                 stamp_ns, arrival_ns = self._times(cells, line)
-                values = self._parse(cells, line)
+                values = self._parse([*cells, "nan"], indices, columns, line)
             except RecordingError as error:
                 if whole:
                     raise
                 warnings.append(f"{error}; the line is the last one and was cut off, so it is left out")
                 return
             try:
-                yield build(stamp_ns, arrival_ns, sensor, values)
+                yield columns.build(stamp_ns, arrival_ns, sensor, values)
             except UndecodableError as error:
                 skipped.add(self.info.topic, arrival_ns, error)
-
-    def _find_layout(self) -> Layout:
-        names = set(self._names)
-        layout = max(LAYOUTS, key=lambda layout: len(names & set(layout.columns)))
-        allowed = [STAMP, *layout.columns, ARRIVAL, *layout.optional]
-        place = f"{self.file}:1"
-        if not names & set(layout.columns):
-            first = "; ".join(f"{layout.kind}: {', '.join(layout.columns)}" for layout in LAYOUTS)
-            raise _ForeignFileError(f"{place}: the header names no known column (allowed: {STAMP} and one of {first})")
-        optional = layout.optional if names & set(layout.optional) else ()
-        missing = [name for name in (STAMP, *layout.columns, *optional) if name not in names]
-        if missing:
-            raise RecordingError(
-                f"{place}: column {missing[0]} is missing (a {layout.kind} file has {', '.join(allowed)})"
-            )
-        unknown = [name for name in self._names if name not in allowed or self._names.count(name) > 1]
-        if unknown:
-            raise RecordingError(
-                f"{place}: column {unknown[0]!r} is unknown or there twice (allowed: {', '.join(allowed)})"
-            )
-        return layout
 
     def _lines(self) -> Iterator[tuple[int, list[str], bool]]:
         """Yield the line's number, its cells, and whether it ends as a line should."""
@@ -198,21 +111,23 @@ class CsvTrack:
                 f"{self.file}:{line}: column {bad} is {text!r} (allowed: a whole number of nanoseconds)"
             ) from None
 
-    def _parse(self, cells: list[str], line: int) -> list[float]:
+    def _parse(self, cells: list[str], indices: list[int], columns: Columns, line: int) -> list[float]:
         try:
-            return [float(cells[index]) for index, _ in self._values]
+            return [float(cells[index]) for index in indices]
         except ValueError:
-            return [self._parse_cell(cells[index].strip(), name, line) for index, name in self._values]
+            named = zip(columns.names, indices, strict=True)
+            return [self._parse_cell(cells[index].strip(), name, columns, line) for name, index in named]
 
-    def _parse_cell(self, text: str, name: str, line: int) -> float:
-        if not text and name in self._optional:
+    def _parse_cell(self, text: str, name: str, columns: Columns, line: int) -> float:
+        may_be_empty = name not in columns.required
+        if not text and may_be_empty:
             return nan
         try:
             return float(text)
         except ValueError:
             raise RecordingError(
                 f"{self.file}:{line}: column {name} is {text!r} (allowed: a number"
-                + (" or nothing)" if name in self._optional else ", nan if it is unknown)")
+                + (" or nothing)" if may_be_empty else ", nan if it is unknown)")
             ) from None
 
     def _last_arrival(self) -> int | None:
@@ -220,6 +135,42 @@ class CsvTrack:
             return self._times(last_line(self.file).split(","), 0)[1]
         except RecordingError:
             return None
+
+
+def _fitting_columns(header: Sequence[str], place: str) -> dict[str, Columns]:
+    """Return the kinds that a file with this header can be, the first one being what it is without a configuration.
+
+    Raises:
+        RecordingError: there is none; the text names what is wrong with the nearest one.
+    """
+    layouts = {kind.name: kind.columns for kind in KINDS.values() if kind.columns is not None}
+    fitting = {name: columns for name, columns in layouts.items() if _fault(header, columns) is None}
+    if fitting:
+        return fitting
+    name, nearest = max(layouts.items(), key=lambda item: _likeness(header, item[1]))
+    if not set(header) & set(nearest.required):
+        distinct = dict.fromkeys(", ".join(columns.required) for columns in layouts.values())
+        raise _ForeignFileError(
+            f"{place}: the header names no known column (allowed: {STAMP} and one of {'; '.join(distinct)})"
+        )
+    allowed = ", ".join((STAMP, *nearest.required, ARRIVAL, *nearest.names[len(nearest.required) :]))
+    raise RecordingError(f"{place}: {_fault(header, nearest)} (a file of kind {name} may have {allowed})")
+
+
+def _likeness(header: Sequence[str], columns: Columns) -> tuple[bool, int]:
+    """Return a key that is greatest for the columns that a header most likely means."""
+    known = len(set(header) & set(columns.names))
+    return known > 0, known - len(columns.missing(header))
+
+
+def _fault(header: Sequence[str], columns: Columns) -> str | None:
+    """Return what keeps a header from being that of a file with these columns, None if nothing does."""
+    missing = [name for name in (STAMP,) if name not in header] + columns.missing(header)
+    if missing:
+        return f"column {missing[0]} is missing"
+    known = {STAMP, ARRIVAL, *columns.names}
+    unknown = [name for name in header if name not in known or header.count(name) > 1]
+    return f"column {unknown[0]!r} is unknown or there twice" if unknown else None
 
 
 def _column_name(text: str) -> str:

@@ -1,4 +1,4 @@
-"""What is wrong with a recording: rates, gaps, clocks, publishers, and the values that an IMU or a GNSS cannot mean."""
+"""What is wrong with a recording: rates, gaps, clocks, publishers, and the values that a sensor cannot mean."""
 
 from array import array
 from collections import Counter
@@ -9,46 +9,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from holdfast.errors import RecordingError
-from holdfast.messages import Array, GnssFix, ImuSample
+from holdfast.recording.kinds import Findings, Kind, kinds_of
 from holdfast.recording.source import Header, Recording
 
 GAP_PERIODS = 5
-LINE_SAMPLES = 4
-LINE_TOLERANCE = 1e-6
-"""Second differences [rad/s, m/s^2] below this are zero: far under any sensor's noise, and yet above what the jitter of
-the stamps leaves of a line drawn over time (on the KITTI drive all tolerances from 1e-7 to 1e-4 find the same 8 lines).
-"""
 NS_PER_S = 1e9
 
 Stamps = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
-class ImuFindings:
-    """Samples that an IMU cannot have measured; lines are runs of 4 or more samples on a line in all six channels."""
-
-    repeats: int
-    not_finite: int
-    lines: int
-    line_samples: int
-    longest_line_s: float
-    longest_line_at_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class GnssFindings:
-    """Quality that the receiver claims; sigmas are horizontal, the worse of east and north [m], None if all unknown."""
-
-    statuses: dict[str, int]
-    not_finite: int
-    unknown_covariances: int
-    smallest_sigma_m: float | None
-    largest_sigma_m: float | None
-
-
-@dataclass(frozen=True, slots=True)
 class TopicFindings:
-    """One topic. Times in seconds after the recording's first arrival; None where a single message does not tell."""
+    """One topic. Times in seconds after the recording's first arrival; None where a single message is not enough.
+
+    Attributes:
+        kind: what it is without a configuration, None if nothing that Holdfast decodes.
+        values: what was found in them, None if its kind has no findings.
+    """
 
     topic: str
     type: str
@@ -66,8 +43,8 @@ class TopicFindings:
     publishers: tuple[str, ...]
     frame_ids: tuple[str, ...]
     interleaved: bool
-    imu: ImuFindings | None
-    gnss: GnssFindings | None
+    kind: str | None
+    values: Findings | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,19 +61,16 @@ class Inspection:
 
 @dataclass(slots=True)
 class _TopicLog:
-    """What is remembered of a topic while reading: 16 bytes a message, 64 if it is an IMU's."""
+    """What is kept of a topic while reading: 16 bytes a message, and its values where its kind has a check."""
 
+    kind: Kind | None
     stamps: "array[int]" = field(default_factory=lambda: array("q"))
     arrivals: "array[int]" = field(default_factory=lambda: array("q"))
     count: int = 0
     publishers: Counter[str] = field(default_factory=Counter)
     frame_ids: Counter[str] = field(default_factory=Counter)
-    imu_stamps: "array[int]" = field(default_factory=lambda: array("q"))
-    imu: "array[float]" = field(default_factory=lambda: array("d"))
-    statuses: Counter[str] = field(default_factory=Counter)
-    lost_fixes: int = 0
-    unknown_covariances: int = 0
-    variances: "array[float]" = field(default_factory=lambda: array("d"))
+    measured: "array[int]" = field(default_factory=lambda: array("q"))
+    values: "array[float]" = field(default_factory=lambda: array("d"))
 
     def add(self, header: Header) -> None:
         self.count += 1
@@ -104,21 +78,15 @@ class _TopicLog:
         self.frame_ids[header.frame_id] += 1
         self.arrivals.append(header.arrival_ns)
         self.stamps.append(header.arrival_ns if header.stamp_ns is None else header.stamp_ns)
-        message = header.message
-        if isinstance(message, ImuSample):
-            self.imu_stamps.append(message.stamp_ns)
-            self.imu.extend(message.angular_velocity.tolist())
-            self.imu.extend(message.specific_force.tolist())
-        elif isinstance(message, GnssFix):
-            self._add_fix(message)
+        if self.kind is not None and self.kind.check is not None and isinstance(header.message, self.kind.message):
+            self.measured.append(header.message.stamp_ns)
+            self.values.extend(header.message.values())
 
-    def _add_fix(self, fix: GnssFix) -> None:
-        self.statuses[fix.status.name.lower()] += 1
-        self.lost_fixes += not np.isfinite((fix.latitude_deg, fix.longitude_deg, fix.altitude_m)).all()
-        if fix.covariance is None:
-            self.unknown_covariances += 1
-        else:
-            self.variances.append(max(fix.covariance[0, 0], fix.covariance[1, 1]))
+    def findings(self, start_ns: int) -> Findings | None:
+        if self.kind is None or self.kind.check is None:
+            return None
+        values = np.array(self.values, dtype=np.float64).reshape(-1, self.kind.message.WIDTH)
+        return self.kind.check(np.array(self.measured, dtype=np.int64), values, start_ns)
 
 
 def inspect(
@@ -139,7 +107,7 @@ def inspect(
         RecordingError: the window is empty. Damage further in ends the reading and is part of the result.
     """
     headers = recording.read_headers(start_s, duration_s)
-    logs = {info.topic: _TopicLog() for info in recording.topics}
+    logs = {info.topic: _TopicLog(next(iter(kinds_of(info.type)), None)) for info in recording.topics}
     damage = None
     try:
         for number, header in enumerate(headers):
@@ -162,6 +130,7 @@ def _find(topic: str, type_name: str, log: _TopicLog, start_ns: int) -> TopicFin
     ordered = np.unique(stamps)
     gaps, longest_s, at_s = _gaps(ordered, start_ns)
     periods = np.diff(ordered)
+    values = log.findings(start_ns)
     has_header = bool(log.count) and bool(latency_s.any())
     return TopicFindings(
         topic=topic,
@@ -180,9 +149,15 @@ def _find(topic: str, type_name: str, log: _TopicLog, start_ns: int) -> TopicFin
         publishers=tuple(sorted(log.publishers)),
         frame_ids=tuple(sorted(log.frame_ids)),
         interleaved=are_interleaved(stamps),
-        imu=_find_imu(log, start_ns) if any(log.imu) else None,  # all zero: the message holds an orientation alone
-        gnss=_find_gnss(log) if log.statuses else None,
+        kind=_kind_of(type_name, values),
+        values=values,
     )
+
+
+def _kind_of(type_name: str, values: Findings | None) -> str | None:
+    """Return what a topic is: an Imu message without rates and forces, and so without findings, is a heading."""
+    kinds = [kind for kind in kinds_of(type_name) if kind.check is None or values is not None]
+    return kinds[0].name if kinds else None
 
 
 def _gaps(ordered: Stamps, start_ns: int) -> tuple[int, float | None, float | None]:
@@ -196,7 +171,7 @@ def _gaps(ordered: Stamps, start_ns: int) -> tuple[int, float | None, float | No
 
 
 def are_interleaved(stamps: Stamps) -> bool:
-    """Tell whether stamps [ns], in order of arrival, are clearly those of two publishers.
+    """Return whether stamps [ns], in order of arrival, are clearly those of two publishers.
 
     Either every tenth stamp or more jumps back (two clocks), or steps alternate between short and long while every
     second stamp keeps an even pace (one clock, two publishers out of step).
@@ -211,45 +186,3 @@ def are_interleaved(stamps: Stamps) -> bool:
     unevenness = float(np.median(np.abs(pairs - pace)))
     alternation = float(np.median(np.abs(np.diff(steps))))
     return alternation > 0.2 * pace and unevenness < 0.05 * pace
-
-
-def _find_imu(log: _TopicLog, start_ns: int) -> ImuFindings:
-    values = np.array(log.imu, dtype=np.float64).reshape(-1, 6)
-    stamps = np.array(log.imu_stamps, dtype=np.int64)
-    lines = straight_lines(values)
-    lengths_s = [float(stamps[end - 1] - stamps[begin]) / NS_PER_S for begin, end in lines]
-    longest = int(np.argmax(lengths_s)) if lines else 0
-    return ImuFindings(
-        repeats=int((values[1:] == values[:-1]).all(axis=1).sum()),
-        not_finite=int((~np.isfinite(values).all(axis=1)).sum()),
-        lines=len(lines),
-        line_samples=sum(end - begin for begin, end in lines),
-        longest_line_s=lengths_s[longest] if lines else 0.0,
-        longest_line_at_s=float(stamps[lines[longest][0]] - start_ns) / NS_PER_S if lines else 0.0,
-    )
-
-
-def straight_lines(values: Array) -> list[tuple[int, int]]:
-    """Find runs of 4 or more samples (N, 6) whose second differences are zero in all channels though they change.
-
-    Noise makes such a run impossible for a sensor: a logger drew it over a drop-out. Returns (begin, end) indices,
-    the end exclusive. Runs without change are no lines but repeats.
-    """
-    first = np.diff(values, axis=0)
-    with np.errstate(invalid="ignore"):
-        straight = (np.abs(np.diff(first, axis=0)) <= LINE_TOLERANCE).all(axis=1)
-        straight &= (np.abs(first[1:]) > LINE_TOLERANCE).any(axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], straight, [False])).astype(np.int8)))
-    runs = ((int(begin), int(end) + 2) for begin, end in edges.reshape(-1, 2))
-    return [(begin, end) for begin, end in runs if end - begin >= LINE_SAMPLES]
-
-
-def _find_gnss(log: _TopicLog) -> GnssFindings:
-    sigmas = np.sqrt(np.array(log.variances, dtype=np.float64))
-    return GnssFindings(
-        statuses=dict(sorted(log.statuses.items())),
-        not_finite=log.lost_fixes,
-        unknown_covariances=log.unknown_covariances,
-        smallest_sigma_m=float(sigmas.min()) if sigmas.size else None,
-        largest_sigma_m=float(sigmas.max()) if sigmas.size else None,
-    )

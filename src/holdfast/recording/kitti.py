@@ -15,7 +15,6 @@ import numpy as np
 from holdfast.errors import RecordingError
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.messages import FixStatus, GnssFix, ImuSample, Message
-from holdfast.recording.merge import SkippedMessages
 from holdfast.recording.source import TopicInfo
 from holdfast.recording.tracks import TrackRecording, last_line
 
@@ -45,14 +44,14 @@ def open_files(path: Path, files: Sequence[Path]) -> TrackRecording:  # noqa: AR
 class ImuTrack:
     """`Time dt accelX accelY accelZ omegaX omegaY omegaZ`: x forward, y left, z up; the first dt is bogus."""
 
-    kind = "imu"
+    kinds: tuple[str, ...] = ("imu",)
 
     def __init__(self, file: Path) -> None:
         self.file = file
         self.info = TopicInfo("/imu", "sensor_msgs/msg/Imu", None)
         self.start_ns, self.end_ns = _first_and_last_arrival(file, None, IMU_LATENCY_NS)
 
-    def messages(self, sensor: str, skipped: SkippedMessages, warnings: list[str]) -> Iterator[Message]:  # noqa: ARG002
+    def messages(self, kind: str, sensor: str, skipped: object, warnings: object) -> Iterator[Message]:  # noqa: ARG002
         """Read the file line by line; see `Track.messages`."""
         for stamp_ns, (_, *force, wx, wy, wz) in _read_rows(self.file, 8, None):
             yield ImuSample(
@@ -63,14 +62,14 @@ class ImuTrack:
 class GnssTrack:
     """`Time,X,Y,Z`: position of the IMU, east, north and up [m] of an origin that is taken to be `DATUM`."""
 
-    kind = "gnss"
+    kinds: tuple[str, ...] = ("gnss",)
 
     def __init__(self, file: Path) -> None:
         self.file = file
         self.info = TopicInfo("/gnss/fix", "sensor_msgs/msg/NavSatFix", None)
         self.start_ns, self.end_ns = _first_and_last_arrival(file, ",", GNSS_LATENCY_NS)
 
-    def messages(self, sensor: str, skipped: SkippedMessages, warnings: list[str]) -> Iterator[Message]:  # noqa: ARG002
+    def messages(self, kind: str, sensor: str, skipped: object, warnings: object) -> Iterator[Message]:  # noqa: ARG002
         """Read the file line by line; see `Track.messages`."""
         world = LocalFrame(DATUM)
         for stamp_ns, enu in _read_rows(self.file, 4, ","):

@@ -1,18 +1,20 @@
 """Writes standard ROS 2 messages into a bare .mcap file that survives a crash up to its last chunk."""
 
+from io import BufferedWriter, FileIO
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Any, Self
+from typing import Any
 
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from holdfast.errors import RecordingError
+from holdfast.recording.source import Closing
 
-CHUNK_BYTES = 1 << 18  # about 2 s of what is written at 100 Hz: the most that a crash can lose
+CHUNK_BYTES = 1 << 18
+"""About 2 s of what is written at 100 Hz: the most that a crash can lose."""
 
 
-class McapWriter:
+class McapWriter(Closing):
     """Writes messages in CDR, with their definitions, in chunks compressed with zstd.
 
     `types` makes message objects: `writer.types["std_msgs/msg/Header"](stamp=..., frame_id=...)`.
@@ -23,7 +25,7 @@ class McapWriter:
 
     def __init__(self, path: str | Path) -> None:
         try:
-            self._file = _FlushedFile(Path(path))
+            self._file = _FlushedFile(FileIO(path, "wb"))
         except OSError as error:
             raise RecordingError(f"{path}: cannot be written ({error.strerror})") from None
         self._store = get_typestore(Stores.ROS2_HUMBLE)
@@ -31,7 +33,7 @@ class McapWriter:
         self._channels: dict[tuple[str, str], int] = {}
         self._closed = False
         # the index of messages inside chunks is what rosbags and Foxglove seek by; CRCs find damaged chunks
-        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
+        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="ros2", library="holdfast")
 
     @property
@@ -78,16 +80,6 @@ class McapWriter:
             self._writer.finish()  # type: ignore[no-untyped-call]
             self._file.close()
 
-    def __enter__(self) -> Self:
-        """Return the writer."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close the file, also after an error: what was written stays readable."""
-        self.close()
-
     def _register(self, topic: str, type_name: str) -> int:
         if type_name not in self._schemas:
             if type_name not in self._store.fielddefs:
@@ -99,22 +91,10 @@ class McapWriter:
         return channel
 
 
-class _FlushedFile:
+class _FlushedFile(BufferedWriter):
     """A file that holds nothing back: the writer writes whole chunks, and each must survive a kill."""
 
-    def __init__(self, path: Path) -> None:
-        self._file: IO[bytes] = path.open("wb")
-
-    def write(self, data: bytes) -> int:
-        written = self._file.write(data)
-        self._file.flush()
+    def write(self, data: Any, /) -> int:
+        written = super().write(data)
+        self.flush()
         return written
-
-    def tell(self) -> int:
-        return self._file.tell()
-
-    def flush(self) -> None:
-        self._file.flush()
-
-    def close(self) -> None:
-        self._file.close()

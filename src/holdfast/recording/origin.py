@@ -1,4 +1,4 @@
-"""What a recording says of its own making: the simulator writes its seed into it, as metadata of the MCAP."""
+"""Metadata of a simulated recording: the simulator writes its seed into the MCAP."""
 
 from pathlib import Path
 

@@ -4,8 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -15,7 +14,7 @@ from holdfast.recording.bag_file import HEADER_TYPE, BagFile, Channel, Codec
 from holdfast.recording.mcap_writer import McapWriter
 from holdfast.recording.merge import merge_by_arrival
 from holdfast.recording.rosbag import RosbagRecording
-from holdfast.recording.source import open_recording
+from holdfast.recording.source import Closing, open_recording
 
 ENCODINGS = {MessageDefinitionFormat.MSG: "ros2msg", MessageDefinitionFormat.IDL: "ros2idl"}
 
@@ -51,8 +50,8 @@ RawRow = tuple[int, RawChannel, bytes]
 """Arrival [ns], channel, message as the bag holds it."""
 
 
-class RawBag:
-    """An open bag; a context manager that closes it.
+class RawBag(Closing):
+    """An open bag.
 
     Raises:
         RecordingError: there is no bag that can be read, or the recording is no bag.
@@ -78,13 +77,7 @@ class RawBag:
         """
         return merge_by_arrival([(file.start_ns, partial(_rows, file, channels)) for file, channels in self._files])
 
-    def __enter__(self) -> Self:
-        """Return the bag itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
         """Close the files."""
         self.recording.close()
 

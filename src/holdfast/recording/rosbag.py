@@ -4,16 +4,16 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path, PurePath
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from holdfast.errors import RecordingError
 from holdfast.messages import Message
 from holdfast.recording.bag_file import BagFile, Channel, Codec, IndexedBagFile
 from holdfast.recording.cut_mcap import StreamedMcap
-from holdfast.recording.decode import Decoder, default_decoder, make_decoder
+from holdfast.recording.decode import Decoder
+from holdfast.recording.kinds import default_decoder, make_decoder
 from holdfast.recording.merge import SkippedMessages, merge_by_arrival
-from holdfast.recording.source import Header, Subscription, TopicInfo, arrival_window, find_topic
+from holdfast.recording.source import Closing, Header, Subscription, TopicInfo, arrival_window, find_topic
 
 
 @dataclass(slots=True)
@@ -98,7 +98,7 @@ def _open_file(path: Path) -> BagFile:
     return StreamedMcap(path)
 
 
-class RosbagRecording:
+class RosbagRecording(Closing):
     """A bag as a recording; see `holdfast.recording.source.Recording` for the contract."""
 
     def __init__(self, path: Path, files: Sequence[BagFile], warnings: list[str]) -> None:
@@ -130,16 +130,6 @@ class RosbagRecording:
         """Close the files."""
         for close in self._closers:
             close()
-
-    def __enter__(self) -> Self:
-        """Return the recording itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close the files."""
-        self.close()
 
     def _subscribed_routes(self, file: BagFile, subscriptions: Sequence[Subscription]) -> Routes:
         routes: Routes = {}
@@ -175,16 +165,20 @@ class RosbagRecording:
         try:
             for arrival_ns, route, raw in messages:
                 assert route.codec is not None
-                decoded: list[Message] = []
                 try:
                     message = route.codec.deserialize(raw)
-                    for decode in route.decoders:
-                        decoded.append(decode(message, arrival_ns))  # noqa: PERF401 (one bad decoder spares the others)
-                except RecordingError as error:
-                    raise RecordingError(f"{self.path}: {error} (at {arrival_ns} ns)") from None
                 except Exception as error:  # damaged bytes raise anything; one message must not end a replay
                     skipped.add(route.topic, arrival_ns, error)
-                yield from decoded
+                    continue
+                for decode in route.decoders:  # of several sensors: what is none of one may well be another
+                    try:
+                        decoded = decode(message, arrival_ns)
+                    except RecordingError as error:
+                        raise RecordingError(f"{self.path}: {error} (at {arrival_ns} ns)") from None
+                    except Exception as error:
+                        skipped.add(route.topic, arrival_ns, error)
+                    else:
+                        yield decoded
         finally:
             self.warnings.extend(skipped.lines(str(self.path)))
 

@@ -9,12 +9,10 @@ from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, Protocol, Self
+from typing import Protocol, Self
 
 from holdfast.errors import RecordingError
 from holdfast.messages import Message
-
-Kind = Literal["imu", "gnss", "lidar", "heading", "joint"]
 
 NS_PER_S = 1_000_000_000
 
@@ -26,7 +24,7 @@ class TopicInfo:
     Attributes:
         type: name of the message type as in ROS 2, such as `sensor_msgs/msg/Imu`; a CSV file has the type that its
             columns stand for, and a topic that was recorded with several types has them joined by ` | `.
-        count: number of messages, or None where only reading the whole file would tell.
+        count: number of messages, or None where that needs reading the whole file.
     """
 
     topic: str
@@ -40,19 +38,19 @@ class Subscription:
 
     Attributes:
         sensor: name that the messages carry, as in the configuration.
-        kind: what the topic's messages are decoded to.
+        kind: name of a row in `holdfast.recording.kinds`: what the messages are decoded to.
         joint_name: which joint of a JointState; needed if the message has several.
     """
 
     topic: str
     sensor: str
-    kind: Kind
+    kind: str
     joint_name: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What can be told of any message: when it was measured, when it arrived and from whom.
+    """What is known of any message: when it was measured, when it arrived and from whom.
 
     Attributes:
         stamp_ns: the header's stamp, or None if the type has no header.
@@ -69,8 +67,25 @@ class Header:
     message: Message | None
 
 
-class Recording(Protocol):
-    """An open recording; a context manager that closes its files."""
+class Closing(Protocol):
+    """What is closed at the end of its `with` block, also after an error."""
+
+    def close(self) -> None:
+        """Close the files."""
+
+    def __enter__(self) -> Self:
+        """Return the object itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the files."""
+        self.close()
+
+
+class Recording(Closing, Protocol):
+    """An open recording."""
 
     @property
     def path(self) -> Path:
@@ -86,7 +101,7 @@ class Recording(Protocol):
 
     @property
     def end_ns(self) -> int | None:
-        """Return the arrival of the last message of any topic, or None if only reading the whole file would tell."""
+        """Return the arrival of the last message of any topic, or None if that needs reading the whole file."""
 
     @property
     def warnings(self) -> list[str]:
@@ -111,17 +126,6 @@ class Recording(Protocol):
     def read_headers(self, start_s: float = 0.0, duration_s: float | None = None) -> Iterator[Header]:
         """Yield the header of every message of every topic in order of arrival; arguments and errors as in `read`."""
 
-    def close(self) -> None:
-        """Close the files."""
-
-    def __enter__(self) -> Self:
-        """Return the recording itself."""
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close the files."""
-
 
 def open_recording(path: str | Path) -> Recording:
     """Open whatever recording lies at a path.
@@ -130,7 +134,7 @@ def open_recording(path: str | Path) -> Recording:
     CSV files, or the name `kitti` for the drive that ships inside the gtsam wheel.
 
     Raises:
-        RecordingError: there is nothing that can be read; one line says what was found and what is allowed.
+        RecordingError: there is nothing that can be read; one line with what was found and what is allowed.
     """
     path = Path(path)
     if path.exists():

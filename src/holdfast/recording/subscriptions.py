@@ -1,27 +1,23 @@
 """Which topics of a recording feed which sensors: what the configuration asks of a recording."""
 
-from pydantic import BaseModel
-
-from holdfast.config.model import BaseImuConfig, Config, GnssConfig, HeadingConfig, ImuConfig, JointConfig, LidarConfig
-from holdfast.recording.source import Kind, Subscription
-
-KINDS: dict[type[BaseModel], Kind] = {
-    ImuConfig: "imu",
-    BaseImuConfig: "imu",
-    GnssConfig: "gnss",
-    LidarConfig: "lidar",
-    HeadingConfig: "heading",
-    JointConfig: "joint",
-}
+from holdfast.config.model import Config
+from holdfast.errors import ConfigError
+from holdfast.recording.kinds import KINDS
+from holdfast.recording.source import Subscription
 
 
 def subscriptions(config: Config) -> list[Subscription]:
-    """Return one subscription per configured sensor, in the model's order; messages carry the sensor's field name."""
+    """Return one subscription per sensor that has a topic, in the order of the file.
+
+    Raises:
+        ConfigError: a sensor is of a kind without a row in `holdfast.recording.kinds`.
+    """
     found = []
-    for name in type(config.sensors).model_fields:
-        section = getattr(config.sensors, name)
-        if section is not None:
-            joint_name = getattr(section, "joint_name", None)
-            kind = KINDS[type(section)]
-            found.append(Subscription(topic=section.topic, sensor=name, kind=kind, joint_name=joint_name))
+    for name, section in config.sensors.items():
+        if section.topic is None:
+            continue
+        if section.kind not in KINDS:
+            raise ConfigError(f"sensors.{name}.kind: nothing is registered that decodes {section.kind}")
+        joint_name = getattr(section, "joint_name", None)
+        found.append(Subscription(section.topic, name, section.kind, joint_name))
     return found

@@ -3,13 +3,12 @@
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol
 
 from holdfast.errors import RecordingError
 from holdfast.messages import Message
 from holdfast.recording.merge import SkippedMessages, merge_by_arrival
-from holdfast.recording.source import Header, Subscription, TopicInfo, arrival_window, find_topic
+from holdfast.recording.source import Closing, Header, Subscription, TopicInfo, arrival_window, find_topic
 
 TAIL_BYTES = 4096
 
@@ -19,19 +18,20 @@ class Track(Protocol):
 
     file: Path
     info: TopicInfo
-    kind: str
+    kinds: tuple[str, ...]
+    """What it can be read as; the first is what it is without a configuration."""
     start_ns: int | None
     end_ns: int | None
 
-    def messages(self, sensor: str, skipped: SkippedMessages, warnings: list[str]) -> Iterator[Message]:
-        """Read the file line by line.
+    def messages(self, kind: str, sensor: str, skipped: SkippedMessages, warnings: list[str]) -> Iterator[Message]:
+        """Read the file line by line as measurements of one of its kinds.
 
         Raises:
             RecordingError: a line cannot be read; the error names it.
         """
 
 
-class TrackRecording:
+class TrackRecording(Closing):
     """Tracks as a recording; see `holdfast.recording.source.Recording` for the contract.
 
     Raises:
@@ -56,24 +56,18 @@ class TrackRecording:
         window = arrival_window(self, start_s, duration_s)
         for subscription in subscriptions:
             find_topic(self, subscription.topic)
-        chosen: list[tuple[Track, str]] = []
-        for track in self._tracks:
-            for subscription in subscriptions:
-                if subscription.topic != track.info.topic:
-                    continue
-                if subscription.kind != track.kind:
-                    raise RecordingError(
-                        f"{track.file}: topic {subscription.topic!r} is {track.info.type} with the columns of "
-                        f"{track.kind}, which is no {subscription.kind} (allowed: a file with the columns of "
-                        f"{subscription.kind})"
-                    )
-                chosen.append((track, subscription.sensor))
+        chosen = [
+            (track, _checked_kind(track, subscription), subscription.sensor)
+            for track in self._tracks
+            for subscription in subscriptions
+            if subscription.topic == track.info.topic
+        ]
         return (message for _, message in self._merge(chosen, *window))
 
     def read_headers(self, start_s: float = 0.0, duration_s: float | None = None) -> Iterator[Header]:
         """Yield the headers of all messages in order of arrival; see the contract."""
         window = arrival_window(self, start_s, duration_s)
-        rows = self._merge([(track, track.info.topic) for track in self._tracks], *window)
+        rows = self._merge([(track, track.kinds[0], track.info.topic) for track in self._tracks], *window)
         return (
             Header(track.info.topic, message.stamp_ns, message.arrival_ns, track.file.name, "", message)
             for track, message in rows
@@ -82,20 +76,11 @@ class TrackRecording:
     def close(self) -> None:
         """Do nothing: the files are open only while they are read."""
 
-    def __enter__(self) -> Self:
-        """Return the recording itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Do nothing; see `close`."""
-
     def _merge(
-        self, chosen: Sequence[tuple[Track, str]], begin_ns: int | None, end_ns: int | None
+        self, chosen: Sequence[tuple[Track, str, str]], begin_ns: int | None, end_ns: int | None
     ) -> Iterator[tuple[Track, Message]]:
         skipped = SkippedMessages()
-        parts = [(track.start_ns or 0, partial(self._rows, track, sensor, skipped)) for track, sensor in chosen]
+        parts = [(one[0].start_ns or 0, partial(self._rows, *one, skipped)) for one in chosen]
         try:
             for arrival_ns, track, message in merge_by_arrival(parts):
                 if end_ns is not None and arrival_ns >= end_ns:
@@ -105,9 +90,11 @@ class TrackRecording:
         finally:
             self.warnings.extend(skipped.lines(str(self.path)))
 
-    def _rows(self, track: Track, sensor: str, skipped: SkippedMessages) -> Iterator[tuple[int, Track, Message]]:
+    def _rows(
+        self, track: Track, kind: str, sensor: str, skipped: SkippedMessages
+    ) -> Iterator[tuple[int, Track, Message]]:
         latest_ns, backward = 0, 0
-        for message in track.messages(sensor, skipped, self.warnings):
+        for message in track.messages(kind, sensor, skipped, self.warnings):
             if message.arrival_ns < latest_ns:
                 backward += 1
             latest_ns = max(latest_ns, message.arrival_ns)
@@ -116,6 +103,16 @@ class TrackRecording:
             self.warnings.append(
                 f"{track.file}: {backward} row(s) arrived before the row above them; the order of the file was kept"
             )
+
+
+def _checked_kind(track: Track, subscription: Subscription) -> str:
+    if subscription.kind not in track.kinds:
+        raise RecordingError(
+            f"{track.file}: topic {subscription.topic!r} is {track.info.type} with the columns of "
+            f"{' or '.join(track.kinds)}, which is no {subscription.kind} (allowed: a file with the columns of "
+            f"{subscription.kind})"
+        )
+    return subscription.kind
 
 
 def last_line(file: Path) -> str:

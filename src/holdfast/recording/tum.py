@@ -4,18 +4,18 @@ from collections.abc import Sequence
 from decimal import Decimal, InvalidOperation
 from math import isfinite
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
 from holdfast.errors import RecordingError
 from holdfast.messages import Array
+from holdfast.recording.source import Closing
 from holdfast.state import Trajectory
 
 NORM_TOLERANCE = 0.01
 ROWS_PER_FLUSH = 64
-BUFFER_BYTES = 1 << 16  # more than ROWS_PER_FLUSH rows, so that only whole rows reach the file
+BUFFER_BYTES = 1 << 16
+"""More than ROWS_PER_FLUSH rows, so that only whole rows reach the file."""
 
 
 def read_tum(path: str | Path) -> Trajectory:
@@ -73,7 +73,7 @@ def write_tum(path: str | Path, trajectory: Trajectory) -> None:
             writer.append(stamp_ns, position, quaternion)
 
 
-class TumWriter:
+class TumWriter(Closing):
     """Writes a trajectory pose by pose; a killed run keeps all but the last 64 rows, and no half row."""
 
     def __init__(self, path: str | Path) -> None:
@@ -100,13 +100,3 @@ class TumWriter:
     def close(self) -> None:
         """Write what is left and close the file."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        """Return the writer."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close the file."""
-        self.close()

@@ -1,1 +1,1 @@
-"""Replay: a recording goes through the estimator in order of arrival, and everything that comes out is written."""
+"""Replay: the estimator processes a recording in order of arrival, and all of its output is written."""

@@ -1,26 +1,29 @@
-"""Fixes that are held back from the estimator, to judge it without a ground truth.
+"""Positions that are held back from the estimator, to judge it without a ground truth.
 
-What is held back never reaches the estimator. Each held-out fix is compared with the track at its own time, through the
-antenna's lever arm; the causal track is what was published at IMU rate, and where the IMU was silent the newest
-optimised states.
+What is held back never reaches the estimator. Each held-out position, of an antenna or a prism, is compared with the
+track at its own time, through the lever arm; the causal track is what was published at IMU rate, and where the IMU was
+silent the newest optimised states.
 """
 
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import gtsam
 import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
-from holdfast.geometry.earth import Geodetic, LocalFrame
-from holdfast.messages import Array, GnssFix, Message
-from holdfast.sensors.gnss import GnssModel
+from holdfast.geometry.earth import LocalFrame
+from holdfast.geometry.world import World
+from holdfast.messages import Array, Message
+from holdfast.sensors.registry import sensors_of
+from holdfast.sensors.sensor import Position, PositionSensor, Role, State
 from holdfast.state import Estimate, OptimisedState, Outcome
 
-KEPT_NS = 20_000_000_000  # of the track: later fixes than this are not judged
+MAX_DELAY_NS = 20_000_000_000  # positions that arrive later than this are not judged
+UNKNOWN = np.full((9, 9), np.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,26 +70,30 @@ def check_sensors(rules: Iterable[HoldOut], config: Config) -> None:
     Raises:
         ConfigError: names the sensor and those that are allowed.
     """
-    known = [name for name in type(config.sensors).model_fields if getattr(config.sensors, name) is not None]
     for rule in rules:
-        if rule.sensor not in known:
-            raise ConfigError(f"sensor {rule.sensor!r} is not configured (allowed: {', '.join(known)})")
+        if rule.sensor not in config.sensors:
+            raise ConfigError(f"sensor {rule.sensor!r} is not configured (allowed: {', '.join(config.sensors)})")
+
+
+def _position_sensors(config: Config) -> dict[str, PositionSensor]:
+    sensors = sensors_of(config).items()
+    return {name: cast("PositionSensor", sensor) for name, sensor in sensors if sensor.role is Role.POSITION}
 
 
 class HoldOutFilter:
-    """Splits a stream of messages into what the estimator sees and what judges it."""
+    """Splits a stream of messages into what the estimator receives and what judges it."""
 
     def __init__(self, rules: Iterable[HoldOut], config: Config) -> None:
         self._rules = list(rules)
         check_sensors(self._rules, config)
-        self._models = {name: GnssModel(gnss, np.zeros(3)) for name, gnss in config.sensors.antennas().items()}
+        self._sensors = _position_sensors(config)
         self.first_ns: int | None = None
         self._seen: dict[str, int] = {}
         self._lost: set[str] = set()  # sensors in an outage, which lasts until the estimator gets a message again
         self.held: deque[tuple[Message, bool]] = deque()
 
     def split(self, messages: Iterable[Message]) -> Iterator[Message]:
-        """Yield what is not held back; the rest goes to `held`, with whether it fell into an outage."""
+        """Yield what is not held back; the rest goes to `held`, with whether it is in an outage."""
         for message in messages:
             if self.first_ns is None:
                 self.first_ns = message.stamp_ns
@@ -103,7 +110,8 @@ class HoldOutFilter:
                 yield message
 
     def _is_usable(self, message: Message) -> bool:
-        return not isinstance(message, GnssFix) or self._models[message.sensor].check(message) is Outcome.USED
+        sensor = self._sensors.get(message.sensor)
+        return sensor is None or not isinstance(sensor.convert(message, World()), Outcome)
 
     def _is_nth(self, message: Message, rules: list[HoldOut]) -> bool:
         every = next((rule.every for rule in rules if rule.every is not None), None)
@@ -114,18 +122,18 @@ class HoldOutFilter:
 
 
 class TrackPoint(NamedTuple):
-    """A point of a track: stamp, pose, the covariance (9, 9) of its state if known, and whether the IMU was heard."""
+    """A point of a track; `covariance` (9, 9) is NaN where it is not known, `from_imu` False in an IMU drop-out."""
 
     stamp_ns: int
     pose: gtsam.Pose3
-    covariance: Array | None
+    covariance: Array
     from_imu: bool
 
 
 class Judgement(NamedTuple):
-    """One held-out fix against the track: error (3,) east, north, up [m]; NEES is NaN without a covariance.
+    """One held-out position against the track: error (3,) east, north, up [m]; NEES is NaN without a covariance.
 
-    `imu_silent`: the fix fell into a drop-out of the IMU. Where one logger recorded both, such a fix may be no
+    `imu_silent`: the position is within a drop-out of the IMU. Where one logger recorded both, such a fix may be no
     measurement either, but a line that the logger drew.
     """
 
@@ -139,67 +147,61 @@ class Judgement(NamedTuple):
 
 
 class HeldOutJudge:
-    """Compares held-out fixes with one track as both stream by."""
+    """Compares held-out positions with one track as both stream by."""
 
     def __init__(self, config: Config) -> None:
-        self._offsets: dict[str, int] = {}
-        self._arms: dict[str, Array] = {}
-        for name, gnss in config.sensors.antennas().items():
-            self._offsets[name] = round(gnss.time_offset_s * 1e9)
-            self._arms[name] = config.T_I(gnss.frame)[:3, 3]
+        self._sensors = _position_sensors(config)
         self._track: deque[TrackPoint] = deque()
-        self._waiting: deque[tuple[GnssFix, bool]] = deque()
+        self._waiting: deque[tuple[Message, bool]] = deque()
         self.judgements: list[Judgement] = []
 
-    def add_fix(self, fix: GnssFix, in_outage: bool) -> None:
-        """Take in a held-out fix."""
-        self._waiting.append((fix, in_outage))
+    def add_message(self, message: Message, in_outage: bool) -> None:
+        """Take in a held-out message; those that measure no position are passed over."""
+        if message.sensor in self._sensors:
+            self._waiting.append((message, in_outage))
 
-    def add_estimate(self, estimate: Estimate, world: LocalFrame) -> None:
-        """Take in what was published at an IMU sample, and judge the fixes that it has passed."""
-        self._append(TrackPoint(estimate.stamp_ns, estimate.nav.pose(), estimate.covariance, estimate.from_imu), world)
+    def add_estimate(self, estimate: Estimate, frame: LocalFrame | None) -> None:
+        """Take in what was published at an IMU sample, and judge the positions that it has passed."""
+        self._append(TrackPoint(estimate.stamp_ns, estimate.nav.pose(), estimate.covariance, estimate.from_imu), frame)
 
-    def add_optimised(self, state: OptimisedState, world: LocalFrame) -> None:
+    def add_optimised(self, state: OptimisedState, frame: LocalFrame | None) -> None:
         """Take in a newest node; it extends the track only where the IMU is silent."""
-        self._append(TrackPoint(state.stamp_ns, state.nav.pose(), state.covariance[:9, :9], False), world)
+        self._append(TrackPoint(state.stamp_ns, state.nav.pose(), state.covariance[:9, :9], False), frame)
 
-    def add_smoothed(self, stamp_ns: int, nav: gtsam.NavState, world: LocalFrame) -> None:
+    def add_smoothed(self, stamp_ns: int, nav: gtsam.NavState, frame: LocalFrame | None) -> None:
         """Take in a node that will not change any more."""
-        self._append(TrackPoint(stamp_ns, nav.pose(), None, True), world)
+        self._append(TrackPoint(stamp_ns, nav.pose(), UNKNOWN, True), frame)
 
-    def _append(self, point: TrackPoint, world: LocalFrame) -> None:
+    def _append(self, point: TrackPoint, frame: LocalFrame | None) -> None:
         if self._track and point.stamp_ns <= self._track[-1].stamp_ns:
             return
         self._track.append(point)
-        while point.stamp_ns - self._track[0].stamp_ns > KEPT_NS:
+        while point.stamp_ns - self._track[0].stamp_ns > MAX_DELAY_NS:
             self._track.popleft()
-        while self._waiting and self._stamp(self._waiting[0][0]) <= point.stamp_ns:
-            fix, in_outage = self._waiting.popleft()
-            self._judge(fix, in_outage, world)
+        while self._waiting and self._stamp_ns(self._waiting[0][0]) <= point.stamp_ns:
+            message, in_outage = self._waiting.popleft()
+            world = World()
+            world.frame = frame
+            position = self._sensors[message.sensor].convert(message, world)
+            if not isinstance(position, Outcome) and world.frame is frame:  # it has not set a datum itself
+                self._judge(position, in_outage)
 
-    def _stamp(self, fix: GnssFix) -> int:
-        return fix.stamp_ns + self._offsets[fix.sensor]
+    def _stamp_ns(self, message: Message) -> int:
+        return message.stamp_ns + self._sensors[message.sensor].offset_ns
 
-    def _judge(self, fix: GnssFix, in_outage: bool, world: LocalFrame) -> None:
-        stamp = self._stamp(fix)
+    def _judge(self, position: Position, in_outage: bool) -> None:
         k = len(self._track) - 1
-        while k > 0 and self._track[k - 1].stamp_ns >= stamp:
+        while k > 0 and self._track[k - 1].stamp_ns >= position.stamp_ns:
             k -= 1
-        if k == 0 or self._track[k].stamp_ns < stamp:
+        if k == 0 or self._track[k].stamp_ns < position.stamp_ns:
             return  # before the track began
         before, after = self._track[k - 1], self._track[k]
-        share = (stamp - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
-        pose = before.pose.slerp(share, after.pose)
-        point = Geodetic(fix.latitude_deg, fix.longitude_deg, fix.altitude_m)
-        measured = world.to_enu(point)
-        estimated: Array = pose.transformFrom(self._arms[fix.sensor])
-        error = estimated - measured
-        nees = float("nan")
-        if after.covariance is not None and fix.covariance is not None:
-            R, (x, y, z) = pose.rotation().matrix(), self._arms[fix.sensor]
-            arm_cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-            H = np.hstack([-R @ arm_cross, R])  # of the antenna's position by the rotation and position of the body
-            total = H @ after.covariance[:6, :6] @ H.T + fix.covariance
-            nees = float(error @ np.linalg.solve(total, error))
+        fraction = (position.stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
+        nav = gtsam.NavState(before.pose.slerp(fraction, after.pose), np.zeros(3))
+        state = State(nav, after.covariance)
+        innovation = self._sensors[position.sensor].innovation(position, state)
+        nees = innovation.nis(state)
         silent = not (before.from_imu and after.from_imu)
-        self.judgements.append(Judgement(stamp, fix.sensor, in_outage, error, nees, measured, silent))
+        self.judgements.append(
+            Judgement(position.stamp_ns, position.sensor, in_outage, -innovation.y, nees, position.p_W_P, silent)
+        )

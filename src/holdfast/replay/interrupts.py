@@ -7,27 +7,27 @@ from typing import Self
 
 
 class Uninterrupted:
-    """What happens inside `with` is finished before Ctrl-C is heard; outside it is heard at once.
+    """What happens inside `with` is finished before Ctrl-C interrupts; outside it interrupts at once.
 
-    `start` and `stop` enclose all of it. Where Ctrl-C means something else, or in another thread, it changes nothing.
+    `start` and `stop` enclose all of it. Where Ctrl-C has another handler, or in another thread, it changes nothing.
     """
 
     def __init__(self) -> None:
         self._is_busy = self._came = self._is_on = False
 
     def start(self) -> None:
-        """Hear Ctrl-C from here on."""
+        """Handle Ctrl-C from here on."""
         is_main = threading.current_thread() is threading.main_thread()
         self._is_on = is_main and signal.getsignal(signal.SIGINT) is signal.default_int_handler
         if self._is_on:
-            signal.signal(signal.SIGINT, self._hear)
+            signal.signal(signal.SIGINT, self._on_interrupt)
 
     def stop(self) -> None:
-        """Leave Ctrl-C to what it was before."""
+        """Give Ctrl-C its former handler back."""
         if self._is_on:
             signal.signal(signal.SIGINT, signal.default_int_handler)
 
-    def _hear(self, _number: int, _frame: FrameType | None) -> None:
+    def _on_interrupt(self, _number: int, _frame: FrameType | None) -> None:
         if not self._is_busy:
             raise KeyboardInterrupt
         self._came = True

@@ -11,9 +11,8 @@ from holdfast.config.model import Config
 from holdfast.errors import ConfigError
 from holdfast.recording.mcap_writer import McapWriter
 from holdfast.recording.tum import TumWriter
-from holdfast.replay.frame_transforms import translation_and_quaternion
-from holdfast.replay.ros import quaternion_xyzw
-from holdfast.replay.ros_messages import (
+from holdfast.ros.frame_transforms import translation_and_quaternion
+from holdfast.ros.messages import (
     DIAGNOSTICS,
     DIAGNOSTICS_PERIOD_NS,
     EstimateMessages,
@@ -23,13 +22,14 @@ from holdfast.replay.ros_messages import (
     diagnostic_array,
     estimator_status,
 )
+from holdfast.ros.outputs import quaternion_xyzw
 from holdfast.state import BaseState, Estimate, Event, Output
 
 ESTIMATES, EVENTS, SUMMARY = "estimates.mcap", "events.jsonl", "summary.json"
 
 
 class Outputs:
-    """Writes into a folder what the estimator says; a context manager."""
+    """Writes the estimator's output into a folder; a context manager."""
 
     def __init__(self, folder: Path, config: Config) -> None:
         try:
@@ -62,7 +62,7 @@ class Outputs:
         self._stack.__exit__(kind, error, trace)
 
     def write(self, output: Output) -> None:
-        """Write what one message led to."""
+        """Write the output of one message."""
         if output.estimate is not None:
             self._newest = output.estimate
             self._write_estimate(output.estimate, output.base)

@@ -1,4 +1,4 @@
-"""Runs an estimator over messages and keeps everything that it publishes, for the judge of a simulated run."""
+"""Runs an estimator over messages and keeps everything that it publishes, to be judged by the truth of a simulation."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -16,26 +16,26 @@ from holdfast.evaluation.smoothness import Inertial
 from holdfast.evaluation.states import States
 from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, gravity
 from holdfast.messages import Array, ImuSample, Message
-from holdfast.replay.ros import quaternion_xyzw
 from holdfast.replay.runner import Timing
+from holdfast.ros.outputs import quaternion_xyzw
 from holdfast.state import BaseState, Estimate, Event, EventKind, OptimisedState, Outcome, Trajectory
 
-PROGRESS_EVERY = 1000  # messages
+PROGRESS_MESSAGES = 1000
 TRUST = {
     EventKind.INITIALISED: True,
     EventKind.GNSS_LOST: False,
     EventKind.GNSS_REGAINED: True,
-    EventKind.ESTIMATE_SUSPECT: True,  # fixes that were not trusted are believed after all
+    EventKind.ESTIMATE_SUSPECT: True,  # fixes that were not trusted are accepted after all
     EventKind.CLOCK_STEP: False,
 }
 
 
-class Said(Protocol):
-    """What one message led to."""
+class LocaliserOutput(Protocol):
+    """The output of one message."""
 
     @property
     def estimate(self) -> Estimate | None:
-        """What is published."""
+        """The published state."""
         ...
 
     @property
@@ -59,12 +59,12 @@ class Localiser(Protocol):
 
     @property
     def counts(self) -> Counter[tuple[str, Outcome]]:
-        """What became of the measurements, by sensor and outcome."""
+        """Number of measurements by sensor and outcome."""
         ...
 
     @property
     def events(self) -> list[Event]:
-        """What happened since `take_events`."""
+        """The events since `take_events`."""
         ...
 
     @property
@@ -81,7 +81,7 @@ class Localiser(Protocol):
         """Return the events since the last call."""
         ...
 
-    def process(self, message: Message) -> Said:
+    def process(self, message: Message) -> LocaliserOutput:
         """Take in one message, in the order of arrival."""
         ...
 
@@ -99,7 +99,8 @@ class PublishedRecorder:
         self.timing = Timing()
         self.optimised: list[OptimisedState] = []
         self.events: list[Event] = []
-        self._max_gap_ns = round(config.sensors.imu.max_gap_s * 1e9)
+        self._imu_name = config.imu_name
+        self._max_gap_ns = round(config.imu.max_gap_s * 1e9)
         self._is_trusted = False
         self._trusted: list[bool] = []
         self._begun: list[int] = []  # rows at which the estimator started, or started over
@@ -118,18 +119,18 @@ class PublishedRecorder:
             output = self.estimator.process(message)
             took_ns = perf_counter_ns() - began_ns
             self._keep(message, output, took_ns)
-            if progress is not None and count % PROGRESS_EVERY == 0:
+            if progress is not None and count % PROGRESS_MESSAGES == 0:
                 progress(last_ns)
         self.timing.wall_s = perf_counter() - began
         self.timing.recorded_s = (last_ns - first_ns) * 1e-9
 
-    def _keep(self, message: Message, output: Said, took_ns: int) -> None:
-        if isinstance(message, ImuSample) and message.sensor == "imu":
+    def _keep(self, message: Message, output: LocaliserOutput, took_ns: int) -> None:
+        if isinstance(message, ImuSample) and message.sensor == self._imu_name:
             self._force = message.specific_force
         if output.optimised is not None:
             self.timing.update_ns.append(took_ns)
             self.optimised.append(output.optimised)
-        elif isinstance(message, ImuSample) and message.sensor == "imu":
+        elif isinstance(message, ImuSample) and message.sensor == self._imu_name:
             self.timing.imu_ns.append(took_ns)
         if output.estimate is not None:
             self._estimates.append(output.estimate)
@@ -145,11 +146,11 @@ class PublishedRecorder:
                     self._begun.append(len(self._estimates))
 
     def outcomes(self) -> dict[str, dict[str, int]]:
-        """Return how often each sensor's measurements came to what."""
+        """Return the number of each sensor's measurements by outcome."""
         return by_sensor(self.estimator.counts)
 
-    def told(self, start_ns: int) -> tuple[tuple[float, str, str, str], ...]:
-        """Return seconds since a start, kind, sensor and reason of every event, but for single refused measurements."""
+    def event_rows(self, start_ns: int) -> tuple[tuple[float, str, str, str], ...]:
+        """Return seconds since a start, kind, sensor and reason of the events, without single measurements."""
         events = [event for event in self.events if event.kind not in (EventKind.REJECTED, EventKind.LATE)]
         return tuple(((e.stamp_ns - start_ns) * 1e-9, str(e.kind), e.sensor, e.reason) for e in events)
 
@@ -195,7 +196,7 @@ class PublishedRecorder:
         return Inertial(
             angular_velocity=_stack([e.angular_velocity for e in kept], 3),
             acceleration=_stack([e.T_W_O.rotation().unrotate(a) for e, a in zip(kept, in_world, strict=True)], 3),
-            heard=self._heard(rows, kept),
+            received=self._received(rows, kept),
         )
 
     def _chassis(self, rows: Sequence[int], kept: list[Estimate]) -> Chassis | None:
@@ -211,18 +212,18 @@ class PublishedRecorder:
         stamps = np.array([estimate.stamp_ns for estimate in kept], dtype=np.int64)
         return Chassis(Trajectory(stamps, poses[:, :3], poses[:, 3:]), rates)
 
-    def _heard(self, rows: Sequence[int], kept: list[Estimate]) -> NDArray[np.bool_]:
-        """Tell where the IMU was heard at an estimate and all the way from the one before, within one life."""
+    def _received(self, rows: Sequence[int], kept: list[Estimate]) -> NDArray[np.bool_]:
+        """Return where the IMU had no drop-out at an estimate and since the one before, within one life."""
         begun = set(self._begun)
         from_imu = np.array([e.from_imu for e in kept], dtype=np.bool_)
         within = np.array([row not in begun for row in rows], dtype=np.bool_)
         near = np.diff([e.stamp_ns for e in kept], prepend=0) <= self._max_gap_ns
-        heard: NDArray[np.bool_] = from_imu & np.concatenate([[False], from_imu[:-1]]) & within & near
-        return heard
+        received: NDArray[np.bool_] = from_imu & np.concatenate([[False], from_imu[:-1]]) & within & near
+        return received
 
 
 def by_sensor(counts: Mapping[tuple[str, Outcome], int]) -> dict[str, dict[str, int]]:
-    """Return counts by sensor and outcome as plain data, sorted; without what did not happen."""
+    """Return counts by sensor and outcome as plain data, sorted, without zeros."""
     found: dict[str, dict[str, int]] = {}
     for (sensor, outcome), count in sorted(counts.items()):
         if count:

@@ -16,18 +16,18 @@ from holdfast.messages import Array
 from holdfast.recording.raw import RawBag
 from holdfast.recording.tum import read_tum
 from holdfast.replay.outputs import ESTIMATES, EVENTS, SUMMARY
-from holdfast.replay.ros_messages import BIAS_KEYS
 from holdfast.report.run_record import Errors, RunRecord
+from holdfast.ros.messages import BIAS_KEYS
 from holdfast.state import Trajectory
 
 TRUTH, TRUE_BIASES = "imu_in_world.tum", "imu_bias.csv"
 TRUE_SENSORS = (("gyroscope", "rad_s"), ("accelerometer", "m_s2"))
-EVERY = 10  # of the estimates in estimates.mcap one is decoded: covariances change slowly
+DECIMATION = 10  # one in so many estimates of estimates.mcap is decoded: covariances change slowly
 SHOWN = {"horizontal_m": "horizontal [m]", "vertical_m": "vertical [m]", "yaw_deg": "yaw [deg]"}
 
 
 class Claims(NamedTuple):
-    """What estimates.mcap says beside the tracks: sigmas (M,) by name, and biases (B, 6), at stamps [ns]."""
+    """What estimates.mcap holds beside the tracks: sigmas (M,) by name, and biases (B, 6), at stamps [ns]."""
 
     stamps_ns: Array
     sigmas: dict[str, Array]
@@ -40,7 +40,7 @@ def read_run(folder: Path, reference: Path | None) -> RunRecord:
 
     Raises:
         ConfigError: the folder holds no results of a replay.
-        RecordingError: a file in it cannot be read, or the reference shares no time with the estimate.
+        RecordingError: a file in it cannot be read, or the reference does not overlap with the estimate in time.
     """
     summary, events = read_summary(folder), read_events(folder)
     world, odometry = (read_tum(folder / f"imu_in_{name}.tum") for name in ("world", "odom"))
@@ -126,7 +126,7 @@ def read_events(folder: Path) -> list[dict[str, Any]]:
 
 
 def _read_claims(file: Path) -> tuple[Claims, list[str]]:
-    """Read covariances and biases; without the file they are left out, and a note says so."""
+    """Read covariances and biases; without the file they are left out, and a note is returned."""
     stamps: list[int] = []
     rows: list[list[float]] = []
     bias_stamps: list[int] = []
@@ -139,18 +139,18 @@ def _read_claims(file: Path) -> tuple[Claims, list[str]]:
             for arrival_ns, channel, raw in bag.messages():
                 if channel.topic.endswith("/odometry/world"):
                     seen += 1
-                    if seen % EVERY == 1:
+                    if seen % DECIMATION == 1:
                         covariance = np.diag(codecs[channel].deserialize(raw).pose.covariance.reshape(6, 6))
                         stamps.append(arrival_ns)
                         rows.append([*np.sqrt([covariance[0] + covariance[1], covariance[2], covariance[5]])])
                 elif channel.topic == "/diagnostics":
-                    told = codecs[channel].deserialize(raw).status
-                    values = {pair.key: pair.value for status in told for pair in status.values}
+                    statuses = codecs[channel].deserialize(raw).status
+                    values = {pair.key: pair.value for status in statuses for pair in status.values}
                     if all(key in values for key in BIAS_KEYS):
                         bias_stamps.append(arrival_ns)
                         biases.append([float(values[key]) for key in BIAS_KEYS])
     except RecordingError as error:
-        notes.append(f"Claimed deviations and biases are left out: {error}.")
+        notes.append(f"Standard deviations and biases are left out: {error}.")
     table = np.array(rows).reshape(-1, 3)
     sigmas = {"horizontal [m]": table[:, 0], "vertical [m]": table[:, 1], "yaw [deg]": np.degrees(table[:, 2])}
     return Claims(np.array(stamps), sigmas, np.array(bias_stamps), np.array(biases).reshape(-1, 6)), notes
@@ -189,7 +189,7 @@ def _correction(world: Trajectory, odometry: Trajectory) -> Array:
 
 
 def _of_the_time(truth: Trajectory, world: Trajectory) -> Array:
-    """Return the positions of a reference within the time of the estimate."""
+    """Return the positions of a reference within the time span of the estimate."""
     inside = (truth.stamps_ns >= world.stamps_ns[0]) & (truth.stamps_ns <= world.stamps_ns[-1])
     positions: Array = truth.positions[inside]
     return positions

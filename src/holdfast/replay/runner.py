@@ -5,25 +5,27 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from time import perf_counter, perf_counter_ns, sleep
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.errors import EstimatorError
 from holdfast.estimator.estimator import Estimator
-from holdfast.geometry.earth import LocalFrame
-from holdfast.messages import GnssFix, ImuSample, Message
-from holdfast.realtime.engine import RealtimeEstimator
+from holdfast.messages import Message
 from holdfast.replay.held_out import HeldOutJudge, HoldOut, HoldOutFilter
 from holdfast.replay.interrupts import Uninterrupted
 from holdfast.replay.outputs import Outputs
 from holdfast.report.track import JudgedTrack
 from holdfast.state import Estimate, Health, Output
 
+if TYPE_CHECKING:  # starting processes is left to whoever wants them
+    from holdfast.realtime.engine import RealtimeEstimator
+
 
 @dataclass(slots=True)
 class Timing:
-    """How long the estimator took: `imu_ns` per IMU sample without, `update_ns` per message with an optimisation."""
+    """Processing times: `imu_ns` per IMU sample without, `update_ns` per message with an optimisation."""
 
     imu_ns: "array[int]" = field(default_factory=lambda: array("q"))
     update_ns: "array[int]" = field(default_factory=lambda: array("q"))
@@ -42,7 +44,7 @@ class Replay:
     Args:
         config: of the estimator.
         outputs: where to write; without it nothing is written.
-        hold_out: what to keep from the estimator, to judge it.
+        hold_out: what to hold back from the estimator, to judge it.
         keep_track: keep the causal track in memory for a figure.
         realtime: the engine to be used instead of the estimator in one process; whoever made it closes it.
     """
@@ -53,7 +55,7 @@ class Replay:
         outputs: Outputs | None = None,
         hold_out: Iterable[HoldOut] = (),
         keep_track: bool = False,
-        realtime: RealtimeEstimator | None = None,
+        realtime: "RealtimeEstimator | None" = None,
     ) -> None:
         self.estimator: Estimator | RealtimeEstimator = realtime or Estimator(config)
         self._realtime = realtime
@@ -63,7 +65,7 @@ class Replay:
         self.smoothed = HeldOutJudge(config)
         self._filter = HoldOutFilter(hold_out, config)
         self._outputs = outputs
-        self._frame: LocalFrame | None = None
+        self._imu_name = config.imu_name
         self._kept: list[tuple[int, float, float, float]] | None = [] if keep_track else None
 
     def run(
@@ -119,7 +121,7 @@ class Replay:
         took_ns = perf_counter_ns() - began_ns
         if output.optimised is not None and self._realtime is None:
             self.timing.update_ns.append(took_ns)
-        elif isinstance(message, ImuSample) and message.sensor == "imu":
+        elif message.sensor == self._imu_name:
             self.timing.imu_ns.append(took_ns)
         self._take(output, message.arrival_ns)
 
@@ -136,12 +138,9 @@ class Replay:
     def _judge(self, output: Output) -> None:
         while self._filter.held:
             message, in_outage = self._filter.held.popleft()
-            if isinstance(message, GnssFix):
-                self.causal.add_fix(message, in_outage)
-                self.smoothed.add_fix(message, in_outage)
-        frame = self._frame = self._frame or self.estimator.world
-        if frame is None:
-            return
+            self.causal.add_message(message, in_outage)
+            self.smoothed.add_message(message, in_outage)
+        frame = self.estimator.world
         if output.estimate is not None:
             self.causal.add_estimate(output.estimate, frame)
             if self._kept is not None:

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from holdfast.evaluation.absolute import summarise
+from holdfast.evaluation.percentiles import percentiles
 from holdfast.recording.origin import read_origin
 from holdfast.replay.held_out import Judgement
 from holdfast.replay.published import by_sensor
 from holdfast.replay.runner import Replay, Timing
-from holdfast.replay.spread import spread
 
-BIN = float(np.log(1.2))
+LOG_BIN_WIDTH = float(np.log(1.2))
 
 
 def summarise_replay(
@@ -59,29 +59,29 @@ def timing_summary(timing: Timing) -> dict[str, Any]:
         "recorded_s": timing.recorded_s,
         "wall_s": timing.wall_s,
         "real_time_factor": timing.real_time_factor,
-        "imu_us": percentiles(np.frombuffer(timing.imu_ns, dtype=np.int64) * 1e-3),
-        "update_ms": percentiles(np.frombuffer(timing.update_ns, dtype=np.int64) * 1e-6),
+        "imu_us": _distribution(np.frombuffer(timing.imu_ns, dtype=np.int64) * 1e-3),
+        "update_ms": _distribution(np.frombuffer(timing.update_ns, dtype=np.int64) * 1e-6),
     }
 
 
-def percentiles(values: NDArray[np.floating[Any]]) -> dict[str, Any] | None:
-    """Return the `spread` of values (N,) and their histogram; None if there are none."""
-    found = spread(values)
+def _distribution(values: NDArray[np.floating[Any]]) -> dict[str, Any] | None:
+    """Return the percentiles of values (N,) and their histogram; None if there are none."""
+    found = percentiles(values)
     return None if found is None else {**found, "histogram": _histogram(values)}
 
 
 def _histogram(values: NDArray[np.floating[Any]]) -> dict[str, list[float]]:
     """Return how many values lie between edges that grow by a fifth."""
     low, high = np.log(np.maximum(values.min(), 1e-9)), np.log(np.maximum(values.max(), 1e-9))
-    edges = np.exp(np.arange(np.floor(low / BIN), np.ceil(high / BIN) + 2.0) * BIN)
+    edges = np.exp(np.arange(np.floor(low / LOG_BIN_WIDTH), np.ceil(high / LOG_BIN_WIDTH) + 2.0) * LOG_BIN_WIDTH)
     counts, _ = np.histogram(values, edges)
     return {"edges": [float(f"{edge:.6g}") for edge in edges], "counts": counts.tolist()}
 
 
 def held_out_summary(judgements: Sequence[Judgement], silent: Collection[int]) -> dict[str, Any] | None:
-    """Return the errors at held-out fixes by circumstance; None if nothing was held out.
+    """Return the errors at held-out positions by circumstance; None if nothing was held out.
 
-    `silent` holds the stamps of the fixes that fell into a drop-out of the IMU.
+    `silent` holds the stamps of those within a drop-out of the IMU.
     """
     if not judgements:
         return None

@@ -1,7 +1,7 @@
 """Figures of plotly from plain arrays: lines over time, tracks on a metric map, spans, quantiles, maps from above.
 
 Every figure is made of at most a few thousand points: of a line each stretch keeps its least and greatest value, so
-that no spike is lost. Colours are those of Okabe and Ito, which readers with any colour vision can tell apart.
+that no spike is lost. Colours are those of Okabe and Ito: distinguishable with any colour vision.
 
 Importing it needs plotly: the extra `report`.
 """
@@ -21,9 +21,9 @@ from holdfast.report.png import encode_png
 
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9", "#7a5195", "#5f6b7a")
 GREY, INK, RULE = "#9aa5b1", "#1d2630", "#e6e9ee"
-MAX_POINTS = 2000  # per line: about as many as there are pixels
-MARGIN = 0.04  # of the longer side of a map, about what is drawn
-GAP = 5.0  # times the usual step: a line is broken there
+MAX_POINTS_PER_LINE = 2000  # about as many as there are pixels
+MARGIN_FRACTION = 0.04  # of the longer side of a map
+GAP_STEPS = 5.0  # a line is broken where points are so many usual steps apart
 
 Axis = Literal["linear", "log"]
 
@@ -78,7 +78,7 @@ class Panel:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A stretch of time in a row of a time line, with the text that the pointer finds."""
+    """An interval in a row of a time line, with its tooltip."""
 
     row: str
     start_s: float
@@ -88,37 +88,37 @@ class Span:
 
 
 def over_time(panels: Sequence[Panel], bands: Sequence[Band] = (), label: str = "time [s]") -> go.Figure:
-    """Return plots one below the other over one axis of time; lines of one name share colour and legend."""
+    """Return plots one below the other over one axis of time; lines of one name have one colour and legend entry."""
     figure = go.Figure(layout=_layout(120 + 190 * len(panels)))
     colours = _colours([line for panel in panels for line in panel.lines])
-    share, told = 1.0 / len(panels), set()
+    height, named = 1.0 / len(panels), set()
     for k, panel in enumerate(panels):
         suffix = "" if k == 0 else str(k + 1)
-        top = 1.0 - k * share
-        domain = [top - share + 0.03 * (len(panels) > 1), top]
+        top = 1.0 - k * height
+        domain = [top - height + 0.03 * (len(panels) > 1), top]
         limits = {} if panel.limit is None else {"range": [-panel.limit, panel.limit]}
         axis = _axis(panel.label) | {"domain": domain, "anchor": "x", "type": panel.axis} | limits
         figure.update_layout({f"yaxis{suffix}": axis})
         for line in panel.lines:
             points = decimated(line.x, line.y)
-            figure.add_trace(_trace(line, points, colours[line.name], line.name not in told, f"y{suffix}"))
-            told.add(line.name)
+            figure.add_trace(_trace(line, points, colours[line.name], line.name not in named, f"y{suffix}"))
+            named.add(line.name)
     figure.update_layout(xaxis=_axis(label) | {"anchor": f"y{len(panels) if len(panels) > 1 else ''}"})
     _add_bands(figure, bands)
     return figure
 
 
 def track_map(tracks: Sequence[Line], marks: Mapping[str, tuple[float, float]] | None = None) -> go.Figure:
-    """Return tracks from above on a metric grid, east to the right, equal scales; `marks` are named places [m]."""
+    """Return tracks from above on a metric grid, east to the right, equal scales; `marks` are named positions [m]."""
     figure = go.Figure(layout=_layout(560))
     colours = _colours(tracks)
     for track in tracks:
-        thin = slice(None, None, -(-len(track.x) // (2 * MAX_POINTS)) or 1)  # strokes so short hide nothing
+        thin = slice(None, None, -(-len(track.x) // (2 * MAX_POINTS_PER_LINE)) or 1)  # strokes so short hide nothing
         figure.add_trace(_trace(track, (track.x[thin], track.y[thin]), colours[track.name], True))
     _square(figure)
     shown = np.concatenate([np.column_stack([track.x, track.y]) for track in tracks])
     low, high = np.nanmin(shown, axis=0), np.nanmax(shown, axis=0)
-    margin = MARGIN * max(*(high - low), 1.0)
+    margin = MARGIN_FRACTION * max(*(high - low), 1.0)
     figure.update_layout(
         xaxis_range=[low[0] - margin, high[0] + margin], yaxis_range=[low[1] - margin, high[1] + margin]
     )
@@ -142,10 +142,11 @@ def time_line(rows: Sequence[str], spans: Sequence[Span], legend: Mapping[str, s
     """
     figure = go.Figure(layout=_layout(130 + 34 * len(rows)))
     for colour in dict.fromkeys(span.colour for span in spans):  # few traces are drawn fast, however many spans
-        alike = [span for span in spans if span.colour == colour]
+        chosen = [span for span in spans if span.colour == colour]
         figure.add_bar(
-            x=[span.end_s - span.start_s for span in alike], base=[span.start_s for span in alike],
-            y=[span.row for span in alike], hovertext=[span.text for span in alike], orientation="h", showlegend=False,
+            x=[span.end_s - span.start_s for span in chosen], base=[span.start_s for span in chosen],
+            y=[span.row for span in chosen], hovertext=[span.text for span in chosen], orientation="h",
+            showlegend=False,
             marker={"color": colour, "line": {"width": 0}}, width=0.7, hoverinfo="text", textposition="none", name="",
         )  # fmt: skip
     for name, colour in legend.items():
@@ -197,14 +198,14 @@ def curves(
 
 
 def histogram(counts: Mapping[str, tuple[Array, Array]], label: str) -> go.Figure:
-    """Return distributions over a logarithmic axis, by name -> (edges (N + 1,), counts (N,)), as shares."""
+    """Return distributions over a logarithmic axis, by name -> (edges (N + 1,), counts (N,)), as fractions."""
     figure = go.Figure(layout=_layout(340))
     for k, (name, (edges, count)) in enumerate(counts.items()):
-        share = 100.0 * count / max(count.sum(), 1.0)
+        percent = 100.0 * count / max(count.sum(), 1.0)
         x = np.repeat(edges, 2)
-        y = np.concatenate([[0.0], np.repeat(share, 2), [0.0]])
+        y = np.concatenate([[0.0], np.repeat(percent, 2), [0.0]])
         figure.add_scatter(x=x, y=y, name=name, fill="tozeroy", line={"color": COLOURS[k % len(COLOURS)], "width": 1})
-    figure.update_layout(xaxis=_axis(label) | {"type": "log"}, yaxis=_axis("share [%]"))
+    figure.update_layout(xaxis=_axis(label) | {"type": "log"}, yaxis=_axis("fraction [%]"))
     return figure
 
 
@@ -251,13 +252,13 @@ def picture_map(
     return figure
 
 
-def decimated(x: Array, y: Array, limit: int = MAX_POINTS) -> tuple[Array, Array]:
+def decimated(x: Array, y: Array, limit: int = MAX_POINTS_PER_LINE) -> tuple[Array, Array]:
     """Thin a line to about `limit` points: each stretch keeps its least and its greatest value.
 
-    The line is broken, by a value that is NaN, where x makes a step of more than `GAP` times the usual one.
+    The line is broken, by a value that is NaN, where x makes a step of more than `GAP_STEPS` times the usual one.
     """
     steps = np.diff(x)
-    gaps = np.flatnonzero(steps > GAP * np.median(steps)) + 1 if len(steps) else np.zeros(0, dtype=np.intp)
+    gaps = np.flatnonzero(steps > GAP_STEPS * np.median(steps)) + 1 if len(steps) else np.zeros(0, dtype=np.intp)
     if len(gaps) > limit // 4:
         gaps = gaps[:0]  # what comes at no steady rate has no gaps
     if len(x) > limit:
@@ -277,13 +278,13 @@ def _extremes(y: Array, start: int, end: int) -> tuple[int, int]:
     return start + int(np.nanargmin(piece)), start + int(np.nanargmax(piece))
 
 
-def _trace(line: Line, points: tuple[Array, Array], colour: str, is_told: bool, axis: str = "y") -> go.Scatter:
+def _trace(line: Line, points: tuple[Array, Array], colour: str, has_legend: bool, axis: str = "y") -> go.Scatter:
     x, y = points
     looks: dict[str, Any] = {"mode": "lines", "line": {"color": colour, "width": line.width, "dash": line.dash}}
     if line.points:
         looks = {"mode": "markers", "marker": {"color": colour, "size": 4}}
     return go.Scatter(
-        x=x.astype(np.float32), y=y.astype(np.float32), name=line.name, legendgroup=line.name, showlegend=is_told,
+        x=x.astype(np.float32), y=y.astype(np.float32), name=line.name, legendgroup=line.name, showlegend=has_legend,
         yaxis=axis, zorder=int(line.is_on_top), **looks,
     )  # fmt: skip
 

@@ -1,7 +1,7 @@
 """A report as one HTML file that needs no network: text, tables and figures; and the same numbers as JSON.
 
-Everything lies in the file: plotly's script once, the style, the data. A content security policy forbids whatever
-would leave it. Figures are plotly figures (`holdfast.report.figures`); tables hold the numbers.
+Everything is in the file: plotly's script once, the style, the data. A content security policy forbids whatever would
+leave it. Figures are plotly figures (`holdfast.report.figures`); tables hold the numbers.
 """
 
 import json
@@ -67,7 +67,7 @@ class Table:
     Attributes:
         key: its name in the JSON, unique in the page.
         columns: headings, with units.
-        rows: of as many cells as there are columns; None is told as a dash.
+        rows: of as many cells as there are columns; None is shown as a dash.
         digits: significant digits of numbers that are not whole.
         marks: (row, column) -> how a cell stands out.
         provenance: None for the page's own.

@@ -1,9 +1,10 @@
-"""What one replay left behind, as arrays: the material of its report."""
+"""The results of one replay as arrays: the material of its report."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from holdfast.config.legacy import modernised
 from holdfast.messages import Array
 
 Event = Mapping[str, Any]
@@ -11,7 +12,7 @@ Event = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Errors:
-    """What a reference says of the estimate; times count from the start of the run.
+    """The errors against a reference; times count from the start of the run.
 
     Attributes:
         source: of the reference.
@@ -26,7 +27,7 @@ class Errors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunRecord:
-    """What one replay left behind.
+    """The results of one replay.
 
     Attributes:
         name: of the run.
@@ -39,7 +40,7 @@ class RunRecord:
         odometry: (N, 3) and in O [m].
         correction: (N, 4) east, north, up [m] and yaw [deg] of T_W_O.
         sigma_times_s: (M,).
-        sigmas: what the estimator claims, by name with its unit: each (M,).
+        sigmas: standard deviations that the estimator reports, by name with its unit: each (M,).
         bias_times_s: (B,).
         biases: (B, 6) of the gyroscope [rad/s], then the accelerometer [m/s^2]; without rows where none are known.
         true_bias_times_s: (T,) of a simulation; None where the truth is not known.
@@ -66,6 +67,12 @@ class RunRecord:
     errors: Errors | None = None
     seed: str = ""
     notes: Sequence[str] = field(default=())
+
+    @property
+    def kinds(self) -> dict[str, str]:
+        """The kind of every sensor of which there were measurements, by its name."""
+        configured = modernised(self.summary["config"])["sensors"]
+        return {name: configured[name]["kind"] for name in self.summary["counts"] if name in configured}
 
     @property
     def end_s(self) -> float:

@@ -1,6 +1,6 @@
-"""The report of one replay: where the machine was, how it was known, and why the estimator switched.
+"""The report of one replay: the track, its errors, the health, and why the estimator switched.
 
-From plain arrays only: who reads the files of a replay is above this room. Importing it needs plotly.
+From plain arrays only: the files of a replay are read by a higher room. Importing it needs plotly.
 """
 
 from collections.abc import Sequence
@@ -24,14 +24,15 @@ from holdfast.report.figures import (
 )
 from holdfast.report.page import Block, Cell, Figure, Page, Provenance, Section, Table, Text, digest
 from holdfast.report.run_record import RunRecord
-from holdfast.report.timeline import ANTENNAS, Stretch, antenna_stretches, health_stretches, lost_stretches
+from holdfast.report.timeline import Interval, health_intervals, lost_intervals, trust_intervals
 from holdfast.report.words import ROUTINE, in_words
 
 LOST, WARNING, GOOD, START = "#d55e00", "#e69f00", "#009e73", "#9aa5b1"
 HEALTH_COLOURS = {
     "nominal": GOOD,
     "gnss_degraded": "#56b4e9",
-    "lidar_lost": "#cc79a7",
+    "odometry_lost": "#cc79a7",
+    "sensor_lost": "#f0e442",
     "recovering": WARNING,
     "fallback": LOST,
     "imu_gap": "#7a5195",
@@ -39,19 +40,21 @@ HEALTH_COLOURS = {
     "initialising": START,
 }
 STATISTICS = ("mean", "std", "rms", "median", "p95", "max")
+POSITIONS = {"gnss", "prism"}
+UNTESTED = {"imu", "base_imu", "joint", "odometry"}  # kinds of sensors that are not lost and regained by a test
 
 
 def single_run_page(run: RunRecord) -> Page:
     """Return the report of one replay."""
     provenance = Provenance(run.command, run.summary["versions"], digest(run.summary["config"]), run.seed)
     sections = [
-        Section("Where it was", _track(run)),
-        Section("How wrong it was", [*_errors(run), *_held_out(run)]),
-        Section("How it was known", _health(run)),
-        Section("Every switch and its reason", _switches(run)),
-        Section("What became of the measurements", _measurements(run)),
-        Section("The odometry frame", _odometry(run)),
-        Section("What the estimator claims", _claims(run)),
+        Section("Track", _track(run)),
+        Section("Errors", [*_errors(run), *_held_out(run)]),
+        Section("Health", _health(run)),
+        Section("Events", _switches(run)),
+        Section("Measurements", _measurements(run)),
+        Section("Odometry frame", _odometry(run)),
+        Section("Standard deviations and biases", _claims(run)),
         Section("Speed", _speed(run)),
     ]
     lead = _lead(run)
@@ -59,11 +62,11 @@ def single_run_page(run: RunRecord) -> Page:
 
 
 def _lead(run: RunRecord) -> str:
-    way_m = float(np.linalg.norm(np.diff(run.world, axis=0), axis=1).sum())
-    lost = lost_stretches(run.events, run.start_ns, run.end_s)
-    without_s = sum(stretch.end_s - stretch.start_s for stretch in lost)
-    lead = f"{run.end_s - run.times_s[0]:.0f} s of estimates over {way_m:.0f} m, "
-    if not set(ANTENNAS) & set(run.summary["counts"]):
+    distance_m = float(np.linalg.norm(np.diff(run.world, axis=0), axis=1).sum())
+    lost = lost_intervals(run.events, run.start_ns, run.end_s)
+    without_s = sum(interval.end_s - interval.start_s for interval in lost)
+    lead = f"{run.end_s - run.times_s[0]:.0f} s of estimates over {distance_m:.0f} m, "
+    if not POSITIONS & set(run.kinds.values()):
         lead += "without GNSS."
     elif lost:
         lead += f"{without_s:.0f} s of them without GNSS in {len(lost)} outage{'s' * (len(lost) > 1)}."
@@ -80,7 +83,7 @@ def _track(run: RunRecord) -> list[Block]:
     tracks = [Line("estimate, as it was published", run.world[:, 0], run.world[:, 1])]
     if run.reference is not None:
         tracks.insert(0, Line("reference", run.reference[:, 0], run.reference[:, 1], START, width=5.0))
-    inside = _within(run.times_s, lost_stretches(run.events, run.start_ns, run.end_s))
+    inside = _within(run.times_s, lost_intervals(run.events, run.start_ns, run.end_s))
     if inside.any():
         without = np.where(inside[:, None], run.world[:, :2], np.nan)
         tracks.append(Line("estimate without GNSS", without[:, 0], without[:, 1], LOST, width=3.0))
@@ -99,7 +102,7 @@ def _errors(run: RunRecord) -> list[Block]:
         return []
     times_s, values = run.errors.times_s, run.errors.values
     panels = [Panel(name, [*_claimed(run, name), Line("error", times_s, of)]) for name, of in values.items()]
-    lost = lost_stretches(run.events, run.start_ns, run.end_s)
+    lost = lost_intervals(run.events, run.start_ns, run.end_s)
     without = _within(times_s, lost)
     parts = {"all": np.ones(len(times_s), dtype=np.bool_)}
     parts |= {"GNSS trusted": ~without, "GNSS lost": without} if without.any() else {}
@@ -112,12 +115,12 @@ def _errors(run: RunRecord) -> list[Block]:
     return [
         Table("errors", "Errors", ("error", "when", *STATISTICS, "poses"), rows, f"Against {run.errors.source}."),
         Figure("errors-over-time", "Errors over time", over_time(panels, _bands(lost)),
-               "Dotted: three times the standard deviation that the estimator claims."),
+               "Dotted: three times the standard deviation that the estimator reports."),
     ]  # fmt: skip
 
 
 def _held_out(run: RunRecord) -> list[Block]:
-    """Return the errors at the fixes that were kept from the estimator."""
+    """Return the errors at the positions that were held back from the estimator."""
     rows: list[list[Cell]] = [
         [track, part, of["horizontal_m"]["count"], *(of["horizontal_m"][key] for key in ("rms", "p95", "max")),
          *(of["vertical_m"][key] for key in ("rms", "max")), of["nees_per_dof"]]
@@ -127,7 +130,7 @@ def _held_out(run: RunRecord) -> list[Block]:
     head = (
         "track",
         "when",
-        "fixes",
+        "positions",
         "horizontal RMS [m]",
         "p95 [m]",
         "max [m]",
@@ -135,30 +138,27 @@ def _held_out(run: RunRecord) -> list[Block]:
         "max [m]",
         "NEES / 3",
     )
-    caption = "The fixes have errors of their own. Causal: as it was published; smoothed: as it left the window."
-    return [Table("held-out", "Errors at fixes that were held back", head, rows, caption)] if rows else []
+    caption = "The positions have errors of their own. Causal: as published; smoothed: as it left the window."
+    return [Table("held-out", "Errors at held-out positions", head, rows, caption)] if rows else []
 
 
 def _health(run: RunRecord) -> list[Block]:
-    stretches = {"health": health_stretches(run.events, run.start_ns, run.end_s)}
-    stretches |= antenna_stretches(run.events, run.start_ns, run.end_s, run.summary["counts"])
-    spans, used = [], set()
-    for row, of in stretches.items():
-        for stretch in of:
-            colour = _colour(stretch)
-            used.add(stretch.name)
-            spans.append(Span(row, stretch.start_s, stretch.end_s, colour, _told(stretch)))
+    intervals = {"health": health_intervals(run.events, run.start_ns, run.end_s)}
+    tested = [name for name, kind in run.kinds.items() if kind not in UNTESTED]
+    intervals |= trust_intervals(run.events, run.start_ns, run.end_s, tested)
+    spans = [Span(row, i.start_s, i.end_s, _colour(i), _in_words(i)) for row, of in intervals.items() for i in of]
+    used = {interval.name for of in intervals.values() for interval in of}
     legend = {name: colour for name, colour in HEALTH_COLOURS.items() if name in used}
-    plot = time_line(list(stretches), spans, legend, run.end_s)
+    plot = time_line(list(intervals), spans, legend, run.end_s)
     seconds = dict.fromkeys(HEALTH_COLOURS, 0.0)
-    for stretch in stretches["health"]:
-        seconds[stretch.name] = seconds.get(stretch.name, 0.0) + stretch.end_s - stretch.start_s
+    for interval in intervals["health"]:
+        seconds[interval.name] = seconds.get(interval.name, 0.0) + interval.end_s - interval.start_s
     total = sum(seconds.values()) or 1.0
     rows: list[list[Cell]] = [[name, s, 100.0 * s / total] for name, s in seconds.items() if s > 0.0]
-    caption = "An antenna is green while it is trusted. The worst of what is true at a time is its health."
+    caption = "A sensor is green while it is trusted. The health is the worst condition at a time."
     return [
         Figure("health", "Health and trust over time", plot, caption),
-        Table("health-shares", "Time in each health", ("health", "time [s]", "share [%]"), rows),
+        Table("health-fractions", "Time in each health", ("health", "time [s]", "fraction [%]"), rows),
     ]
 
 
@@ -166,8 +166,8 @@ def _switches(run: RunRecord) -> list[Block]:
     rows: list[list[Cell]] = [
         [f"{run.seconds(event):.2f}", in_words(event)] for event in run.events if event["kind"] not in ROUTINE
     ]
-    caption = "Single measurements that were refused or late are counted below; events.jsonl has each of them."
-    return [Table("switches", "What happened, in words", ("time [s]", "what and why"), rows, caption)]
+    caption = "Single measurements that were rejected or late are counted below; events.jsonl has each of them."
+    return [Table("switches", "Switches and their reasons", ("time [s]", "event and reason"), rows, caption)]
 
 
 def _measurements(run: RunRecord) -> list[Block]:
@@ -177,20 +177,20 @@ def _measurements(run: RunRecord) -> list[Block]:
     ]
     columns = ("sensor", *(name.replace("_", " ") for name in outcomes))
     blocks: list[Block] = [Table("outcomes", "Outcomes by sensor", columns, rows)]
-    refused: dict[str, list[float]] = {}
+    rejected: dict[str, list[float]] = {}
     for event in run.events:
         if event["kind"] in ("rejected", "late"):
             why = "late" if event["kind"] == "late" else str(event["reason"]).replace("_", " ")
-            refused.setdefault(f"{event['sensor']}: {why}", []).append(run.seconds(event))
-    if refused:
-        times = {name: np.array(of) for name, of in sorted(refused.items(), key=lambda item: -len(item[1]))}
+            rejected.setdefault(f"{event['sensor']}: {why}", []).append(run.seconds(event))
+    if rejected:
+        times = {name: np.array(of) for name, of in sorted(rejected.items(), key=lambda item: -len(item[1]))}
         plot = counts_over_time(times, run.end_s, "measurements")
-        blocks.append(Figure("refused", "Refused and late measurements over time", plot, "Per 1/120 of the time."))
+        blocks.append(Figure("rejected", "Rejected and late measurements over time", plot, "Per 1/120 of the time."))
     return blocks
 
 
 def _odometry(run: RunRecord) -> list[Block]:
-    lost = _bands(lost_stretches(run.events, run.start_ns, run.end_s))
+    lost = _bands(lost_intervals(run.events, run.start_ns, run.end_s))
     names = ("east", "north", "up")
     where = [Line(name, run.times_s, run.correction[:, k]) for k, name in enumerate(names)]
     panels = [Panel("T_W_O [m]", where), Panel("T_W_O yaw [deg]", [Line("yaw", run.times_s, run.correction[:, 3])])]
@@ -199,8 +199,8 @@ def _odometry(run: RunRecord) -> list[Block]:
     rows: list[list[Cell]] = [
         [name, *(1e3 * float(np.quantile(of, q)) for q in (0.5, 0.99, 1.0))] for name, of in departures.items()
     ]
-    caption = "What W corrects, T_W_O takes: a consumer of poses in O never sees it."
-    why = "How far each estimate lies from the straight continuation of the two before it: acceleration, or a jump."
+    caption = "T_W_O takes every correction in W: a consumer of poses in O never sees one."
+    why = "Distance of each estimate from the straight continuation of the two before it: acceleration, or a jump."
     return [
         Figure("correction", "The odometry frame in the world", over_time(panels, lost), caption),
         Figure("departure", "Steps", over_time([Panel("departure [mm]", lines, "log")], lost), why),
@@ -210,11 +210,11 @@ def _odometry(run: RunRecord) -> list[Block]:
 
 
 def _claims(run: RunRecord) -> list[Block]:
-    lost = _bands(lost_stretches(run.events, run.start_ns, run.end_s))
+    lost = _bands(lost_intervals(run.events, run.start_ns, run.end_s))
     blocks: list[Block] = []
     if len(run.sigma_times_s):
         panels = [Panel(name, [Line("sigma", run.sigma_times_s, of)], "log") for name, of in run.sigmas.items()]
-        blocks.append(Figure("sigmas", "Standard deviations that it claims", over_time(panels, lost)))
+        blocks.append(Figure("sigmas", "Standard deviations as reported", over_time(panels, lost)))
     if len(run.bias_times_s):
         panels = [Panel("gyroscope [rad/s]", _bias_lines(run, 0)), Panel("accelerometer [m/s²]", _bias_lines(run, 3))]
         caption = "" if run.true_biases is None else "Dotted: the truth of the simulation."
@@ -259,19 +259,19 @@ def _speed(run: RunRecord) -> list[Block]:
 
 
 def _claimed(run: RunRecord, name: str) -> list[Line]:
-    """Return three times the claimed deviation of an error as a line, and its mirror where the error has a sign."""
+    """Return three times the reported sigma of an error as a line, and its mirror where the error has a sign."""
     if name not in run.sigmas or run.errors is None:
         return []
     signs = (1.0, -1.0) if (run.errors.values[name] < 0.0).any() else (1.0,)
     sigma = run.sigmas[name]
-    return [Line("3 sigma, claimed", run.sigma_times_s, 3.0 * sign * sigma, "#5f6b7a", "dot", 1.0) for sign in signs]
+    return [Line("3 sigma, reported", run.sigma_times_s, 3.0 * sign * sigma, "#5f6b7a", "dot", 1.0) for sign in signs]
 
 
-def _within(times_s: Array, stretches: Sequence[Stretch]) -> NDArray[np.bool_]:
-    """Tell which times (N,) lie in one of the stretches."""
+def _within(times_s: Array, intervals: Sequence[Interval]) -> NDArray[np.bool_]:
+    """Return which times (N,) are within one of the intervals."""
     found = np.zeros(len(times_s), dtype=np.bool_)
-    for stretch in stretches:
-        found |= (times_s >= stretch.start_s) & (times_s < stretch.end_s)
+    for interval in intervals:
+        found |= (times_s >= interval.start_s) & (times_s < interval.end_s)
     return found
 
 
@@ -281,17 +281,17 @@ def _departure(positions: Array) -> Array:
     return departure
 
 
-def _bands(stretches: Sequence[Stretch]) -> list[Band]:
-    return [Band(stretch.start_s, stretch.end_s, LOST, "without GNSS") for stretch in stretches]
+def _bands(intervals: Sequence[Interval]) -> list[Band]:
+    return [Band(interval.start_s, interval.end_s, LOST, "without GNSS") for interval in intervals]
 
 
-def _colour(stretch: Stretch) -> str:
+def _colour(interval: Interval) -> str:
     known = HEALTH_COLOURS | {"trusted": GOOD, "lost": LOST}
-    return known.get(stretch.name, WARNING)
+    return known.get(interval.name, WARNING)
 
 
-def _told(stretch: Stretch) -> str:
-    return f"{stretch.start_s:.1f} to {stretch.end_s:.1f} s: {stretch.name.replace('_', ' ')}. {stretch.why}".strip()
+def _in_words(of: Interval) -> str:
+    return f"{of.start_s:.1f} to {of.end_s:.1f} s: {of.name.replace('_', ' ')}. {of.why}".strip()
 
 
 def _statistic(values: Array, name: str) -> float:

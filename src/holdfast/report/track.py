@@ -23,7 +23,7 @@ class JudgedTrack:
     Attributes:
         time_s: (N,) of the causal track.
         positions: (N, 2) east, north [m].
-        sigma_m: (N,) horizontal standard deviation that the estimator claims, sqrt(trace).
+        sigma_m: (N,) horizontal standard deviation that the estimator reports, sqrt(trace).
         fix_time_s: (M,) of the held-out fixes.
         fixes: (M, 2) east, north [m].
         errors_m: (M,) horizontal.
@@ -63,9 +63,7 @@ def _draw_above(axes: "Axes", track: JudgedTrack, outages_s: Sequence[tuple[floa
         lost = (track.time_s >= start) & (track.time_s < end)
         label = "estimate without GNSS" if k == 0 else None
         axes.plot(*track.positions[lost].T, color=LOST, lw=2.6, label=label)
-    axes.scatter(
-        track.fixes[:, 0], track.fixes[:, 1], s=7, color=HELD, zorder=3, lw=0, label="held-out fixes (never seen by it)"
-    )
+    axes.scatter(track.fixes[:, 0], track.fixes[:, 1], s=7, color=HELD, zorder=3, lw=0, label="held-out fixes")
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("east [m]")
     axes.set_ylabel("north [m]")
@@ -78,7 +76,7 @@ def _draw_over_time(axes: "Axes", track: JudgedTrack, outages_s: Sequence[tuple[
         axes.axvspan(start, end, color=LOST, alpha=0.12, lw=0)
         axes.text(0.5 * (start + end), 0.97, "no GNSS", ha="center", va="top", fontsize=8, color=LOST,
                   transform=axes.get_xaxis_transform())  # fmt: skip
-    axes.semilogy(track.time_s, np.maximum(track.sigma_m, 1e-3), color="#9aa5b1", lw=1.0, label="sigma it claims")
+    axes.semilogy(track.time_s, np.maximum(track.sigma_m, 1e-3), color="#9aa5b1", lw=1.0, label="sigma it reports")
     for mask, colour, label in ((~track.in_outage, HELD, "error at held-out fixes"), (track.in_outage, LOST, None)):
         axes.scatter(
             track.fix_time_s[mask], np.maximum(track.errors_m[mask], 1e-3), s=9, lw=0, color=colour, label=label

@@ -1,19 +1,23 @@
-"""Heading of a dual-antenna receiver: which headings can be believed, and the factor that they become."""
+"""Heading of a dual-antenna receiver: which headings can be used, and the factor that they become."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import atan2, cos, hypot, isfinite, radians, remainder, sin, tau
+from typing import ClassVar
 
 import gtsam
 import numpy as np
 
-from holdfast.config.model import HeadingConfig
-from holdfast.messages import Array, Heading
+from holdfast.config.model import Config
+from holdfast.config.sensors import GnssConfig, HeadingConfig
+from holdfast.geometry.world import World
+from holdfast.messages import Array, Heading, Message
+from holdfast.sensors.noise import FREE_TILT_RAD, FREE_VARIANCE
+from holdfast.sensors.sensor import Innovation, Parameter, Role, State, StateSensor, lever_arm, register
 from holdfast.state import Outcome
 
 MAX_SIGMA_RAD = 1.0  # a heading that is less sure says nothing
-FREE = 1e6  # sigma of what a heading says nothing about
-FREE_TILT = 1e2  # [rad]; much more, and the rotated covariance could not be inverted
-MIN_HORIZONTAL = 0.2  # share of the axis that must lie in the horizon
+MIN_HORIZONTAL = 0.2  # fraction of the axis that must lie in the horizon
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,65 +30,81 @@ class AxisYaw:
     sigma_rad: float
 
 
-class HeadingModel:
-    """Checks, weights and factors.
+class HeadingModel(StateSensor):
+    """One heading; `axis` is the measured axis in the IMU's frame.
 
     Args:
+        name: of the sensor.
         config: of the sensor.
-        baseline: (3,) from the left to the right antenna in the IMU's frame [m], or None where there are not two; it is
-            the measured axis unless `mounting_yaw_deg` says otherwise.
+        baseline: (3,) from one antenna to the other in the IMU's frame [m], or None where there are not two; it is the
+            measured axis unless `mounting_yaw_deg` says otherwise.
     """
 
-    def __init__(self, config: HeadingConfig, baseline: Array | None) -> None:
+    role: ClassVar[Role] = Role.HEADING
+    message: ClassVar[type[Message] | None] = Heading
+    parameter: Parameter | None = None
+
+    def __init__(self, name: str, config: HeadingConfig, baseline: Array | None) -> None:
+        self.name = name
         yaw = radians(config.mounting_yaw_deg or 0.0)
         self.axis: Array = np.array([cos(yaw), sin(yaw), 0.0])
         if config.mounting_yaw_deg is None and baseline is not None:
             self.axis = baseline / np.linalg.norm(baseline)
         self.offset_ns = round(config.time_offset_s * 1e9)
-        self.correlation_s = config.correlation_s
-        self.limit = config.gate_sigma**2
-        self._config = config
+        self.settings = config
 
-    def check(self, heading: Heading) -> Outcome:
-        """Say whether a heading can be used, by what the receiver says of it."""
-        sigma = self._claim(heading)
-        if not (isfinite(heading.yaw_rad) and 0.0 < sigma < float("inf")):
+    def convert(self, heading: Heading, world: World) -> AxisYaw | Outcome:  # noqa: ARG002 (yaw is that of W already)
+        """Return the heading with its noise, the claim above a floor or the default; or what is wrong with it."""
+        claim = radians(self.settings.default_sigma_deg) if heading.sigma_rad is None else heading.sigma_rad
+        if not (isfinite(heading.yaw_rad) and 0.0 < claim < float("inf")):
             return Outcome.NOT_FINITE
-        return Outcome.LARGE_COVARIANCE if sigma > MAX_SIGMA_RAD else Outcome.USED
-
-    def measured(self, heading: Heading) -> AxisYaw:
-        """Return a checked heading with its noise: the claim above a floor, or the default."""
-        sigma = max(self._claim(heading), radians(self._config.min_sigma_deg))
-        return AxisYaw(heading.stamp_ns + self.offset_ns, heading.sensor, heading.yaw_rad, sigma)
-
-    def _claim(self, heading: Heading) -> float:
-        return radians(self._config.default_sigma_deg) if heading.sigma_rad is None else heading.sigma_rad
+        if claim > MAX_SIGMA_RAD:
+            return Outcome.LARGE_COVARIANCE
+        sigma = max(claim, radians(self.settings.min_sigma_deg))
+        return AxisYaw(heading.stamp_ns + self.offset_ns, self.name, heading.yaw_rad, sigma)
 
     def of_imu(self, measured: AxisYaw, level: gtsam.Rot3) -> tuple[float, float] | None:
         """Return the heading of the IMU's x axis and its sigma [rad], given the IMU's attitude with zero heading."""
         axis_yaw = yaw_of(level.rotate(self.axis))
         return None if axis_yaw is None else (measured.yaw_rad - axis_yaw, measured.sigma_rad)
 
-    def innovation(self, nav: gtsam.NavState, yaw_rad: float) -> float | None:
-        """Return measured minus predicted yaw of the axis [rad], within +-pi; None if the axis is near vertical."""
-        predicted = yaw_of(nav.attitude().rotate(self.axis))
-        return None if predicted is None else remainder(yaw_rad - predicted, tau)
+    def innovation(self, measured: AxisYaw, state: State) -> Innovation | Outcome:
+        """Compare with a state: measured minus predicted yaw of the axis, within +-pi; not if it is near vertical."""
+        predicted = yaw_of(state.nav.attitude().rotate(self.axis))
+        if predicted is None:
+            return Outcome.OUT_OF_RANGE
+        H = np.zeros((1, 9))
+        H[0, :3] = state.nav.attitude().unrotate(np.array([0.0, 0.0, 1.0]))
+        y = np.array([remainder(measured.yaw_rad - predicted, tau)])
+        return Innovation(y, H, np.array([[measured.sigma_rad**2]]), np.zeros((1, 0)))
 
-    def nis(self, nav: gtsam.NavState, covariance: Array, innovation: float, sigma_rad: float) -> float:
-        """Return the normalised innovation squared, given the covariance (9, 9) of the state."""
-        up = nav.attitude().unrotate(np.array([0.0, 0.0, 1.0]))
-        return innovation**2 / (float(up @ covariance[:3, :3] @ up) + sigma_rad**2)
-
-    def factor(self, key: int, nav: gtsam.NavState, innovation: float, sigma_rad: float) -> gtsam.NonlinearFactor:
-        """Return the factor on a node: a turn about the vertical, all else free: (30) in docs/math.md."""
-        R_W_I = gtsam.Rot3.Yaw(innovation).compose(nav.attitude())
-        turned = gtsam.NavState(R_W_I, nav.position(), nav.velocity())
+    def factor(
+        self,
+        keys: Sequence[int],
+        measured: AxisYaw,  # noqa: ARG002 (the innovation says it all)
+        state: State,
+        innovation: Innovation,
+        inflation: float,
+    ) -> gtsam.NonlinearFactor:
+        """Return the factor on a node: a rotation about the vertical, all else free: (30) in docs/math.md."""
+        R_W_I = gtsam.Rot3.Yaw(float(innovation.y[0])).compose(state.nav.attitude())
+        rotated = gtsam.NavState(R_W_I, state.nav.position(), state.nav.velocity())
         R = R_W_I.matrix()
-        covariance = np.eye(9) * FREE**2
-        covariance[:3, :3] = R.T @ np.diag([FREE_TILT**2, FREE_TILT**2, sigma_rad**2]) @ R
-        return gtsam.PriorFactorNavState(key, turned, gtsam.noiseModel.Gaussian.Covariance(covariance))
+        covariance = np.eye(9) * FREE_VARIANCE
+        yaw_variance = float(innovation.R[0, 0]) * inflation
+        covariance[:3, :3] = R.T @ np.diag([FREE_TILT_RAD**2, FREE_TILT_RAD**2, yaw_variance]) @ R
+        return gtsam.PriorFactorNavState(keys[0], rotated, gtsam.noiseModel.Gaussian.Covariance(covariance))
 
 
 def yaw_of(axis_W: Array) -> float | None:
     """Return the yaw [rad] of an axis (3,) in W, or None where it is too steep to have one."""
     return None if hypot(axis_W[0], axis_W[1]) < MIN_HORIZONTAL else atan2(axis_W[1], axis_W[0])
+
+
+def _configured(name: str, section: HeadingConfig, config: Config) -> HeadingModel:
+    antennas = section.baseline or tuple(config.sensors_of(GnssConfig))[:2]
+    baseline = lever_arm(antennas[1], config) - lever_arm(antennas[0], config) if len(antennas) == 2 else None
+    return HeadingModel(name, section, baseline)
+
+
+register(HeadingConfig, _configured)

@@ -1,4 +1,4 @@
-"""The IMU: which samples can be believed, and where it was silent.
+"""The IMU: which samples can be used, and where it was silent.
 
 Between two samples the readings are taken as linear in time, so that an interval may be cut at any instant. A drop-out
 (missing samples, or samples that a logger drew as a straight line) is a gap: a constant-twist motion model stands in.
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from holdfast.config.model import ImuConfig
+from holdfast.config.sensors import InertialConfig
 from holdfast.messages import Array, ImuSample
 from holdfast.sensors.preintegration import Step
 from holdfast.state import Outcome
@@ -22,11 +22,23 @@ FROZEN_FACTOR = 10  # a reading that does not change at all for this many gap le
 PERIOD_WINDOW = 64
 LINE_TOLERANCE = 1e-3  # of the change per sample; six channels of a living sensor never agree that well
 CLOCK_JUMP_NS = 1_000_000_000  # a stamp may run ahead of the arrival by this much at once
-SUSPECTS_BELIEVED = 5
+SUSPECTS_ACCEPTED = 5
+
+
+class Added(NamedTuple):
+    """What a sample made certain.
+
+    Attributes:
+        step: to it from the sample before; None where the IMU was silent.
+        line_since_ns: start of the straight line that the samples until now lie on, if this one makes it certain.
+    """
+
+    step: Step | None
+    line_since_ns: int | None
 
 
 class Piece(NamedTuple):
-    """A stretch of time in which the IMU either spoke throughout or was silent throughout."""
+    """A stretch of time in which the IMU either measured throughout or was silent throughout."""
 
     start_ns: int
     end_ns: int
@@ -37,9 +49,9 @@ _Reading = tuple[float, float, float, float, float, float]  # specific force, an
 
 
 class ImuBuffer:
-    """The believable samples of the last seconds, cut at will and aware of drop-outs."""
+    """The usable samples of the last seconds, cut at will and aware of drop-outs."""
 
-    def __init__(self, config: ImuConfig) -> None:
+    def __init__(self, config: InertialConfig) -> None:
         self._config = config
         self.offset_ns = round(config.time_offset_s * 1e9)
         self._stamps: list[int] = []
@@ -56,7 +68,6 @@ class ImuBuffer:
         self._arrival_ns = 0
         self._suspect_ns = 0
         self._suspects = 0
-        self.gap_found_ns: int | None = None
 
     @property
     def arrival_ns(self) -> int:
@@ -78,8 +89,8 @@ class ImuBuffer:
         """Silence longer than this is a drop-out: the configured bound, or 2.5 sample periods if that is more."""
         return self._max_gap_ns
 
-    def is_believed(self, start_ns: int, end_ns: int) -> bool:
-        """Whether the IMU was heard all along, and not in a way that may yet turn out to be a straight line."""
+    def is_trusted(self, start_ns: int, end_ns: int) -> bool:
+        """Whether the IMU measured all along, and not in a way that may yet turn out to be a straight line."""
         on_line = len(self._stamps) - 1 - self._line_start >= SUSPECT_LINE
         if on_line and end_ns > self._stamps[self._line_start]:
             return False
@@ -114,7 +125,7 @@ class ImuBuffer:
         follows = 0 < stamp_ns - self._suspect_ns <= self._max_gap_ns
         self._suspects = self._suspects + 1 if follows else 1
         self._suspect_ns = stamp_ns
-        return Outcome.USED if self._suspects >= SUSPECTS_BELIEVED else outcome
+        return Outcome.USED if self._suspects >= SUSPECTS_ACCEPTED else outcome
 
     def clear(self) -> None:
         """Forget every sample: the clock has gone back."""
@@ -122,14 +133,11 @@ class ImuBuffer:
             series.clear()
         self._gaps = self._line_start = self._suspects = 0
 
-    def add(self, sample: ImuSample) -> Step | None:
-        """Append a checked sample; return the step to it, or None if the interval before it is a gap.
-
-        Sets `gap_found_ns` to the start of a straight line when the sample makes one certain.
-        """
+    def add(self, sample: ImuSample) -> Added:
+        """Append a checked sample."""
         stamp, force, rate = sample.stamp_ns + self.offset_ns, sample.specific_force, sample.angular_velocity
         reading: _Reading = (*force.tolist(), *rate.tolist())
-        self.gap_found_ns, self._arrival_ns = None, sample.arrival_ns
+        self._arrival_ns = sample.arrival_ns
         step, is_gap = None, False
         if self._stamps:
             dt_ns = stamp - self._stamps[-1]
@@ -144,9 +152,8 @@ class ImuBuffer:
         self._readings.append(reading)
         self._is_gap.append(is_gap)
         self._gaps += is_gap
-        if self._on_straight_line(is_gap):
-            return None
-        return step
+        is_line, line_since_ns = self._on_straight_line(is_gap)
+        return Added(None if is_line else step, line_since_ns)
 
     def _learn_period(self, dt_ns: int) -> None:
         self._periods_ns.append(dt_ns)
@@ -154,32 +161,35 @@ class ImuBuffer:
             self._max_gap_ns = max(round(self._config.max_gap_s * 1e9), round(2.5 * median(self._periods_ns)))
             self._periods_ns.clear()
 
-    def _on_straight_line(self, after_gap: bool) -> bool:
-        """Track the run of samples that lie on one line in all six channels; mark it as a gap once it is certain."""
+    def _on_straight_line(self, after_gap: bool) -> tuple[bool, int | None]:
+        """Follow the run of samples that lie on one line in all six channels, and mark it as a gap once it is certain.
+
+        Returns:
+            Whether the newest sample is on such a line, and the start of the line if that has just become certain.
+        """
         last = len(self._stamps) - 1
         if after_gap or last < 2:
             self._line_start = last
-            return False
+            return False, None
         before, middle, newest = self._readings[-3:]
         if _bends(before, middle, newest, 1.0):
             t0, t1, t2 = self._stamps[-3:]
             if t2 - t1 == t1 - t0 or _bends(before, middle, newest, (t2 - t1) / (t1 - t0)):
                 self._line_start = last - 1  # on a line neither by index nor by time, whichever a logger goes by
-                return False
+                return False, None
         start = self._line_start
         needed = self._max_gap_ns
         if not (self._rates[-1] - self._rates[start]).any() and not (self._forces[-1] - self._forces[start]).any():
             needed *= FROZEN_FACTOR
         if last - start < 3 or self._stamps[last] - self._stamps[start] <= needed:
-            return False
-        if not self._is_gap[last - 1]:
-            self.gap_found_ns = self._stamps[start]
+            return False, None
+        line_since_ns = None if self._is_gap[last - 1] else self._stamps[start]
         for k in range(last, start, -1):
             if self._is_gap[k]:
                 break
             self._is_gap[k] = True
             self._gaps += 1
-        return True
+        return True, line_since_ns
 
     def forget_before(self, stamp_ns: int) -> None:
         """Drop samples that no interval after `stamp_ns` needs; cheap, because it drops many at a time."""
@@ -253,8 +263,8 @@ class ImuBuffer:
             return self._rates[k - 1]
         if k == 0:
             return self._rates[0]
-        share = (stamp_ns - self._stamps[k - 1]) / (self._stamps[k] - self._stamps[k - 1])
-        return (1.0 - share) * self._rates[k - 1] + share * self._rates[k]
+        fraction = (stamp_ns - self._stamps[k - 1]) / (self._stamps[k] - self._stamps[k - 1])
+        return (1.0 - fraction) * self._rates[k - 1] + fraction * self._rates[k]
 
     def window(self, start_ns: int, end_ns: int) -> tuple[Array, Array] | None:
         """Return specific force and angular velocity (N, 3) in [start, end], or None if the IMU was silent in it."""

@@ -4,8 +4,11 @@ from collections.abc import Callable, Sequence
 
 import gtsam
 
-from holdfast.config.model import RobustLoss
+from holdfast.config.sensors import RobustLoss
 from holdfast.messages import Array
+
+FREE_VARIANCE = 1e12  # of what a factor says nothing about
+FREE_TILT_RAD = 1e2  # the same of roll and pitch: much more, and a rotated covariance could not be inverted
 
 
 def noise_model(covariance: Array, loss: RobustLoss) -> gtsam.noiseModel.Base:
@@ -22,7 +25,7 @@ def noise_model(covariance: Array, loss: RobustLoss) -> gtsam.noiseModel.Base:
 
 
 def correlation_inflation(correlation_s: float, since_last_s: float) -> float:
-    """Return the factor on the variance of one of many measurements whose errors are alike for a while.
+    """Return the factor on the variance of one of many measurements with correlated errors.
 
     n measurements an interval dt apart, with errors of correlation time tau, say as much as n / (1 + 2 tau / dt)
     independent ones: (31) in docs/math.md.

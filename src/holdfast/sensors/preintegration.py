@@ -9,11 +9,12 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 
-from holdfast.config.model import ImuConfig, MotionModelConfig
+from holdfast.config.model import MotionModelConfig
+from holdfast.config.sensors import InertialConfig
 from holdfast.messages import Array
 
 MOTION_STEP_S = 0.02
-MOTION_CORRELATION_S = 1.0  # how long an error that is proportional to the motion keeps its sign
+MOTION_CORRELATION_S = 1.0  # of the error that is proportional to the motion
 EYE = np.eye(3)
 
 
@@ -38,7 +39,7 @@ class ImuNoise:
     that is like white noise: (10) in docs/math.md. At rest the densities alone remain.
     """
 
-    def __init__(self, config: ImuConfig, integration_sigma: float, gravity: float) -> None:
+    def __init__(self, config: InertialConfig, integration_sigma: float, gravity: float) -> None:
         self._config = config
         self._integration_sigma = integration_sigma
         self._up = np.array([0.0, 0.0, gravity])

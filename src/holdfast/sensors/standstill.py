@@ -1,23 +1,24 @@
-"""Standstill: seen in the spread of the IMU's readings and in the fixes, and what is known of a state that stands."""
+"""Standstill: seen in the deviation of the IMU's readings and in the fixes, and what it tells of the state."""
 
 from collections.abc import Sequence
 
 import gtsam
 import numpy as np
 
-from holdfast.config.model import ImuConfig, StandstillConfig
+from holdfast.config.model import StandstillConfig
+from holdfast.config.sensors import InertialConfig
 from holdfast.messages import Array
-from holdfast.sensors.gnss import AntennaPosition
 from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.sensor import Position
 
 MAX_MEAN_RATE_RAD_S = 0.05  # turning evenly is not standing; a bias is smaller
-CHANGE_SHARE = 0.1  # of the allowed spread, by which the mean may change within the window
+CHANGE_FRACTION = 0.1  # of the allowed deviation, by which the mean may change within the window
 BATCHES = 10  # parts of the window whose means are compared: an engine averages out in each, a motion does not
 ENGINE = 10.0  # it may shake the machine so much more than a zero-velocity update allows, where GNSS is asked as well
 STANDING_SPEED_M_S = 0.1
 MIN_SPAN_NS = 200_000_000  # between fixes that tell whether the machine moves
-STANDSTILL_VELOCITY_SIGMA = 0.05  # [m/s]
-GRAVITY_SIGMA = 1e-3  # [m/s^2] between WGS84's normal gravity and the real one
+STANDSTILL_VELOCITY_SIGMA_M_S = 0.05
+GRAVITY_SIGMA_M_S2 = 1e-3  # between WGS84's normal gravity and the real one
 
 
 def quiet_window(
@@ -34,14 +35,14 @@ def quiet_window(
     if window is None:
         return None
     means: list[Array] = []
-    for readings, spread in zip(window, (config.max_acceleration, config.max_angular_rate_rad_s), strict=True):
+    for readings, bound in zip(window, (config.max_acceleration, config.max_angular_rate_rad_s), strict=True):
         half = len(readings) // 2
         change = abs(readings[half:].mean(axis=0) - readings[:half].mean(axis=0))
         batches = np.array([part.mean(axis=0) for part in np.array_split(readings, min(BATCHES, len(readings)))])
         deviation = batches.std(axis=0, ddof=1)
         # the means of two halves differ by so much where nothing but noise and vibration differs
-        allowed = spread * CHANGE_SHARE + 3.0 * deviation * np.sqrt(4.0 / len(batches))
-        if deviation.max() > spread or readings.std(axis=0).max() > vibration * spread or (change > allowed).any():
+        allowed = bound * CHANGE_FRACTION + 3.0 * deviation * np.sqrt(4.0 / len(batches))
+        if deviation.max() > bound or readings.std(axis=0).max() > vibration * bound or (change > allowed).any():
             return None
         means.append(readings.mean(axis=0))
     if float(np.linalg.norm(means[1])) > MAX_MEAN_RATE_RAD_S:
@@ -49,25 +50,25 @@ def quiet_window(
     return means[0], means[1]
 
 
-def fixes_stand(fixes: Sequence[AntennaPosition]) -> bool | None:
+def fixes_stand(fixes: Sequence[Position]) -> bool | None:
     """Whether the fixes of one antenna stand, within their noise; None while there are too few to tell.
 
     An even motion is as quiet as standstill: the IMU alone does not know.
     """
     if len(fixes) < 2 or fixes[-1].stamp_ns - fixes[0].stamp_ns < MIN_SPAN_NS:
         return None
-    moved = float(np.linalg.norm(fixes[-1].p_W_G[:2] - fixes[0].p_W_G[:2]))
+    moved = float(np.linalg.norm(fixes[-1].p_W_P[:2] - fixes[0].p_W_P[:2]))
     noise = 3.0 * np.sqrt(fixes[0].covariance[:2, :2].trace() + fixes[-1].covariance[:2, :2].trace())
     return bool(moved < noise + STANDING_SPEED_M_S * (fixes[-1].stamp_ns - fixes[0].stamp_ns) * 1e-9)
 
 
-def gyro_bias_sigma_rad_s(imu: ImuConfig, duration_s: float) -> float:
+def gyro_bias_sigma_rad_s(imu: InertialConfig, duration_s: float) -> float:
     """Return the standard deviation of a gyroscope bias that is the mean over a standstill."""
     return float(2.0 * imu.gyroscope_noise_density / np.sqrt(duration_s) + 1e-5)
 
 
 def standstill_covariance(  # noqa: PLR0917 (one number per source of doubt)
-    imu: ImuConfig,
+    imu: InertialConfig,
     duration_s: float,
     gravity: float,
     up: Array,
@@ -96,12 +97,12 @@ def standstill_covariance(  # noqa: PLR0917 (one number per source of doubt)
     tilt_noise = (noise / gravity) ** 2
     P = np.zeros((15, 15))
     P[:3, :3] = ((bias_sigma / gravity) ** 2 + tilt_noise) * across + yaw_sigma_rad**2 * along
-    P[9:12, 9:12] = bias_sigma**2 * across + (noise**2 + GRAVITY_SIGMA**2) * along
+    P[9:12, 9:12] = bias_sigma**2 * across + (noise**2 + GRAVITY_SIGMA_M_S2**2) * along
     P[:3, 9:12] = bias_sigma**2 / gravity * up_cross
     P[3:6, 3:6] = position_covariance + arm_cross @ P[:3, :3] @ arm_cross.T
     P[3:6, :3] = arm_cross @ P[:3, :3]
     P[3:6, 9:12] = arm_cross @ P[:3, 9:12]
-    P[6:9, 6:9] = np.eye(3) * STANDSTILL_VELOCITY_SIGMA**2
+    P[6:9, 6:9] = np.eye(3) * STANDSTILL_VELOCITY_SIGMA_M_S**2
     P[12:, 12:] = np.eye(3) * gyro_bias_sigma_rad_s(imu, duration_s) ** 2
     P[:3, 3:6], P[9:12, 3:6], P[9:12, :3] = P[3:6, :3].T, P[3:6, 9:12].T, P[:3, 9:12].T
     return P

@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator, Mapping
 
-from holdfast.sim.scenario import Activity, Fault
+from holdfast.sim.fault import Fault
+from holdfast.sim.scenario import Activity
 from holdfast.sim.simulation import Simulation
 
 
@@ -16,7 +17,7 @@ def _lines(simulation: Simulation, name: str, command: str, counts: Mapping[str,
     yield from (f"# {name}, seed {simulation.seed}", "", scenario.description, "")
     yield (
         f"{scenario.duration_s:g} s of `{scenario.machine}` on `{scenario.site}`; the chassis drives "
-        f"{motion.way_m:.0f} m. Everything here is simulated. Made by:"
+        f"{motion.distance_m:.0f} m. Everything here is simulated. Made by:"
     )
     yield from ("", "```sh", command, "```", "", "Estimate and judge:", "", "```sh")
     yield "holdfast replay recording.mcap -c config.yaml -o estimate"
@@ -29,14 +30,20 @@ def _lines(simulation: Simulation, name: str, command: str, counts: Mapping[str,
     yield from (f"- {_fault(fault)}" for fault in scenario.faults)
     if not scenario.faults:
         yield "Nothing, but for the noise of the sensors and what trees hide of the sky."
+    yield from _truth(simulation)
+
+
+def _truth(simulation: Simulation) -> Iterator[str]:
     yield from ("", "## Truth", "")
     yield (
         "`truth/` is what no machine has, at the rate of the cabin's IMU and in true time: `imu_in_world.tum`, "
-        "`base_in_world.tum` and `lidar_in_world.tum` (poses in W), `velocities.csv`, the biases of the IMUs, "
-        "`joint.csv` and, under the stamps of their messages, the errors of all fixes."
+        "`base_in_world.tum` and those of the odometries (poses in W), `velocities.csv`, the biases of the IMUs, "
+        "`joint.csv` and, under the stamps of their messages, the errors of all positions. `constants.csv` has:"
     )
-    if scenario.sensors.joint is not None:
-        yield f"The encoder's zero is off by {simulation.joint_bias_rad:.6f} rad."
+    yield ""
+    for name, readings in simulation.measured.items():
+        yield from (f"- {constant} of {name}: {value:.6f}" for constant, value in readings.constants.items())
+    yield ""
     yield "`site.ply` is the surface that the lidar sees; `scenario.yaml` holds every setting, defaults included."
 
 
@@ -62,13 +69,14 @@ def _fault(fault: Fault) -> str:
         else f"claimed sigma grows by {fault.claim_growth_m_s:g} m/s",
         "degraded": f"falls to {fault.quality}",
         "walk": f"walks away at {fault.rate_m_s:g} m/s, to {_vector(fault)} m",
-        "offset": f"off by {_vector(fault)} m, claimed as fixed",
-        "spikes": f"every {fault.period_s:g} s a fix is off by {_vector(fault)} m",
-        "swap": "exchanged",
+        "offset": f"off by {_vector(fault)} m, with the claim of good ones",
+        "spikes": f"every {fault.period_s:g} s one is off by {_vector(fault)} m",
+        "swap": f"antennas exchanged, or another prism followed, {_vector(fault)} m away",
         "silence": "no messages",
         "line": "the logger draws lines",
         "jump": f"jumps by {_vector(fault)} m and {fault.yaw_deg:g} deg",
         "freeze": "repeats itself",
+        "slip": f"velocity off by {fault.slip_ratio:g} of itself and {fault.slip_m_s:g} m/s",
         "clock_step": f"clock is off by {fault.step_s:g} s",
     }
     when = f"{fault.start_s:g} to {fault.end_s:g} s"

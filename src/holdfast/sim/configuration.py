@@ -1,70 +1,75 @@
 """The configuration that a machine's owner would write: what calibration and datasheets know, never the truth."""
 
-from math import degrees, hypot, sqrt
+from math import atan2, degrees
 from typing import Any
 
+from holdfast.config.kinds import KINDS as CONFIGURED
+from holdfast.config.load import config_of
 from holdfast.config.model import Config
-from holdfast.sim.datasheets import SimulatedImu, SimulatedJoint, SimulatedSensor
+from holdfast.sim.datasheets import Sheet, SimulatedSensor
+from holdfast.sim.readings import generator
 from holdfast.sim.scenario import BASE, CABIN, Scenario
+from holdfast.sim.sensors import KINDS
+from holdfast.sim.sensors.imu import SimulatedImu
+from holdfast.sim.sensors.joint import SimulatedJoint
+
+HEADING_SIGMA_DEG = 2.0  # of an owner who reads the heading from a site plan
 
 
-def configuration(scenario: Scenario) -> Config:
-    """Return the configuration for recordings of a scenario."""
-    sheets = scenario.sensors
-    sensors: dict[str, Any] = {"imu": _imu(sheets.imu)}
-    if sheets.base_imu is not None:
-        sensors["base_imu"] = _imu(sheets.base_imu)
-    for name in ("gnss", "gnss_right", "lidar"):
-        sheet = getattr(sheets, name)
-        if sheet is not None:
-            sensors[name] = {**_any(sheet), "frame": sheet.frame}
-    if sheets.heading is not None and sheets.gnss is not None and sheets.gnss_right is not None:
-        sensors["heading"] = _any(sheets.heading)  # its axis is the baseline between the antennas
-    if sheets.joint is not None:
-        sensors["joint"] = _joint(sheets.joint)
-    turn_joint = None
-    mounts = {extrinsic.child: extrinsic.parent for extrinsic in scenario.extrinsics}
-    in_cabin = mounts.get(sheets.imu.frame, sheets.imu.frame) == CABIN
-    if scenario.turn_joint is not None and sheets.joint is not None and in_cabin:
-        turn_joint = {"parent": BASE, "child": CABIN, "translation_m": scenario.turn_joint.position_m}
-    return Config.model_validate(
-        {
-            "sensors": sensors,
-            "extrinsics": scenario.extrinsics,
-            "turn_joint": turn_joint,
-            "frames": {"base": BASE, "datum": scenario.datum},
-        }
-    )
+def configuration(scenario: Scenario, seed: int = 0) -> Config:
+    """Return the configuration for recordings of a scenario.
+
+    Args:
+        scenario: whose machine it is.
+        seed: of the error of the initial heading, which is only there where no sensor gives one.
+
+    Raises:
+        ConfigError: the sensors of the scenario do not make a configuration, such as one beyond an unknown joint.
+    """
+    return config_of(configuration_data(scenario, seed), "configuration of the scenario")
 
 
-def configuration_data(scenario: Scenario) -> dict[str, Any]:
+def configuration_data(scenario: Scenario, seed: int = 0) -> dict[str, Any]:
     """Return the same as plain data, without what nobody set, so that other defaults can be put below it."""
-    return configuration(scenario).model_dump(mode="json", exclude_unset=True)
+    sensors = {
+        name: _entry(name, sheet, scenario) for name, sheet in scenario.sensors.items() if sheet.kind in CONFIGURED
+    }
+    data: dict[str, Any] = {
+        "sensors": sensors,
+        "extrinsics": [extrinsic.model_dump(mode="json", exclude_unset=True) for extrinsic in scenario.extrinsics],
+        "frames": {"base": BASE, "datum": scenario.datum.model_dump()},
+    }
+    if scenario.turn_joint is not None and scenario.sensors_of(SimulatedJoint) and _imu_parent(scenario) == CABIN:
+        position_m = list(scenario.turn_joint.position_m)
+        data["turn_joint"] = {"parent": BASE, "child": CABIN, "translation_m": position_m}
+    if not any(KINDS[sheet.kind].gives_heading for sheet in scenario.sensors.values()):
+        error_deg = HEADING_SIGMA_DEG * float(generator(seed, "initial heading").standard_normal())
+        heading_deg = round(_true_heading_deg(scenario) + error_deg, 2)
+        data["initialisation"] = {"heading_deg": heading_deg, "heading_sigma_deg": HEADING_SIGMA_DEG}
+    return data
 
 
-def _any(sheet: SimulatedSensor) -> dict[str, Any]:
-    """Return topic and, where the clock is known to be off, the correction."""
-    known = sheet.clock.calibrated and sheet.clock.offset_s != 0.0
-    return {"topic": sheet.topic} | ({"time_offset_s": -sheet.clock.offset_s} if known else {})
+def _entry(name: str, sheet: Sheet, scenario: Scenario) -> dict[str, Any]:
+    """Return the section of a sensor: with its topic and, where the clock is known to be off, the correction."""
+    entry: dict[str, Any] = {"kind": sheet.kind}
+    if isinstance(sheet, SimulatedSensor):
+        entry["topic"] = sheet.topic
+        if sheet.clock.calibrated and sheet.clock.offset_s != 0.0:
+            entry["time_offset_s"] = -sheet.clock.offset_s
+    if "frame" in CONFIGURED[sheet.kind].model_fields:
+        entry["frame"] = sheet.frame
+    if name == scenario.imu_name and len(scenario.sensors_of(SimulatedImu)) > 1:
+        entry["primary"] = True
+    return entry | KINDS[sheet.kind].entry(sheet)
 
 
-def _joint(sheet: SimulatedJoint) -> dict[str, Any]:
-    """Return what the owner knows of the encoder: its noise and step, how well it was mounted, not its true zero."""
-    noise_rad = hypot(sheet.noise_rad, sheet.resolution_rad / sqrt(12.0))
-    known = {"noise_deg": degrees(noise_rad), "zero_offset_sigma_deg": degrees(sheet.bias_sigma_rad)}
-    given = {key: value for key, value in known.items() if value > 0.0}
-    return {**_any(sheet), "joint_name": sheet.joint_name, **given}
+def _imu_parent(scenario: Scenario) -> str:
+    mounts = {extrinsic.child: extrinsic.parent for extrinsic in scenario.extrinsics}
+    return mounts.get(scenario.imu.frame, scenario.imu.frame)
 
 
-def _imu(sheet: SimulatedImu) -> dict[str, Any]:
-    names = (
-        "accelerometer_noise_density",
-        "gyroscope_noise_density",
-        "accelerometer_random_walk",
-        "gyroscope_random_walk",
-        "accelerometer_bias_sigma",
-        "gyroscope_bias_sigma",
-        "accelerometer_range",
-        "gyroscope_range",
-    )
-    return {**_any(sheet), "frame": sheet.frame, **{name: getattr(sheet, name) for name in names}}
+def _true_heading_deg(scenario: Scenario) -> float:
+    """Return the yaw of the IMU's x axis at the start, on level ground."""
+    mounts = {extrinsic.child: extrinsic.matrix() for extrinsic in scenario.extrinsics}
+    x_axis = mounts[scenario.imu.frame][:3, 0] if scenario.imu.frame in mounts else (1.0, 0.0, 0.0)
+    return scenario.start.heading_deg + scenario.start.cabin_deg + degrees(atan2(x_axis[1], x_axis[0]))

@@ -1,4 +1,4 @@
-"""What the driver does with the machine: activities become speed, turning, slewing and arm work over time."""
+"""What the driver does with the machine: activities become speed, yaw rate, slewing and arm work over time."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ MARGIN_S = 2.0  # the machine exists a little before and after the recording
 SMOOTHING_S = 0.2  # hydraulics: commands reach the machine so slowly
 ARRIVAL_M = 0.3
 IDLE, DRIVING, SWINGING, DUMPING, DIGGING = 0.0, 0.5, 0.4, 0.6, 1.0
-BRAKING = 0.7  # share of the acceleration that the driver uses to stop
+BRAKING_RATIO = 0.7  # of the acceleration that the driver uses to stop
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,21 +109,21 @@ class _Driver:
 
     def _slew(self, target_rad: float) -> Iterator[tuple[float, float, float, float]]:
         """Ramp the rate up and down as a raised cosine: its steepest slope is pi rate / (2 ramp)."""
-        origin, way = self._joint, target_rad - self._joint
+        origin, angle = self._joint, target_rad - self._joint
         acceleration = self._limits.slew_acceleration_rad_s2
-        rate = min(self._limits.slew_rate_rad_s, sqrt(2.0 * acceleration * abs(way) / pi))
+        rate = min(self._limits.slew_rate_rad_s, sqrt(2.0 * acceleration * abs(angle) / pi))
         if rate == 0.0:
             return
         ramp_s = pi * rate / (2.0 * acceleration)
-        cruise_s = abs(way) / rate - ramp_s
+        cruise_s = abs(angle) / rate - ramp_s
         for step in range(1, round((2.0 * ramp_s + cruise_s) / GRID_S) + 1):
             done = _ramped(step * GRID_S, rate, ramp_s, cruise_s)
-            self._joint = origin + np.copysign(min(done, abs(way)), way)
+            self._joint = origin + np.copysign(min(done, abs(angle)), angle)
             yield self.command(SWINGING)
         self._joint = target_rad
 
     def _drive_to(self, waypoints: tuple[Point, ...], speed_m_s: float) -> Iterator[tuple[float, float, float, float]]:
-        """Steer towards one waypoint after the other; slow down to turn, and to stop at the last."""
+        """Steer towards one waypoint after the other; slow down in curves, and stop at the last."""
         for index, (x, y) in enumerate(waypoints):
             rest_m = sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(waypoints[index:]))
             last = index == len(waypoints) - 1
@@ -131,7 +131,9 @@ class _Driver:
                 error = remainder(atan2(y - self._y, x - self._x) - self._yaw, 2.0 * pi)
                 if last and abs(error) > pi / 2 and distance < 2.0:
                     break  # driven past it
-                to_stop = sqrt(2.0 * BRAKING * self._limits.acceleration_m_s2 * max(distance + rest_m - ARRIVAL_M, 0.0))
+                to_stop = sqrt(
+                    2.0 * BRAKING_RATIO * self._limits.acceleration_m_s2 * max(distance + rest_m - ARRIVAL_M, 0.0)
+                )
                 self._steer(min(speed_m_s, to_stop + 0.05) * max(cos(error), 0.0) ** 2, 1.2 * error)
                 yield self.command(DRIVING)
         while self._speed > 0.0 or self._yaw_rate != 0.0:
@@ -141,17 +143,17 @@ class _Driver:
     def _steer(self, speed: float, yaw_rate: float) -> None:
         """Approach the wanted speed and yaw rate within the limits, and move on by one step."""
         limits = self._limits
-        most, turn = limits.acceleration_m_s2 * GRID_S, limits.yaw_acceleration_rad_s2 * GRID_S
+        most, most_yaw = limits.acceleration_m_s2 * GRID_S, limits.yaw_acceleration_rad_s2 * GRID_S
         self._speed += min(max(speed - self._speed, -most), most)
         wanted = min(max(yaw_rate, -limits.yaw_rate_rad_s), limits.yaw_rate_rad_s)
-        self._yaw_rate += min(max(wanted - self._yaw_rate, -turn), turn)
+        self._yaw_rate += min(max(wanted - self._yaw_rate, -most_yaw), most_yaw)
         self._x += self._speed * GRID_S * cos(self._yaw)
         self._y += self._speed * GRID_S * sin(self._yaw)
         self._yaw += self._yaw_rate * GRID_S
 
 
 def _ramped(t_s: float, rate: float, ramp_s: float, cruise_s: float) -> float:
-    """Return the way after `t_s` of a move whose rate rises as a raised cosine, stays and falls alike."""
+    """Return the angle after `t_s` of a move whose rate rises as a raised cosine, stays and falls likewise."""
     if t_s < ramp_s:
         return rate * (t_s - ramp_s / pi * sin(pi * t_s / ramp_s)) / 2.0
     if t_s < ramp_s + cruise_s:

@@ -1,12 +1,11 @@
 """Exact motion of every frame of the machine at any time.
 
-The machine has eight generalised coordinates: place, height, yaw, pitch and roll of the chassis, the turn joint and
-how hard it works. Quintic splines through a grid of them are the truth, so that all derivatives are exact: the frames
-follow by rigid body kinematics, with the cabin vibrating on its mounts.
+The machine has eight generalised coordinates: position, height, yaw, pitch and roll of the chassis, the turn joint
+and how hard it works. Quintic splines through a grid of them are the truth, so that all derivatives are exact. The
+frames follow by rigid body kinematics, with the cabin vibrating on its mounts.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -17,30 +16,12 @@ from holdfast.messages import Array
 from holdfast.sim.driver import GRID_S, Plan, drive
 from holdfast.sim.readings import generator
 from holdfast.sim.scenario import BASE, CABIN, Chassis, Engine, Scenario
+from holdfast.sim.scene import FrameMotion
 
 TYRE_S = 0.08  # tyres and suspension smooth what the wheels run over
 SWAY_S, SHAKE_S = 0.5, 0.08  # the arm tilts the machine slowly, and shakes it at about 2 Hz
 SHAKE_RATIO = 0.15
 VIBRATION_ARM_M = 1.0  # the cabin rocks on its mounts as if they were so far from its middle
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameMotion:
-    """How one frame F moves in W at N times.
-
-    Attributes:
-        R_W_F: (N, 3, 3) attitude.
-        p_W: (N, 3) position [m].
-        v_W: (N, 3) velocity of the origin, expressed in W [m/s].
-        a_W: (N, 3) acceleration of the origin, expressed in W [m/s^2].
-        angular_velocity: (N, 3) of F against W, expressed in F [rad/s].
-    """
-
-    R_W_F: Array
-    p_W: Array
-    v_W: Array
-    a_W: Array
-    angular_velocity: Array
 
 
 class Surface(Protocol):
@@ -50,7 +31,7 @@ class Surface(Protocol):
         """Return the height [m] of the ground in W."""
 
 
-class _Turning(NamedTuple):
+class _Rotating(NamedTuple):
     """Attitude of a frame against its parent: (N, 3, 3), and in the frame angular velocity and acceleration (N, 3)."""
 
     R: Array
@@ -59,7 +40,7 @@ class _Turning(NamedTuple):
 
 
 class _Moving(NamedTuple):
-    """A place that changes: position, velocity and acceleration, (N, 3) each."""
+    """A point that moves: position, velocity and acceleration, (N, 3) each."""
 
     p: Array
     v: Array
@@ -77,7 +58,7 @@ class Motion:
             [plan.x_m, plan.y_m, z, plan.yaw_rad, pitch + tilt[0], roll + tilt[1], plan.joint_rad, plan.work], axis=1
         )
         self.duration_s = scenario.duration_s
-        self.way_m = float(np.hypot(np.diff(plan.x_m), np.diff(plan.y_m)).sum())
+        self.distance_m = float(np.hypot(np.diff(plan.x_m), np.diff(plan.y_m)).sum())
         self._spline: BSpline = make_interp_spline(plan.times_s, coordinates, k=5)
         self._vibration = _Vibration(scenario.engine, generator(seed, "vibration"))
         self._turn_joint = None if scenario.turn_joint is None else np.array(scenario.turn_joint.position_m)
@@ -92,19 +73,21 @@ class Motion:
     def frame(self, name: str, times_s: Array) -> FrameMotion:
         """Return the motion of a frame at times (N,) since the start of the scenario [s]."""
         q, dq, ddq = (self._spline(times_s, order) for order in range(3))
-        turning = _euler(q[:, 3:6], dq[:, 3:6], ddq[:, 3:6])
-        place = _Moving(q[:, :3], dq[:, :3], ddq[:, :3])
+        rotation = _euler(q[:, 3:6], dq[:, 3:6], ddq[:, 3:6])
+        position = _Moving(q[:, :3], dq[:, :3], ddq[:, :3])
         if name == BASE:
-            return _frame_motion(turning, place)
+            return _frame_motion(rotation, position)
         parent, T = (CABIN, np.eye(4)) if name == CABIN else self._mounts[name]
         if parent == CABIN or self._turn_joint is None:  # without a joint the body on its wheels is the cabin
-            turning, place = _child(turning, place, *self._cabin(times_s, q, dq, ddq))
+            rotation, position = _child(rotation, position, *self._cabin(times_s, q, dq, ddq))
         n = len(times_s)
         still = np.zeros((n, 3))
-        mount = _Turning(np.broadcast_to(T[:3, :3], (n, 3, 3)), still, still)
-        return _frame_motion(*_child(turning, place, mount, _Moving(np.broadcast_to(T[:3, 3], (n, 3)), still, still)))
+        mount = _Rotating(np.broadcast_to(T[:3, :3], (n, 3, 3)), still, still)
+        return _frame_motion(
+            *_child(rotation, position, mount, _Moving(np.broadcast_to(T[:3, 3], (n, 3)), still, still))
+        )
 
-    def _cabin(self, times_s: Array, q: Array, dq: Array, ddq: Array) -> tuple[_Turning, _Moving]:
+    def _cabin(self, times_s: Array, q: Array, dq: Array, ddq: Array) -> tuple[_Rotating, _Moving]:
         """Return how the cabin moves against the chassis: the turn joint, and vibration on the mounts."""
         shift, rock = self._vibration.at(times_s, q[:, 7], dq[:, 7], ddq[:, 7])
         angles = [np.array(order) for order in rock]
@@ -175,8 +158,8 @@ def _unit(noise: Array) -> Array:
     return np.asarray(noise / noise.std())
 
 
-def _euler(angles: Array, rates: Array, accelerations: Array) -> _Turning:
-    """Return the turning of R = Rz(yaw) Ry(pitch) Rx(roll) from (yaw, pitch, roll) and derivatives, (N, 3) each."""
+def _euler(angles: Array, rates: Array, accelerations: Array) -> _Rotating:
+    """Return the rotation of R = Rz(yaw) Ry(pitch) Rx(roll) from (yaw, pitch, roll) and derivatives, (N, 3) each."""
     (cy, cp, cr), (sy, sp, sr) = np.cos(angles).T, np.sin(angles).T
     (y1, p1, r1), (y2, p2, r2) = rates.T, accelerations.T
     R = np.stack(
@@ -196,29 +179,29 @@ def _euler(angles: Array, rates: Array, accelerations: Array) -> _Turning:
         ],
         axis=-1,
     )
-    return _Turning(R, rate, acceleration)
+    return _Rotating(R, rate, acceleration)
 
 
-def _child(parent: _Turning, origin: _Moving, turning: _Turning, place: _Moving) -> tuple[_Turning, _Moving]:
+def _child(parent: _Rotating, origin: _Moving, rotation: _Rotating, position: _Moving) -> tuple[_Rotating, _Moving]:
     """Return how a child moves in W, from its parent in W and itself in the parent (rigid body kinematics)."""
     w = parent.rate
-    carried = np.cross(w, place.p)
-    v = carried + place.v
-    a = np.cross(parent.acceleration, place.p) + np.cross(w, carried) + 2.0 * np.cross(w, place.v) + place.a
-    inherited = _rotate(turning.R.transpose(0, 2, 1), w)
-    turned = _Turning(
-        parent.R @ turning.R,
-        inherited + turning.rate,
-        _rotate(turning.R.transpose(0, 2, 1), parent.acceleration)
-        - np.cross(turning.rate, inherited)
-        + turning.acceleration,
+    carried = np.cross(w, position.p)
+    v = carried + position.v
+    a = np.cross(parent.acceleration, position.p) + np.cross(w, carried) + 2.0 * np.cross(w, position.v) + position.a
+    inherited = _rotate(rotation.R.transpose(0, 2, 1), w)
+    rotated = _Rotating(
+        parent.R @ rotation.R,
+        inherited + rotation.rate,
+        _rotate(rotation.R.transpose(0, 2, 1), parent.acceleration)
+        - np.cross(rotation.rate, inherited)
+        + rotation.acceleration,
     )
-    moved = (origin.p + _rotate(parent.R, place.p), origin.v + _rotate(parent.R, v), origin.a + _rotate(parent.R, a))
-    return turned, _Moving(*moved)
+    moved = (origin.p + _rotate(parent.R, position.p), origin.v + _rotate(parent.R, v), origin.a + _rotate(parent.R, a))
+    return rotated, _Moving(*moved)
 
 
-def _frame_motion(turning: _Turning, place: _Moving) -> FrameMotion:
-    return FrameMotion(turning.R, place.p, place.v, place.a, turning.rate)
+def _frame_motion(rotation: _Rotating, position: _Moving) -> FrameMotion:
+    return FrameMotion(rotation.R, position.p, position.v, position.a, rotation.rate)
 
 
 def _rotate(R: Array, v: Array) -> Array:

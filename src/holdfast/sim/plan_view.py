@@ -1,4 +1,4 @@
-"""The site from above, with the way of the machine and where GNSS failed it."""
+"""The site from above, with the path of the machine and where GNSS failed it."""
 
 from pathlib import Path
 
@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from holdfast.errors import HoldfastError
 from holdfast.messages import Array
-from holdfast.sim.gnss import Quality
 from holdfast.sim.scenario import BASE
+from holdfast.sim.sensors.gnss import Quality, SimulatedGnss
 from holdfast.sim.simulation import Simulation
 
 GROUND, STONE, LEAF, TRACK = "gist_earth", "#5b6470", "#3a7d44", "#1f4e8c"
@@ -34,8 +34,8 @@ def draw_plan(simulation: Simulation, path: Path) -> None:
     except ImportError:
         raise HoldfastError("the plan needs matplotlib: pip install 'holdfast[plot]'") from None
     times_s = np.arange(0.0, simulation.scenario.duration_s, STEP_S)
-    way = simulation.motion.frame(BASE, times_s).p_W
-    half = min(simulation.scenario.ground.size_m / 2.0, float(np.abs(way[:, :2]).max()) + 25.0)
+    path_W = simulation.motion.frame(BASE, times_s).p_W
+    half = min(simulation.scenario.ground.size_m / 2.0, float(np.abs(path_W[:, :2]).max()) + 25.0)
     side = np.linspace(-half, half, CELLS)
     height = simulation.site.terrain.height(*np.meshgrid(side, side))
     figure = Figure(figsize=(7.2, 7.2), layout="constrained")
@@ -48,10 +48,10 @@ def draw_plan(simulation: Simulation, path: Path) -> None:
         axes.add_patch(Polygon(_corners(box.center_m, box.size_m[:2], box.yaw_deg), color=STONE, lw=0))
     for tree in simulation.scenario.objects.trees:
         axes.add_patch(Circle(tree.center_m, tree.crown_radius_m, color=LEAF, alpha=0.75, lw=0))
-    axes.plot(way[:, 0], way[:, 1], color=TRACK, lw=1.4, label="way of the chassis")
-    axes.plot(*way[0, :2], "o", color=TRACK, ms=6, label="start")
+    axes.plot(path_W[:, 0], path_W[:, 1], color=TRACK, lw=1.4, label="path of the chassis")
+    axes.plot(*path_W[0, :2], "o", color=TRACK, ms=6, label="start")
     for quality, (colour, name) in WORSE.items():
-        spoilt = way[_at(simulation, quality, times_s)]
+        spoilt = path_W[_at(simulation, quality, times_s)]
         if len(spoilt):
             axes.plot(spoilt[:, 0], spoilt[:, 1], ".", color=colour, ms=4, label=f"GNSS {name}")
     axes.set_xlim(-half, half)
@@ -64,9 +64,12 @@ def draw_plan(simulation: Simulation, path: Path) -> None:
 
 
 def _at(simulation: Simulation, quality: Quality, times_s: Array) -> NDArray[np.bool_]:
-    """Tell at which times the left antenna's newest fix has a quality; without a fix for a second it is none."""
-    fixes = simulation.delivered.get("gnss")
-    if fixes is None or len(fixes.readings.times_s) == 0:
+    """Return at which times (N,) the first antenna's newest fix has a quality; after a second without one, none."""
+    antennas = simulation.scenario.sensors_of(SimulatedGnss)
+    if not antennas:
+        return np.zeros(len(times_s), dtype=bool)
+    fixes = simulation.delivered[next(iter(antennas))]
+    if len(fixes.readings.times_s) == 0:
         return np.full(len(times_s), quality == Quality.NONE)
     at = fixes.readings.times_s
     newest = np.maximum(np.searchsorted(at, times_s, side="right") - 1, 0)

@@ -1,7 +1,7 @@
 """Writes a simulation: the recording that a machine would have made, and the truth that no machine has."""
 
 import csv
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from heapq import merge
 from pathlib import Path
 from typing import Any
@@ -14,15 +14,19 @@ from holdfast.messages import Array
 from holdfast.recording.mcap_writer import McapWriter
 from holdfast.recording.origin import SIMULATION
 from holdfast.recording.tum import write_tum
-from holdfast.sim.datasheets import SimulatedLidar
-from holdfast.sim.ros import RosMessages
+from holdfast.sim.datasheets import SimulatedSensor
+from holdfast.sim.ros import Encode, RosMessages
 from holdfast.sim.scenario import BASE
+from holdfast.sim.sensors import KINDS
+from holdfast.sim.sensors.joint import SimulatedJoint
+from holdfast.sim.sensors.odometry import SimulatedOdometry
+from holdfast.sim.sensors.scanner import SimulatedScanner
 from holdfast.sim.simulation import START_NS, Simulation
 from holdfast.sim.transport import Delivered
 from holdfast.state import Trajectory
 
 Progress = Callable[[int], None]
-"""Is told the arrival [ns] of what was written last."""
+"""Receives the arrival [ns] of what was written last."""
 
 _Row = tuple[int, int, str, str, Any]  # arrival, number of the sensor, topic, type, message
 
@@ -38,16 +42,16 @@ def write_recording(simulation: Simulation, path: Path, scans: bool, progress: P
     with McapWriter(path) as writer:
         writer.note(SIMULATION, {"seed": str(simulation.seed), "description": simulation.scenario.description})
         messages = RosMessages(writer.types, simulation.world)
-        sensors = simulation.scenario.sensors.present()
+        sensors, scanners = (simulation.scenario.sensors_of(kind) for kind in (SimulatedSensor, SimulatedScanner))
         streams: list[Iterable[_Row]] = [[_mounts(simulation, messages)]]
         for number, (name, delivered) in enumerate(simulation.delivered.items(), start=1):
             sheet = sensors[name]
-            if isinstance(sheet, SimulatedLidar):
-                if scans:
-                    streams.append(_scans(simulation, sheet, delivered, number))
-                continue
-            type_name, encode = messages.encoder(name, sheet, delivered.readings)
-            streams.append(_rows(delivered, number, sheet.topic, type_name, encode))
+            kind = KINDS[sheet.kind]
+            if kind.encode is not None:
+                encode = kind.encode(messages, sheet, delivered.readings)
+                streams.append(_rows(delivered, number, sheet.topic, kind.message_type, encode))
+            elif scans and name in scanners:
+                streams.append(_scans(simulation, name, number))
         for count, (arrival_ns, _, topic, type_name, message) in enumerate(merge(*streams, key=lambda row: row[:2])):
             writer.write(topic, message, type_name, arrival_ns)
             counts[topic] = counts.get(topic, 0) + 1
@@ -56,26 +60,27 @@ def write_recording(simulation: Simulation, path: Path, scans: bool, progress: P
     return counts
 
 
-def _rows(
-    delivered: Delivered, number: int, topic: str, type_name: str, encode: Callable[[int, int], Any]
-) -> Iterator[_Row]:
+def _rows(delivered: Delivered, number: int, topic: str, type_name: str, encode: Encode) -> Iterator[_Row]:
     """Yield one sensor's messages in the order of their arrival."""
     stamps, arrivals = delivered.stamps_ns.tolist(), delivered.arrivals_ns.tolist()
     for row in np.argsort(delivered.arrivals_ns, kind="stable").tolist():
         yield arrivals[row], number, topic, type_name, encode(row, stamps[row])
 
 
-def _scans(simulation: Simulation, sheet: SimulatedLidar, delivered: Delivered, number: int) -> Iterator[_Row]:
+def _scans(simulation: Simulation, name: str, number: int) -> Iterator[_Row]:
     """Yield the scans, ray-cast when their turn comes."""
     from holdfast.sim.readings import generator
     from holdfast.sim.scans import Scanner, encode_points
 
+    scanners, delivered = simulation.scenario.sensors_of(SimulatedScanner), simulation.delivered[name]
+    sheet = scanners[name]
     scanner = Scanner(sheet, simulation.site.mesh())
+    purpose = ("scan",) if name == next(iter(scanners)) else (name, "scan")
     starts_s = delivered.readings.times_s
 
     def encode(row: int, stamp_ns: int) -> bytes:
         moving = simulation.motion.frame(sheet.frame, scanner.column_times_s(starts_s[row]))
-        rng = generator(simulation.seed, "scan", str(row))
+        rng = generator(simulation.seed, *purpose, str(row))
         scan = scanner.scan(row, moving.R_W_F, moving.p_W, rng)
         return encode_points(scan, stamp_ns, sheet.frame, point_times=sheet.point_times)
 
@@ -92,14 +97,17 @@ def _mounts(simulation: Simulation, messages: RosMessages) -> _Row:
 
 
 def write_truth(simulation: Simulation, folder: Path) -> None:
-    """Write poses of I, B and L in W, velocities, biases, the joint and the errors of all fixes, at true time."""
+    """Write the truth, at true time.
+
+    That is poses of I, B and the odometries in W, velocities, biases, the joint, constants such as scale factors, and
+    under the stamps of their messages the errors of positions.
+    """
     folder.mkdir(exist_ok=True)
     times_s = simulation.imu_times_s()
     stamps_ns = START_NS + np.rint(times_s * 1e9).astype(np.int64)
-    sensors = simulation.scenario.sensors
-    frames = {"imu": sensors.imu.frame, "base": BASE}
-    if sensors.lidar is not None:
-        frames["lidar"] = sensors.lidar.frame
+    scenario = simulation.scenario
+    frames = {"imu": scenario.imu.frame, "base": BASE}
+    frames |= {name: sheet.frame for name, sheet in scenario.sensors_of(SimulatedOdometry).items()}
     columns: dict[str, Array] = {}
     for name, frame in frames.items():
         moving = simulation.motion.frame(frame, times_s)
@@ -108,20 +116,28 @@ def write_truth(simulation: Simulation, folder: Path) -> None:
         columns |= _axes(f"{name}_v_W", "m_s", moving.v_W)
         columns |= _axes(f"{name}_angular_velocity", "rad_s", moving.angular_velocity)
     _write_csv(folder / "velocities.csv", stamps_ns, columns)
-    for name, bias in simulation.biases.items():
-        at_ns = START_NS + np.rint(bias.times_s * 1e9).astype(np.int64)
-        axes = _axes("accelerometer", "m_s2", bias.accelerometer) | _axes("gyroscope", "rad_s", bias.gyroscope)
-        _write_csv(folder / f"{name}_bias.csv", at_ns, axes)
-    if sensors.joint is not None:
+    for name, readings in simulation.measured.items():
+        if "gyroscope_bias" in readings.values:
+            at_ns = START_NS + np.rint(readings.times_s * 1e9).astype(np.int64)
+            columns = _axes("accelerometer", "m_s2", readings.values["accelerometer_bias"])
+            columns |= _axes("gyroscope", "rad_s", readings.values["gyroscope_bias"])
+            _write_csv(folder / f"{name}_bias.csv", at_ns, columns)
+    if scenario.sensors_of(SimulatedJoint):
         angle_rad, rate_rad_s = simulation.motion.joint(times_s)
         _write_csv(folder / "joint.csv", stamps_ns, {"angle_rad": angle_rad, "rate_rad_s": rate_rad_s})
-    for name in ("gnss", "gnss_right"):
-        if name in simulation.delivered:
-            fixes = simulation.delivered[name]
-            values = fixes.readings.values
-            columns = _axes("error", "m", values["error"]) | _axes("claimed_sigma", "m", values["sigma"])
-            columns |= {"quality": values["quality"], "lying": values["lying"].astype(np.int64)}
-            _write_csv(folder / f"{name}_fixes.csv", fixes.stamps_ns, columns)
+    for name, delivered in simulation.delivered.items():
+        if "faulty" in delivered.readings.values:
+            _write_csv(folder / f"{name}_fixes.csv", delivered.stamps_ns, _errors(delivered.readings.values))
+    constants = [(name, *item) for name, readings in simulation.measured.items() for item in readings.constants.items()]
+    lines = [f"{sensor},{constant},{value:.9g}\n" for sensor, constant, value in constants]
+    (folder / "constants.csv").write_text("".join(["sensor,constant,value\n", *lines]), encoding="utf-8")
+
+
+def _errors(values: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return the columns of what is wrong with positions."""
+    columns = _axes("error", "m", values["error"]) | _axes("claimed_sigma", "m", values["sigma"])
+    quality = {"quality": values["quality"]} if "quality" in values else {}
+    return columns | quality | {"lying": values["faulty"].astype(np.int64)}
 
 
 def _axes(name: str, unit: str, vectors: Array) -> dict[str, Array]:

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from holdfast.errors import ConfigError
 from holdfast.messages import Array
-from holdfast.recording.cdr import ENCAPSULATION, NS_PER_S, STAMP
-from holdfast.sim.datasheets import SimulatedLidar
+from holdfast.ros.cdr import ENCAPSULATION, NS_PER_S, STAMP
+from holdfast.sim.sensors.scanner import SimulatedScanner
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -54,7 +54,7 @@ class Scanner:
         ConfigError: embreex is not installed.
     """
 
-    def __init__(self, lidar: SimulatedLidar, mesh: "Trimesh") -> None:
+    def __init__(self, lidar: SimulatedScanner, mesh: "Trimesh") -> None:
         self._lidar = lidar
         self._scene = _scene(mesh.vertices.view(np.ndarray), mesh.faces.view(np.ndarray))
         low, high = (radians(angle) for angle in lidar.field_of_view_deg)

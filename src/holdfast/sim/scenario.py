@@ -3,22 +3,29 @@
 A scenario file names a machine and a site; their files supply every key that the scenario does not give itself.
 """
 
+from collections.abc import Iterator
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Self, TypeVar
 
 from pydantic import Field, model_validator
 
 from holdfast.config.document import Document, read_document
+from holdfast.config.extrinsics import Extrinsic
 from holdfast.config.load import read_yaml, validate
-from holdfast.config.model import Datum, Extrinsic
+from holdfast.config.model import Datum
 from holdfast.config.section import Section, Vector3, quantity
 from holdfast.errors import ConfigError
 from holdfast.geometry.earth import Geodetic
-from holdfast.sim.datasheets import SensorName, SimulatedSensors
+from holdfast.sim.datasheets import Sheet, SimulatedSensor
+from holdfast.sim.fault import Fault
+from holdfast.sim.faults import affected_kinds, can_happen
+from holdfast.sim.sensors import KINDS, AnySheet, names_sensors
+from holdfast.sim.sensors.imu import SimulatedImu
 
 Point = tuple[float, float]
+Kind = TypeVar("Kind", bound=Sheet)
 
 
 class Chassis(Section):
@@ -126,7 +133,7 @@ class Activity(Section):
     stand_s: float | None = quantity("s", None, gt=0, doc="stand still, the engine idling")
     drive_to_m: tuple[Point, ...] | None = Field(None, description="waypoints, east and north [m]")
     speed_m_s: float | None = quantity("m/s", None, gt=0, doc="slower than the machine can")
-    slew_to_deg: float | None = quantity("deg", None, doc="turn the cabin to this angle; beyond 180 it goes on turning")
+    slew_to_deg: float | None = quantity("deg", None, doc="rotate the cabin to this angle; beyond 180 it goes on")
     dig: Dig | None = None
     repeat: int | None = Field(None, ge=1, le=10_000, description="do what `of` lists so many times")
     of: tuple["Activity", ...] = ()
@@ -153,61 +160,7 @@ class Start(Section):
     speed_m_s: float = quantity("m/s", 0.0, ge=0, doc="of the chassis: the recording begins in motion")
 
 
-FaultKind = Literal[
-    "outage", "degraded", "walk", "offset", "spikes", "swap", "silence", "line", "jump", "freeze", "clock_step"
-]
-FAULT_SENSORS: dict[str, tuple[str, ...]] = {
-    "outage": ("gnss", "gnss_right", "heading"),
-    "degraded": ("gnss", "gnss_right"),
-    "walk": ("gnss", "gnss_right"),
-    "offset": ("gnss", "gnss_right"),
-    "spikes": ("gnss", "gnss_right"),
-    "swap": ("gnss", "gnss_right"),
-    "silence": ("imu", "base_imu", "gnss", "gnss_right", "heading", "joint", "lidar", "scanner"),
-    "line": ("imu", "base_imu"),
-    "jump": ("lidar",),
-    "freeze": ("joint",),
-    "clock_step": ("imu", "base_imu", "gnss", "gnss_right", "heading", "joint", "lidar", "scanner"),
-}
-
-
-class Fault(Section):
-    """Something that goes wrong for a while.
-
-    outage: the receiver has no solution, or one with a claim that grows (`claim_growth_m_s`).
-    degraded: the fix falls to float or single (`quality`), honestly reported.
-    walk: multipath moves the fix away at `rate_m_s` along `offset_m`, up to its length; still claimed as fixed.
-    offset: a wrong integer, the fix is `offset_m` away; claimed as fixed.
-    spikes: every `period_s` one fix is off by `offset_m`, turned at random; claimed as fixed.
-    swap: the two antennas' fixes are exchanged (the heading turns by 180 deg).
-    silence: no messages. line: the logger drew straight lines over missing IMU samples.
-    jump: the lidar odometry jumps by `offset_m` and `yaw_deg` for good. freeze: the encoder repeats itself.
-    clock_step: stamps step by `step_s`, until the end of the interval.
-    """
-
-    kind: FaultKind
-    sensors: tuple[SensorName, ...] = Field(min_length=1, description="whose messages suffer")
-    start_s: float = quantity("s", ge=0, doc="since the start of the scenario")
-    end_s: float = quantity("s", ge=0, doc="since the start of the scenario")
-    quality: Literal["rtk_float", "single"] = Field("rtk_float", description="for degraded")
-    offset_m: Vector3 = quantity("m", (1.0, 0.0, 0.0), doc="for walk, offset, spikes (east, north, up), jump (in L)")
-    yaw_deg: float = quantity("deg", 0.0, doc="for jump")
-    rate_m_s: float = quantity("m/s", 0.05, gt=0, doc="for walk")
-    period_s: float = quantity("s", 5.0, gt=0, doc="for spikes")
-    claim_growth_m_s: float | None = quantity("m/s", None, gt=0, doc="for outage: sigma grows so fast; else silence")
-    step_s: float = quantity("s", 0.0, ge=-10, le=10, doc="for clock_step")
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if self.end_s < self.start_s:
-            raise ValueError(f"end_s: {self.end_s:g} lies before start_s {self.start_s:g}")
-        strange = [name for name in self.sensors if name not in FAULT_SENSORS[self.kind]]
-        if strange:
-            allowed = ", ".join(FAULT_SENSORS[self.kind])
-            raise ValueError(f"sensors: {self.kind} cannot happen to {', '.join(strange)} (allowed: {allowed})")
-        return self
-
-
+@names_sensors
 class Scenario(Section):
     """The whole scenario, its machine and its site."""
 
@@ -225,7 +178,8 @@ class Scenario(Section):
     turn_joint: TurnJoint | None = Field(None, description="without it the cabin is the chassis")
     engine: Engine = Engine()
     extrinsics: tuple[Extrinsic, ...] = Field(description="sensor frames in `cabin` or `base_link`")
-    sensors: SimulatedSensors
+    sensors: dict[str, AnySheet] = Field(description="name -> its datasheet, with `kind`; null takes one away")
+    absent: tuple[str, ...] = Field((), description="sensors that the machine's file lists and this machine lacks")
     # of the site
     datum: Datum
     ground: Ground = Ground()
@@ -236,20 +190,50 @@ class Scenario(Section):
         """The origin of W."""
         return Geodetic(self.datum.latitude_deg, self.datum.longitude_deg, self.datum.altitude_m)
 
+    @property
+    def imu_name(self) -> str:
+        """The name of the IMU that is estimated: the first one."""
+        return next(iter(self.sensors_of(SimulatedImu)))
+
+    @property
+    def imu(self) -> SimulatedImu:
+        """The IMU that is estimated."""
+        return self.sensors_of(SimulatedImu)[self.imu_name]
+
+    def sensors_of(self, sheet: type[Kind]) -> dict[str, Kind]:
+        """Return the sensors of one kind, by name, in the order of the file."""
+        return {name: sensor for name, sensor in self.sensors.items() if isinstance(sensor, sheet)}
+
     @model_validator(mode="after")
-    def _check_frames(self) -> Self:
+    def _check(self) -> Self:
+        faults = [*self._faults_of_sensors(), *self._faults_of_faults()]
+        if faults:
+            raise ValueError("\n".join(faults))
+        return self
+
+    def _faults_of_sensors(self) -> Iterator[str]:
         frames = {extrinsic.child for extrinsic in self.extrinsics} | {BASE, CABIN}
         for index, extrinsic in enumerate(self.extrinsics):
             if extrinsic.parent not in (BASE, CABIN):
-                raise ValueError(f"extrinsics: parent of entry {index + 1} must be {BASE} or {CABIN}")
-        for name, sensor in self.sensors.present().items():
+                yield f"extrinsics: parent of entry {index + 1} must be {BASE} or {CABIN}"
+        if not self.sensors_of(SimulatedImu):
+            yield "sensors: needs a sensor with `kind: imu`"
+        for name, sensor in self.sensors.items():
             if sensor.frame not in frames:
-                raise ValueError(f"sensors.{name}.frame: {sensor.frame!r} is not among {', '.join(sorted(frames))}")
-        for index, fault in enumerate(self.faults):
-            absent = [name for name in fault.sensors if name not in self.sensors.present() and name != "scanner"]
+                yield f"sensors.{name}.frame: {sensor.frame!r} is not among {', '.join(sorted(frames))}"
+        for name, sensor in self.sensors.items():
+            yield from KINDS[sensor.kind].mistakes(name, sensor, self.sensors)
+
+    def _faults_of_faults(self) -> Iterator[str]:
+        present = self.sensors_of(SimulatedSensor)
+        for number, fault in enumerate(self.faults, start=1):
+            absent = [name for name in fault.sensors if name not in present]
             if absent:
-                raise ValueError(f"faults: the machine has no {', '.join(absent)}, which entry {index + 1} names")
-        return self
+                yield f"faults: the machine has no {', '.join(absent)}, which entry {number} names"
+            strange = [n for n in fault.sensors if n in present and not can_happen(fault.kind, present[n].kind)]
+            if strange:
+                allowed = ", ".join(affected_kinds(fault.kind))
+                yield f"faults: {fault.kind} of entry {number} cannot happen to {', '.join(strange)} (kinds: {allowed})"
 
 
 BASE, CABIN = "base_link", "cabin"
@@ -279,7 +263,16 @@ def load_scenario(name_or_path: str, overrides: dict[str, Any] | None = None) ->
         name = document.data.get(key)
         if isinstance(name, str):
             document.data = _merged(_read(folder, name, beside).data, document.data)
+    _take_away_absent(document.data)
     return validate(document, Scenario)
+
+
+def _take_away_absent(data: dict[str, Any]) -> None:
+    """Leave out the sensors that are null or listed as absent, and list them all."""
+    sensors, absent = data.get("sensors"), data.get("absent", [])
+    if isinstance(sensors, dict) and isinstance(absent, list):
+        data["absent"] = [name for name, sheet in sensors.items() if sheet is None or name in absent]
+        data["sensors"] = {name: sheet for name, sheet in sensors.items() if name not in data["absent"]}
 
 
 def _read(folder: str, name: str, beside: Path) -> Document:

@@ -4,16 +4,21 @@ from typing import Any
 
 import numpy as np
 
+from holdfast.sim.datasheets import SimulatedSensor
+from holdfast.sim.faults import FAULTS, can_happen
 from holdfast.sim.readings import generator
-from holdfast.sim.scenario import FAULT_SENSORS, Scenario, load_scenario
+from holdfast.sim.scenario import BASE, Scenario, load_scenario
+from holdfast.sim.sensors import KINDS
+from holdfast.sim.sensors.gnss import SimulatedGnss
+from holdfast.sim.sensors.heading import SimulatedHeading
+from holdfast.sim.sensors.imu import SimulatedInertial
+from holdfast.sim.sensors.joint import SimulatedJoint
 
 MACHINES = ("excavator_low", "excavator_roof", "dumper")
 SITES = ("yard", "oberglatt", "rough")
-SENSORS = {
-    "excavator_low": ("imu", "base_imu", "gnss", "gnss_right", "heading", "joint", "lidar"),
-    "excavator_roof": ("imu", "base_imu", "gnss", "gnss_right", "heading", "joint", "lidar"),
-    "dumper": ("imu", "gnss", "gnss_right", "heading", "lidar"),
-}
+# sensors that the shipped machines do not have
+ADDED = {row.example[0]: {"kind": kind, **row.example[1]} for kind, row in KINDS.items() if row.example is not None}
+ADDED_RATIO = 0.2  # of the schedules have one of them or another
 ABSENT_RATIO = 0.1  # of the schedules lack one sensor or another
 HASTY_RATIO = 0.3  # of the schedules have late, lost and doubled messages
 DURATION_S = 20.0
@@ -22,34 +27,51 @@ DURATIONS_S = ((0.02, 1.0), (1.0, 6.0), (6.0, 20.0))
 
 
 def random_schedule(seed: int) -> Scenario:
-    """Return the scenario `quick` with a random machine, site and faults; equal seeds give equal schedules."""
+    """Return the scenario `quick` with a random machine, sensors, site and faults; equal seeds give equal schedules."""
     rng = generator(seed, "schedule")
     machine = str(rng.choice(MACHINES))
-    sensors = [name for name in SENSORS[machine] if name == "imu" or rng.random() >= ABSENT_RATIO]
-    if not {"gnss", "gnss_right"} <= set(sensors) and "heading" in sensors:
-        sensors.remove("heading")  # it is that of the baseline between the antennas
-    sheets: dict[str, Any] = {name: None for name in SENSORS[machine] if name not in sensors}
-    if rng.random() < HASTY_RATIO:
-        sheets |= {name: {"transport": _transport(rng)} for name in sensors if name not in ("imu", "base_imu")}
-    number = int(rng.integers(1, 7))
     overrides: dict[str, Any] = {
         "duration_s": DURATION_S,
         "description": f"Random faults, seed {seed}.",
         "machine": machine,
         "site": str(rng.choice(SITES)),
-        "faults": [fault for _ in range(number) if (fault := _fault(rng, sensors)) is not None],
-        "sensors": sheets,
+        "faults": [],
     }
     if machine == "dumper":  # it cannot dig
         overrides["activities"] = [{"stand_s": 2.0}, {"drive_to_m": [[8.0, 6.0], [20.0, 4.0], [30.0, -10.0]]}]
+    overrides["sensors"] = _sensors(rng, load_scenario("quick", overrides))
+    present = load_scenario("quick", overrides).sensors_of(SimulatedSensor)
+    kinds = {name: sheet.kind for name, sheet in present.items() if sheet.kind != "scanner"}
+    number = int(rng.integers(1, 7))
+    overrides["faults"] = [fault for _ in range(number) if (fault := _fault(rng, kinds)) is not None]
     return load_scenario("quick", overrides)
 
 
-def _fault(rng: np.random.Generator, present: list[str]) -> dict[str, Any] | None:
-    """Return a random fault; None where the machine has no sensor to which its kind can happen."""
-    kind = str(rng.choice(list(FAULT_SENSORS)))
-    able = [name for name in FAULT_SENSORS[kind] if name in present]
-    if not able or (kind == "swap" and len(able) < 2):
+def _sensors(rng: np.random.Generator, whole: Scenario) -> dict[str, Any]:
+    """Return what differs from the sensors of a machine: some are absent, some added, some late."""
+    kept = [name for name in whole.sensors if name == whole.imu_name or rng.random() >= ABSENT_RATIO]
+    antennas = whole.sensors_of(SimulatedGnss).keys()
+    if not antennas <= set(kept):  # a heading is that of the baseline between the antennas
+        kept = [name for name in kept if name not in whole.sensors_of(SimulatedHeading)]
+    added = {name: sheet for name, sheet in ADDED.items() if rng.random() < ADDED_RATIO}
+    if whole.turn_joint is not None and not whole.sensors_of(SimulatedJoint).keys() & set(kept):
+        # without the encoder nobody knows how the chassis moves against the cabin
+        added = {name: sheet for name, sheet in added.items() if sheet["frame"] != BASE}
+    sheets: dict[str, Any] = dict.fromkeys(name for name in whole.sensors if name not in kept) | added
+    if rng.random() < HASTY_RATIO:
+        inertial = whole.sensors_of(SimulatedInertial)
+        hasty = [name for name in (*kept, *added) if name not in inertial]
+        sheets |= {name: sheets.get(name, {}) | {"transport": _transport(rng)} for name in hasty}
+    return sheets
+
+
+def _fault(rng: np.random.Generator, kinds: dict[str, str]) -> dict[str, Any] | None:
+    """Return a random fault of sensors, given by their kinds; None where it can happen to none of them."""
+    kind = str(rng.choice(FAULTS))
+    able = [name for name in kinds if can_happen(kind, kinds[name])]
+    if kind == "swap" and list(kinds.values()).count("gnss") < 2:
+        able = [name for name in able if kinds[name] != "gnss"]
+    if not able:
         return None
     chosen = [name for name in able if rng.random() < 0.6] or [str(rng.choice(able))]
     start_s = float(rng.uniform(FIRST_S, DURATION_S))
@@ -64,6 +86,8 @@ def _fault(rng: np.random.Generator, present: list[str]) -> dict[str, Any] | Non
         "yaw_deg": float(rng.uniform(-180.0, 180.0)),
         "rate_m_s": _log_uniform(rng, 0.01, 5.0),
         "period_s": _log_uniform(rng, 0.05, 5.0),
+        "slip_ratio": float(rng.uniform(-1.0, 1.0)),
+        "slip_m_s": float(rng.uniform(-1.0, 1.0)),
         "step_s": float(rng.choice([-1.0, 1.0])) * _log_uniform(rng, 1e-3, 5.0),
     }
     if rng.random() < 0.5:

@@ -68,7 +68,7 @@ class Site:
         return mesh
 
     def sky_view(self, points: Array) -> Array:
-        """Return the share (N,) of the sky that antennas at points (N, 3) in W [m] see; see `sky.sky_view`."""
+        """Return the fraction (N,) of the sky that antennas at points (N, 3) in W [m] see; see `sky.sky_view`."""
         return sky_view(points, self.blocks, self.plants)
 
     def write_ply(self, path: str | Path) -> None:

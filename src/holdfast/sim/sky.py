@@ -19,7 +19,7 @@ Mask = NDArray[np.bool_]
 
 
 def sky_view(points: Array, blocks: Sequence[Block], plants: Sequence[Plant]) -> Array:
-    """Return the share (N,) in [0, 1] of the sky above MASK_DEG that is open over points (N, 3) in W [m].
+    """Return the fraction (N,) in [0, 1] of the sky above MASK_DEG that is open over points (N, 3) in W [m].
 
     The sky is weighted with sin(elevation), as receivers weight satellites: of DIRECTIONS rays distributed with that
     density, those count that meet neither a block nor a crown. A crown is taken as opaque; trunks and the ground,

@@ -9,7 +9,7 @@ from holdfast.messages import Array
 from holdfast.sim.scenario import Box, Tree
 from holdfast.sim.terrain import Terrain
 
-CROWN_SHARE = 0.7  # of a tree's height; the rest is bare trunk
+CROWN_RATIO = 0.7  # of a tree's height; the rest is bare trunk
 SUNK_M = 0.2  # solids reach so far below the lowest ground under them
 
 
@@ -67,7 +67,7 @@ def plant(tree: Tree, terrain: Terrain) -> Plant:
     """Put a tree on the ground."""
     east, north = tree.center_m
     ground_m = float(terrain.height(np.array([east]), np.array([north]))[0])
-    half_height_m = CROWN_SHARE * tree.height_m / 2.0
+    half_height_m = CROWN_RATIO * tree.height_m / 2.0
     return Plant(
         crown_center=np.array([east, north, ground_m + tree.height_m - half_height_m]),
         crown_half_axes=np.array([tree.crown_radius_m, tree.crown_radius_m, half_height_m]),

@@ -1,4 +1,4 @@
-"""Height of the ground at any place: random hills and roughness, and what people heaped and dug."""
+"""Height of the ground at any point: random hills and roughness, and what people heaped and dug."""
 
 from math import hypot, pi, radians, tan
 
@@ -9,8 +9,8 @@ from holdfast.sim.readings import generator
 from holdfast.sim.scenario import Ground, Heap, Objects, Trench
 
 MODES = 48  # waves per length; their sum is close to Gaussian
-WALL_M = 0.4  # way over which a trench's wall falls
-END_SLOPE = 2.0  # way along the trench in which its end reaches the bottom, in depths
+WALL_M = 0.4  # distance over which a trench's wall falls
+END_SLOPE = 2.0  # distance along the trench in which its end reaches the bottom, in depths
 CHUNK = 8192
 
 
@@ -62,7 +62,7 @@ def _waves(seed: int, name: str, sigma_m: float, length_m: float) -> Array:
     square of the sum is that of sigma.
     """
     rng = generator(seed, name)
-    # stratified, so that no seed misses a direction or a length
+    # stratified, so that no seed lacks a direction or a length
     direction = (np.arange(MODES) + rng.random(MODES)) * pi / MODES
     wavelength = length_m * 2.0 ** (2.0 * (rng.permutation(MODES) + rng.random(MODES)) / MODES - 1.0)
     phase = 2.0 * pi * rng.random(MODES)
@@ -89,11 +89,11 @@ def _trench(trench: Trench, x: Array, y: Array) -> Array:
 
 
 def trench_coordinates(trench: Trench, x: Array, y: Array) -> tuple[Array, Array, float]:
-    """Return the way [m] of places along a trench from its start and leftwards across it, and the trench's length."""
+    """Return the distances [m] of points along a trench from its start and leftwards across it, and its length."""
     east, north = x - trench.start_m[0], y - trench.start_m[1]
-    way = (trench.end_m[0] - trench.start_m[0], trench.end_m[1] - trench.start_m[1])
-    length = hypot(*way)
-    axis = (way[0] / length, way[1] / length) if length > 0.0 else (1.0, 0.0)
+    span = (trench.end_m[0] - trench.start_m[0], trench.end_m[1] - trench.start_m[1])
+    length = hypot(*span)
+    axis = (span[0] / length, span[1] / length) if length > 0.0 else (1.0, 0.0)
     return axis[0] * east + axis[1] * north, axis[0] * north - axis[1] * east, length
 
 

@@ -1,4 +1,4 @@
-"""When a sensor measures, what its clock says then, and when its messages reach the recording, if they do.
+"""When a sensor measures, what its clock shows then, and when its messages reach the recording, if they do.
 
 True time is the clock of the recording computer, so that log times are true times. One ROS topic over one connection
 keeps its order in reality; here every message is delayed on its own, and jitter of more than a period reorders them:
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from holdfast.messages import Array
 from holdfast.sim.datasheets import Clock, SimulatedSensor
+from holdfast.sim.fault import Fault
 from holdfast.sim.readings import Readings
-from holdfast.sim.scenario import Fault
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,8 +22,8 @@ class Delivered:
     """Messages of one sensor that arrived, in the order of measurement; a copy follows its original.
 
     Attributes:
-        readings: what they say, with the true times; N rows, those of messages that arrived twice repeated.
-        stamps_ns: (N,) what their headers say: since the epoch, on the sensor's clock.
+        readings: what they report, with the true times; N rows, those of messages that arrived twice repeated.
+        stamps_ns: (N,) of their headers: since the epoch, on the sensor's clock.
         arrivals_ns: (N,) log times: since the epoch, on the clock of the recording computer.
     """
 
@@ -45,8 +45,6 @@ def deliver(
     clock_steps: Sequence[Fault],
     start_ns: int,
     rng: np.random.Generator,
-    *,
-    ready_s: float = 0.0,
 ) -> Delivered:
     """Return the messages of a sensor that arrive, with their stamps and log times.
 
@@ -59,7 +57,6 @@ def deliver(
         clock_steps: the `clock_step` faults of this sensor; active from their start until before their end.
         start_ns: time of the scenario's start since the epoch.
         rng: random numbers of this sensor's transport alone.
-        ready_s: a measurement is complete only so long after its true time (a sweep).
     """
     times_s, transport = readings.times_s, sensor.transport
     count = len(times_s)
@@ -69,7 +66,7 @@ def deliver(
     lost, twice = rng.random((2, count)) < [[transport.loss_ratio], [transport.duplicate_ratio]]
 
     stamps_s = _clock_s(sensor.clock, clock_steps, times_s) + sensor.clock.jitter_s * stamp_noise
-    first_s = times_s + ready_s + transport.latency_s + jitters_s[0]
+    first_s = times_s + sensor.ready_s + transport.latency_s + jitters_s[0]
     copy_s = first_s + transport.latency_s + jitters_s[1]
     rows = np.repeat(np.arange(count), np.where(lost, 0, 1 + twice))
     is_copy = np.diff(rows, prepend=-1) == 0

@@ -20,7 +20,7 @@ from holdfast.trial.variations import VARIATIONS, changed
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One variation with one seed; where the estimator never started, `failure` says why and there are no scores."""
+    """One variation with one seed; where the estimator never started, there are a `failure` and no scores."""
 
     variation: str
     seed: int
@@ -44,7 +44,7 @@ def run_ablation(  # noqa: PLR0917 (what the command line asks for)
         seeds: of the simulations.
         variations: their names.
         jobs: processes at a time.
-        progress: is told how much is done, and how much there is.
+        progress: called with how many runs are done, and how many there are.
 
     Raises:
         OSError: a file cannot be written.
@@ -74,7 +74,7 @@ def _simulate(scenario: Scenario, seed: int, output: Path) -> None:
 
 
 def _run(scenario: Scenario, seed: int, output: Path, name: str) -> Row:
-    config = config_of(changed(configuration_data(scenario), VARIATIONS[name]), name)
+    config = config_of(changed(configuration_data(scenario, seed), VARIATIONS[name]), name)
     recorder = estimate(_folder(output, seed), config)
     try:
         trial = judged(simulate(scenario, seed), recorder)

@@ -48,7 +48,7 @@ def run_all(pool: ProcessPoolExecutor, calls: Sequence[Callable[[], T]], take: C
         calls: what is run; they can be sent to another process.
         take: called every now and then with what has come since, in any order.
     """
-    with _deaf_to_interrupts():
+    with _ignoring_interrupts():
         waiting: set[Future[T]] = {pool.submit(call) for call in calls}
     while waiting:
         done, waiting = wait(waiting, timeout=POLL_S, return_when=FIRST_EXCEPTION)
@@ -56,8 +56,8 @@ def run_all(pool: ProcessPoolExecutor, calls: Sequence[Callable[[], T]], take: C
 
 
 @contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Start processes that do not hear Ctrl-C: this one answers, and ends them."""
+def _ignoring_interrupts() -> Iterator[None]:
+    """Start processes that ignore Ctrl-C: this one handles it, and ends them."""
     handler = signal.signal(signal.SIGINT, signal.SIG_IGN)  # is inherited
     try:
         yield

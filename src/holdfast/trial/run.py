@@ -27,10 +27,10 @@ RECORDING, CONFIG = "recording.mcap", "config.yaml"
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """What came of one scenario, seed and configuration.
+    """The results of one scenario, seed and configuration.
 
     Attributes:
-        outcomes: how often each sensor's measurements came to what.
+        outcomes: number of each sensor's measurements by outcome.
         events: (seconds since the start, kind, sensor, reason) of what happened, but for single rejected measurements.
     """
 
@@ -50,7 +50,7 @@ def write_simulation(scenario: Scenario, seed: int, folder: Path) -> Simulation:
     folder.mkdir(parents=True, exist_ok=True)
     simulation = simulate(scenario, seed)
     write_recording(simulation, folder / RECORDING, False, None)
-    (folder / CONFIG).write_text(resolved_yaml(configuration(scenario), given_only=True), encoding="utf-8")
+    (folder / CONFIG).write_text(resolved_yaml(configuration(scenario, seed), given_only=True), encoding="utf-8")
     return simulation
 
 
@@ -82,7 +82,7 @@ def judged(simulation: Simulation, recorder: PublishedRecorder) -> Trial:
         verdict=verdict,
         real_time_factor=timing.real_time_factor or nan,
         outcomes=recorder.outcomes(),
-        events=recorder.told(START_NS),
+        events=recorder.event_rows(START_NS),
     )
 
 

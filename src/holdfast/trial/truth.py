@@ -13,8 +13,9 @@ from holdfast.config.model import Config
 from holdfast.evaluation import quaternions
 from holdfast.evaluation.evidence import Chassis, Fixes, Truth
 from holdfast.evaluation.states import States
-from holdfast.sim.gnss import Quality
 from holdfast.sim.scenario import BASE
+from holdfast.sim.sensors.gnss import Quality, SimulatedGnss
+from holdfast.sim.sensors.odometry import SimulatedOdometry
 from holdfast.sim.simulation import START_NS, Simulation
 from holdfast.state import Trajectory
 
@@ -26,16 +27,16 @@ def truth(simulation: Simulation, config: Config, stamps_ns: NDArray[np.int64]) 
     poses, velocities = true_states(simulation, stamps_ns)
     antennas = [
         _fixes(simulation, name, config.T_I(sensor.frame)[:3, 3])
-        for name, sensor in simulation.scenario.sensors.present().items()
-        if name in ("gnss", "gnss_right") and config.reaches(sensor.frame)
+        for name, sensor in simulation.scenario.sensors_of(SimulatedGnss).items()
+        if config.reaches(sensor.frame)
     ]
-    lidar = _lidar(simulation, config)
+    odometry = _odometry(simulation, config)
     return Truth(
         start_ns=START_NS,
         states=States(poses, velocities),
         antennas=antennas,
-        lidar=lidar,
-        at_lidar=None if lidar is None else true_states(simulation, lidar.stamps_ns)[0],
+        odometry=odometry,
+        at_odometry=None if odometry is None else true_states(simulation, odometry.stamps_ns)[0],
         chassis=_true_chassis(simulation, poses),
         slewing=abs(simulation.motion.joint(_times_s(simulation, stamps_ns))[1]) >= SLEWING_RAD_S,
     )
@@ -43,7 +44,7 @@ def truth(simulation: Simulation, config: Config, stamps_ns: NDArray[np.int64]) 
 
 def true_states(simulation: Simulation, stamps_ns: NDArray[np.int64]) -> tuple[Trajectory, NDArray[np.float64]]:
     """Return poses and velocities (N, 3) [m/s] of I in W at stamps (N,)."""
-    moving = simulation.motion.frame(simulation.scenario.sensors.imu.frame, _times_s(simulation, stamps_ns))
+    moving = simulation.motion.frame(simulation.scenario.imu.frame, _times_s(simulation, stamps_ns))
     return Trajectory(stamps_ns, moving.p_W, _quaternions(moving.R_W_F)), moving.v_W
 
 
@@ -52,8 +53,8 @@ def _true_chassis(simulation: Simulation, imu: Trajectory) -> Chassis:
     moving = simulation.motion.frame(BASE, _times_s(simulation, imu.stamps_ns))
     into_imu = quaternions.conjugate(imu.quaternions)
     positions = quaternions.rotate(into_imu, moving.p_W - imu.positions)
-    turned = quaternions.multiply(into_imu, _quaternions(moving.R_W_F))
-    return Chassis(Trajectory(imu.stamps_ns, positions, turned), moving.angular_velocity[:, 2])
+    attitudes = quaternions.multiply(into_imu, _quaternions(moving.R_W_F))
+    return Chassis(Trajectory(imu.stamps_ns, positions, attitudes), moving.angular_velocity[:, 2])
 
 
 def _times_s(simulation: Simulation, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -64,23 +65,23 @@ def _times_s(simulation: Simulation, stamps_ns: NDArray[np.int64]) -> NDArray[np
 
 def _fixes(simulation: Simulation, name: str, p_I_G: NDArray[np.float64]) -> Fixes:
     rows, stamps_ns = _by_true_time(simulation, name)
-    honest = ~rows["lying"]
+    faultless = ~rows["faulty"]
     return Fixes(
         stamps_ns=stamps_ns,
         positions=rows["position"],
         errors=rows["error"],
-        good=honest & (rows["quality"] == Quality.RTK_FIXED),
-        lying=rows["lying"],
+        good=faultless & (rows["quality"] == Quality.RTK_FIXED),
+        faulty=rows["faulty"],
         lever_arm=p_I_G,
     )
 
 
-def _lidar(simulation: Simulation, config: Config) -> Trajectory | None:
-    """Return T_I0_I = T_I_L T_L0_L T_I_L^-1 of the lidar odometry as it was measured, at its true times."""
-    sheet = simulation.scenario.sensors.lidar
-    if sheet is None or len(simulation.delivered["lidar"].stamps_ns) < 2:
+def _odometry(simulation: Simulation, config: Config) -> Trajectory | None:
+    """Return T_I0_I = T_I_L T_L0_L T_I_L^-1 of the first odometry as it was measured, at its true times."""
+    name, sheet = next(iter(simulation.scenario.sensors_of(SimulatedOdometry).items()), (None, None))
+    if name is None or sheet is None or len(simulation.delivered[name].stamps_ns) < 2:
         return None
-    rows, stamps_ns = _by_true_time(simulation, "lidar")
+    rows, stamps_ns = _by_true_time(simulation, name)
     T_I_L = config.T_I(sheet.frame)
     mount = _quaternions(T_I_L[None, :3, :3])[0]
     q = quaternions.multiply(quaternions.multiply(mount, rows["quaternion"]), quaternions.conjugate(mount))

@@ -2,18 +2,18 @@
 
 from typing import Any
 
-# name -> what it changes in the configuration; null takes a sensor away
+# name -> what it changes in the configuration; None takes away what is there
 VARIATIONS: dict[str, dict[str, Any]] = {
     "default": {},
     "paper": {"preset": "paper"},
     "single-graph": {"graph": {"dual": False}},
-    "relative-scans": {"graph": {"dual": False, "main_lidar": "relative"}},
-    "frozen-fallback": {"graph": {"fallback_lidar": "frozen"}},
+    "relative-scans": {"graph": {"dual": False, "main_odometry": "relative"}},
+    "frozen-fallback": {"graph": {"fallback_odometry": "frozen"}},
     "imu-nodes": {"graph": {"nodes": "imu"}},
     "lag-1.5s": {"graph": {"lag_s": 1.5}},
     "lag-6s": {"graph": {"lag_s": 6.0}},
     "no-innovation": {"gate": {"innovation": False}},
-    "no-witness": {"gate": {"witness": False}},
+    "no-drift-monitor": {"gate": {"drift_monitor": False}},
     "no-standstill": {"standstill": {"enabled": False}},
     "frame-at-recovery": {"frames": {"odometry_policy": "at_recovery"}},
     "one-antenna": {"sensors": {"gnss_right": None, "heading": None}},
@@ -23,8 +23,8 @@ VARIATIONS: dict[str, dict[str, Any]] = {
 
 
 def changed(given: dict[str, Any], overlay: dict[str, Any]) -> dict[str, Any]:
-    """Return configuration data in which the overlay's values replace those given, section by section."""
-    merged = given | overlay
+    """Return configuration data in which the overlay's values replace those given, section by section; None removes."""
+    merged = {key: value for key, value in (given | overlay).items() if overlay.get(key, value) is not None}
     for key in given.keys() & overlay.keys():
         if isinstance(given[key], dict) and isinstance(overlay[key], dict):
             merged[key] = changed(given[key], overlay[key])

@@ -1,6 +1,6 @@
 """ROS messages as a scene in Rerun: tracks, frames, covariance in space, and time series beside it.
 
-Messages are gathered and sent in columns, thinned out in time: a scene costs little however fast the machine speaks.
+Messages are gathered and sent in columns, thinned out in time: a scene costs little whatever their rate.
 """
 
 from collections.abc import Callable, Iterable
@@ -14,7 +14,7 @@ import rerun.blueprint as rrb
 
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.messages import Array
-from holdfast.replay.ros import quaternion_xyzw
+from holdfast.ros.outputs import quaternion_xyzw
 
 NS_PER_S = 1_000_000_000
 TIMELINE = "time"
@@ -48,8 +48,8 @@ class Scene:
 
     Args:
         recording: where to draw.
-        datum: origin of the world, until a topic `.../datum` says another.
-        awaits_datum: leave out the fixes before such a topic speaks; otherwise the first fix is the origin.
+        datum: origin of the world, until a topic `.../datum` gives another.
+        awaits_datum: leave out the fixes before such a message; otherwise the first fix is the origin.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class Scene:
         self._fixes: dict[str, Track] = {}
         self._parents: dict[str, str] = {}
         self._transforms: dict[str, tuple[list[int], list[Array]]] = {}
-        self._said: dict[str, str] = {}
+        self._statuses: dict[str, str] = {}
         self._due: dict[str, int] = {}
         self._shown: set[str] = set()
         self._styled: set[str] = set()
@@ -90,7 +90,7 @@ class Scene:
         """Take in a decoded message that `wants` asked for; `time_ns` stands in for a stamp where there is none."""
         self._kinds[type_name](topic, message, time_ns)
 
-    def say(self, entity: str, text: str, level: str, time_ns: int) -> None:
+    def write(self, entity: str, text: str, level: str, time_ns: int) -> None:
         """Write a line of text at a time."""
         self._recording.set_time(TIMELINE, timestamp=np.datetime64(time_ns, "ns"))
         self._recording.log(entity, rr.TextLog(text, level=level))
@@ -155,13 +155,15 @@ class Scene:
     def _add_diagnostics(self, topic: str, message: Any, time_ns: int) -> None:
         for status in message.status:
             entity = f"log{topic}/{status.name.replace(': /', '/').replace(' ', '_')}"
-            if self._said.get(entity) != status.message:
-                self._said[entity] = status.message
+            if self._statuses.get(entity) != status.message:
+                self._statuses[entity] = status.message
                 level = "INFO" if int(status.level) == 0 else "WARN"
-                self.say(entity, f"{status.name}: {status.message}", level, _stamp_ns(message.header) or time_ns)
+                self.write(entity, f"{status.name}: {status.message}", level, _stamp_ns(message.header) or time_ns)
 
     def _add_log(self, topic: str, message: Any, time_ns: int) -> None:
-        self.say(f"log{topic}", message.msg, LEVELS.get(int(message.level), "INFO"), _time_ns(message.stamp) or time_ns)
+        self.write(
+            f"log{topic}", message.msg, LEVELS.get(int(message.level), "INFO"), _time_ns(message.stamp) or time_ns
+        )
 
     def _new_track(self, frame_id: str) -> Track:
         return Track(frame_id, COLOURS[(len(self._tracks) + len(self._fixes)) % len(COLOURS)])
@@ -233,7 +235,7 @@ class Scene:
             gathered.clear()
 
     def _style(self, entity: str, style: rr.AsComponents) -> None:
-        """Say once how an entity is drawn."""
+        """Send the style of an entity once."""
         if entity not in self._styled:
             self._styled.add(entity)
             self._recording.log(entity, style, static=True)

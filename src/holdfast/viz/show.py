@@ -89,7 +89,7 @@ def _first_datum(bag: RawBag, codecs: Mapping[RawChannel, Codec]) -> Geodetic | 
 def _add_events(folder: Path, scene: Scene) -> None:
     for event in read_events(folder) if (folder / EVENTS).is_file() else []:
         sensor = f"{event['sensor']}: " if event["sensor"] else ""
-        scene.say("log/events", f"{sensor}{event['kind']}: {event['reason']}", "INFO", event["stamp_ns"])
+        scene.write("log/events", f"{sensor}{event['kind']}: {event['reason']}", "INFO", event["stamp_ns"])
 
 
 class LiveRecord(Protocol):
@@ -108,11 +108,11 @@ class LiveFeed(Protocol):
         """Iterate over lists of messages; an empty one if none came for so long."""
 
     def complain(self, text: str) -> None:
-        """Tell the node that something is wrong."""
+        """Report a fault to the node."""
 
 
 def draw_live(feed: LiveFeed, target: str) -> None:
-    """Draw what a live node hears and says until its feed ends; to be run in a process of its own."""
+    """Draw the inputs and outputs of a live node until its feed ends; to be run in a process of its own."""
     from time import monotonic
 
     from rosbags.typesys import Stores, get_typestore

@@ -2,7 +2,7 @@
 
 Runs in an environment of its own that has rclpy and nothing of Holdfast: `node.py TASK.json OUT.json`.
 
-TASK: {"play": [[time_s, topic, type, CDR in hex], ...], "hear": [[topic, type, latched], ...], "linger_s": number,
+TASK: {"play": [[time_s, topic, type, CDR in hex], ...], "receive": [[topic, type, latched], ...], "linger_s": number,
 "then": [[topic, type, fields], ...]}. It begins once everybody has met; the first stamp becomes the present time.
 """
 
@@ -37,14 +37,14 @@ class Peer:
     def __init__(self, task):
         self.task = task
         self.sent = {}
-        self.heard = {topic: [] for topic, _, _ in task["hear"]}
+        self.received = {topic: [] for topic, _, _ in task["receive"]}
         self.node = rclpy.create_node("peer")
-        for topic, name, latched in task["hear"]:
+        for topic, name, latched in task["receive"]:
             qos = QoSProfile(depth=5000)  # reliable and volatile, as ROS users have it
             if latched:
                 qos = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
             self.node.create_subscription(
-                message_class(name), topic, lambda message, topic=topic: self.heard[topic].append(fields(message)), qos
+                message_class(name), topic, lambda message, of=topic: self.received[of].append(fields(message)), qos
             )
         topics = {topic: name for _, topic, name, _ in task["play"]}
         self.publishers = {
@@ -66,16 +66,16 @@ class Peer:
     def listen_until_silence(self, linger_s):
         """Take in what is still on its way, until for so long only diagnostics have come."""
         before = None
-        while before != (before := sum(len(found) for topic, found in self.heard.items() if topic != "/diagnostics")):
+        while before != (before := sum(len(got) for topic, got in self.received.items() if topic != "/diagnostics")):
             self.spin_until(lambda: False, linger_s)
 
     def run(self):
         everyone = [*self.publishers.values(), *self.controls.values()]
         met = self.spin_until(lambda: all(p.get_subscription_count() for p in everyone), 30.0)
-        heard_of = self.spin_until(lambda: all(self.node.count_publishers(topic) for topic in self.heard), 30.0)
-        if not met or not heard_of:
+        is_published = self.spin_until(lambda: all(self.node.count_publishers(topic) for topic in self.received), 30.0)
+        if not met or not is_published:
             missing = [p.topic_name for p in everyone if not p.get_subscription_count()]
-            sys.exit(f"no match: {missing}, {[t for t in self.heard if not self.node.count_publishers(t)]}")
+            sys.exit(f"no match: {missing}, {[t for t in self.received if not self.node.count_publishers(t)]}")
         began, offset_ns = time.monotonic(), None
         for at_s, topic, name, data in self.task["play"]:
             while time.monotonic() < began + at_s:
@@ -103,7 +103,7 @@ def main(task_path, out_path):
     peer = Peer(task)
     peer.run()
     names = dict(peer.node.get_topic_names_and_types())
-    found = {"heard": peer.heard, "sent": peer.sent, "offset_ns": peer.offset_ns, "topics": names}
+    found = {"received": peer.received, "sent": peer.sent, "offset_ns": peer.offset_ns, "topics": names}
     Path(out_path).write_text(json.dumps(found))
 
 

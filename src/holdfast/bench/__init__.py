@@ -1,0 +1,1 @@
+"""Speed: of replays and of the realtime engine, beside a floor in the same run."""

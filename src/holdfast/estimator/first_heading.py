@@ -1,0 +1,57 @@
+"""The heading before there is a state: from the first source that knows it, with its sigma."""
+
+from collections.abc import Sequence
+from math import atan2, hypot, sqrt
+
+import gtsam
+import numpy as np
+
+from holdfast.sensors.heading import yaw_of
+from holdfast.sensors.sensor import Position, PositionSensor
+
+MIN_BASELINE_M = 0.2  # horizontal; a shorter one tells no heading
+SIMULTANEOUS_NS = 20_000_000  # fixes of a machine that stands
+MIN_SIGMA_RAD = 1e-3
+Antennas = tuple[PositionSensor, PositionSensor]
+
+
+def baseline_heading(
+    antennas: Antennas, positions: Sequence[Position], since_ns: int, level: gtsam.Rot3
+) -> tuple[float, float] | str | None:
+    """Return the heading of the IMU's x axis and its sigma [rad] from the vector between two antennas at standstill.
+
+    Args:
+        antennas: from the first to the second.
+        positions: of both.
+        since_ns: older ones are left out.
+        level: the IMU's attitude with zero heading.
+
+    Returns:
+        Why the vector cannot be right, in words; None where there is none.
+    """
+    first, second = antennas
+    arm = level.rotate(second.p_I_P - first.p_I_P)
+    length = hypot(arm[0], arm[1])
+    pairs = [
+        (a, b)
+        for a in positions
+        for b in positions
+        if a.sensor == first.name and b.sensor == second.name and a.stamp_ns >= since_ns
+        if abs(a.stamp_ns - b.stamp_ns) < SIMULTANEOUS_NS
+    ]
+    if length < MIN_BASELINE_M or not pairs:
+        return None
+    baseline = np.mean([b.p_W_P - a.p_W_P for a, b in pairs], axis=0)
+    a, b = pairs[-1]
+    sigma = sqrt(float(np.trace(a.covariance[:2, :2] + b.covariance[:2, :2])) / 2) / length
+    measured, expected = float(np.linalg.norm(baseline)), float(np.linalg.norm(arm))
+    if abs(measured - expected) > 5.0 * sigma * length + 0.02 * expected:
+        return f"the antennas are {measured:.2f} m apart, the extrinsics say {expected:.2f} m"
+    return atan2(baseline[1], baseline[0]) - atan2(arm[1], arm[0]), max(sigma, MIN_SIGMA_RAD)
+
+
+def pose_heading(R_W_I: gtsam.Rot3, level: gtsam.Rot3, sigma_rad: float) -> tuple[float, float] | None:
+    """Return the heading of the IMU's x axis and its sigma [rad] from an absolute attitude, roll and pitch left out."""
+    turned = R_W_I.compose(level.inverse())
+    yaw_rad = yaw_of(turned.rotate(np.array([1.0, 0.0, 0.0])))
+    return None if yaw_rad is None else (yaw_rad, sigma_rad)

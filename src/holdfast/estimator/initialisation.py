@@ -1,0 +1,271 @@
+"""Coming up: at standstill (checked, not assumed) or in motion; refuses bad data and says why.
+
+Standstill gives roll and pitch from gravity, the gyroscope's bias from its mean, the accelerometer's along gravity, and
+position through the lever arm (paper, IV-A.5); heading comes from a heading message, two antennas, an absolute pose or
+the configuration. Without a heading the machine has to move: then a batch of positions, IMU and odometry.
+"""
+
+from collections import deque
+from collections.abc import Iterable, Mapping
+from itertools import pairwise
+from math import radians
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from holdfast.config.model import Config
+from holdfast.config.sensors import GnssConfig, RobustLoss
+from holdfast.estimator.first_heading import Antennas, baseline_heading, pose_heading
+from holdfast.graph.alignment import BatchAligner, level_attitude
+from holdfast.messages import Array
+from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.odometry import OdometryNoise
+from holdfast.sensors.position import position_factor
+from holdfast.sensors.preintegration import ImuNoise
+from holdfast.sensors.sensor import Measurement, Position, Role, Sensor
+from holdfast.sensors.standstill import (
+    ENGINE,
+    fixes_stand,
+    gyro_bias_sigma_rad_s,
+    quiet_window,
+    standstill_covariance,
+)
+from holdfast.state import OptimisedState
+
+PLAUSIBLE_FORCE_M_S2 = (7.0, 13.0)  # mean specific force of a machine on the ground
+MIN_TRAVEL_M = 2.0
+RETRY_NS = 1_000_000_000
+POSE_CORRELATION_S = 1.0
+
+
+class Initialiser:
+    """Collects measurements until the first state is certain; `reason` says what is still missing.
+
+    Args:
+        config: of the estimator.
+        buffer: of the IMU's samples.
+        sensors: all models, by name.
+        gravity: [m/s^2].
+    """
+
+    def __init__(self, config: Config, buffer: ImuBuffer, sensors: Mapping[str, Sensor], gravity: float) -> None:
+        imu = config.imu
+        self._config, self._buffer, self._gravity = config, buffer, gravity
+        self._sensors = sensors
+        self._points: dict[str, Any] = {name: one for name, one in sensors.items() if one.role is Role.POSITION}
+        poses: dict[str, Any] = {name: one for name, one in sensors.items() if one.role is Role.POSE}
+        self._poses: dict[str, Any] = {
+            name: one for name, one in poses.items() if not self._points or one.parameter is None
+        }
+        if not self._points:  # W is where the poses are given
+            self._points = {name: _PoseAsPoint(name) for name in self._poses}
+        antennas = [self._points[name] for name in config.sensors_of(GnssConfig)][:2]
+        self._antennas: Antennas | None = (antennas[0], antennas[1]) if len(antennas) == 2 else None
+        triggers = (Role.POSITION, Role.POSE)
+        self._triggers = {role for role in triggers if any(one.role is role for one in sensors.values())}
+        self._positions: deque[Position] = deque()
+        self._others: dict[str, deque[Any]] = {}  # headings, poses and tracks, by sensor
+        self._bias = gtsam.imuBias.ConstantBias()
+        self._bias_sigmas = np.repeat([imu.accelerometer_bias_sigma, imu.gyroscope_bias_sigma], 3)
+        self._last_try_ns = 0
+        self._noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
+        self.reason = "no usable position has come" if self._points else "no IMU sample has come"
+
+    def add(self, measurement: Measurement) -> bool:
+        """Take in a checked measurement; say whether it is one with which a start can be attempted."""
+        role = self._sensors[measurement.sensor].role
+        if role is Role.POSITION and isinstance(measurement, Position):
+            self._positions.append(measurement)
+        elif role is not Role.STATE:
+            self._others.setdefault(measurement.sensor, deque()).append(measurement)
+        if role is Role.POSE and measurement.sensor in self._points:
+            self._positions.append(_as_position(measurement))
+        is_trigger = role in self._triggers or not self._triggers
+        if is_trigger:
+            self._forget_before(measurement.stamp_ns - round(self._config.initialisation.window_s * 1e9))
+        return is_trigger
+
+    def _forget_before(self, horizon_ns: int) -> None:
+        for series in (self._positions, *self._others.values()):
+            while series and series[0].stamp_ns < horizon_ns:
+                series.popleft()
+
+    def attempt(self) -> OptimisedState | None:
+        """Return the first state, or None with `reason` set."""
+        now = self._buffer.latest_ns
+        standstill_s = self._config.initialisation.standstill_s
+        recent = self._buffer.window(now - round(standstill_s * 1e9), now)
+        if recent is None:
+            self.reason = f"the IMU has not measured without a gap for {standstill_s:g} s"
+            return None
+        force = float(np.linalg.norm(recent[0].mean(axis=0)))
+        if not PLAUSIBLE_FORCE_M_S2[0] < force < PLAUSIBLE_FORCE_M_S2[1]:
+            hint = ": is the accelerometer in g?" if 0.8 < force < 1.3 else ""
+            self.reason = (
+                f"mean specific force is {force:.2f} m/s^2, on the ground it is near {self._gravity:.2f}{hint}"
+            )
+            return None
+        quiet = quiet_window(self._config.standstill, self._buffer, now, standstill_s, ENGINE)
+        if quiet is not None and self._is_standing(now):
+            return self._at_standstill(now, *quiet)
+        return self._in_motion(now)
+
+    # --- at standstill -----------------------------------------------------------------------------------------------
+
+    def _is_standing(self, now_ns: int) -> bool:
+        """The positions must agree that the machine stands: an even motion is as quiet as standstill."""
+        if not self._points:
+            return True
+        since = now_ns - round(max(3.0, 2 * self._config.initialisation.standstill_s) * 1e9)
+        stand = fixes_stand(self._of_first_receiver(since))
+        if stand is None:
+            self.reason = "waiting for two positions at standstill"
+        return bool(stand)
+
+    def _of_first_receiver(self, since_ns: int = 0) -> list[Position]:
+        """Return the positions of the first receiver that has any."""
+        for name in self._points:
+            found = [one for one in self._positions if one.sensor == name and one.stamp_ns >= since_ns]
+            if found:
+                return found
+        return []
+
+    def _at_standstill(self, now_ns: int, force: Array, rate: Array) -> OptimisedState | None:
+        imu, standstill_s = self._config.imu, self._config.initialisation.standstill_s
+        level = level_attitude(force)
+        excess = (np.linalg.norm(force) - self._gravity) * force / np.linalg.norm(force)
+        bias = gtsam.imuBias.ConstantBias(excess, rate)
+        gyro_sigma = gyro_bias_sigma_rad_s(imu, standstill_s)
+        self._bias, self._bias_sigmas = bias, np.repeat([imu.accelerometer_bias_sigma, gyro_sigma], 3)
+        self.reason = "standing still without a heading: give initialisation.heading_deg, a heading topic, or move"
+        heading = self._heading(now_ns, level)
+        if heading is None:
+            return None
+        yaw, yaw_sigma = heading
+        R_W_I = gtsam.Rot3.Yaw(yaw).compose(level)
+        position, position_covariance, arm = self._position(now_ns, R_W_I)
+        up, in_imu = force / np.linalg.norm(force), R_W_I.matrix().T @ position_covariance @ R_W_I.matrix()
+        covariance = standstill_covariance(imu, standstill_s, self._gravity, up, yaw_sigma, in_imu, arm)
+        self.reason = "standstill"
+        nav = gtsam.NavState(R_W_I, position, np.zeros(3))
+        return OptimisedState(now_ns, nav, bias, covariance, np.zeros(3))
+
+    def _position(self, now_ns: int, R_W_I: gtsam.Rot3) -> tuple[Array, Array, Array]:
+        """Return p_W_I, its covariance in W, and the lever arm through which it was found."""
+        since = now_ns - round(self._config.initialisation.standstill_s * 1e9)
+        fixes = self._of_first_receiver(since) or self._of_first_receiver()[-1:]
+        if not fixes:
+            return np.zeros(3), np.eye(3) * 1e-4, np.zeros(3)
+        arm: Array = self._points[fixes[-1].sensor].p_I_P
+        mean: Array = np.mean([one.p_W_P for one in fixes], axis=0)
+        position: Array = mean - R_W_I.rotate(arm)
+        return position, fixes[-1].covariance, arm
+
+    def _heading(self, now_ns: int, level: gtsam.Rot3) -> tuple[float, float] | None:
+        """Return the heading of the IMU's x axis and its sigma [rad], from the first source that there is."""
+        start = self._config.initialisation
+        for heading in self._newest_of(Role.HEADING):
+            found = self._sensors[heading.sensor].of_imu(heading, level)  # type: ignore[attr-defined]  # its role has it
+            if found is not None:
+                return found  # type: ignore[no-any-return]
+        if self._antennas is not None:
+            since = now_ns - round(max(1.0, start.standstill_s) * 1e9)
+            baseline = baseline_heading(self._antennas, self._positions, since, level)
+            if isinstance(baseline, tuple):
+                return baseline
+            self.reason = baseline or self.reason
+        for pose in self._newest_of(Role.POSE):
+            if pose.sensor in self._poses:
+                return pose_heading(pose.T_F_I.rotation(), level, float(np.sqrt(pose.covariance[:3, :3].max())))
+        if start.heading_deg is not None:
+            return radians(start.heading_deg), radians(start.heading_sigma_deg)
+        if not self._points:
+            return 0.0, 1e-3  # W is where the machine starts: heading is zero by definition
+        return None
+
+    def _newest_of(self, role: Role) -> Iterable[Any]:
+        """Yield the newest measurement of each sensor of a role."""
+        for name, series in self._others.items():
+            if series and self._sensors[name].role is role:
+                yield series[-1]
+
+    # --- in motion ---------------------------------------------------------------------------------------------------
+
+    def _in_motion(self, now_ns: int) -> OptimisedState | None:
+        if not self._points:
+            self.reason = "moving, and no source of positions is configured: start at standstill"
+            return None
+        fixes = self._covered(now_ns)
+        if len(fixes) < 3:
+            self.reason = f"{len(fixes)} usable positions since the IMU measures without a gap; 3 are needed"
+            return None
+        travel = max(_travel_m([fix for fix in fixes if fix.sensor == name]) for name in self._points)
+        needed = max(MIN_TRAVEL_M, 20.0 * float(np.sqrt(fixes[-1].covariance[:2, :2].max())))
+        if travel < needed:
+            self.reason = f"moved {travel:.1f} m; a heading from motion needs {needed:.1f} m"
+            return None
+        if fixes[-1].stamp_ns - self._last_try_ns < RETRY_NS:
+            return None
+        self._last_try_ns = fixes[-1].stamp_ns
+        aligner = BatchAligner(self._buffer, self._noise, self._points, self._bias_sigmas)
+        limit = np.radians(self._config.initialisation.max_heading_sigma_deg)
+        alignment = aligner.solve(fixes, self._bias, self._odometry_factors(fixes), float(limit))
+        self.reason = alignment.reason
+        return alignment.state
+
+    def _covered(self, now_ns: int) -> list[Position]:
+        """Positions since the last IMU gap, at times that the IMU has reached."""
+        start = self._buffer.oldest_ns
+        for piece in self._buffer.pieces(start, now_ns):
+            if piece.is_gap:
+                start = piece.end_ns
+        return sorted((p for p in self._positions if start < p.stamp_ns <= now_ns), key=lambda p: p.stamp_ns)
+
+    def _odometry_factors(self, fixes: list[Position]) -> list[gtsam.NonlinearFactor]:
+        """Relative factors between the times of the fixes, from each odometry's track interpolated to them."""
+        stamps = sorted({fix.stamp_ns for fix in fixes})
+        factors = []
+        for name, track in self._others.items():
+            model: Any = self._sensors[name]
+            if model.role is not Role.ODOMETRY or len(track) < 2:
+                continue
+            noise, poses = OdometryNoise(model), [_track_at(track, stamp) for stamp in stamps]
+            for k, (before, after) in enumerate(pairwise(poses)):
+                if before is not None and after is not None:
+                    keys = gtsam.symbol("x", k), gtsam.symbol("x", k + 1)
+                    factors.append(noise.relative_factor(*keys, before.between(after)))
+        return factors
+
+
+class _PoseAsPoint:
+    """An absolute pose as what the batch takes: the position of the IMU itself."""
+
+    p_I_P = np.zeros(3)
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def factor(self, key: int, position: Position, inflation: float) -> gtsam.NonlinearFactor:
+        return position_factor(key, position, self.p_I_P, RobustLoss(), inflation)
+
+
+def _as_position(pose: Any) -> Position:
+    R = pose.T_F_I.rotation().matrix()
+    covariance = R @ pose.covariance[3:, 3:] @ R.T
+    return Position(pose.stamp_ns, pose.sensor, pose.T_F_I.translation(), covariance, POSE_CORRELATION_S)
+
+
+def _track_at(track: deque[Any], stamp_ns: int) -> gtsam.Pose3 | None:
+    """Return the pose of the IMU on an odometry's track at a time, interpolated."""
+    for before, after in zip(track, list(track)[1:], strict=False):
+        if before.stamp_ns <= stamp_ns <= after.stamp_ns:
+            fraction = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
+            pose: gtsam.Pose3 = before.T_I0_I.slerp(fraction, after.T_I0_I)
+            return pose
+    return None
+
+
+def _travel_m(fixes: list[Position]) -> float:
+    """Return how far one receiver has been from its first position [m]."""
+    return max((float(np.linalg.norm(fix.p_W_P - fixes[0].p_W_P)) for fix in fixes), default=0.0)

@@ -1,0 +1,203 @@
+"""All that exists only after the start: the graphs, what guards them, and the measurements that wait for the IMU."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import gtsam
+
+from holdfast.config.model import Config
+from holdfast.estimator.health import HealthMonitor
+from holdfast.estimator.imu_path import Received
+from holdfast.estimator.queue import MeasurementQueue
+from holdfast.estimator.standstill import StandstillUpdates
+from holdfast.event_log import EventLog
+from holdfast.graph.dual_graph import DualGraph
+from holdfast.graph.smoother import OptimiserError, Smoother
+from holdfast.integrity.headings import Headings
+from holdfast.integrity.odometries import Odometries
+from holdfast.integrity.positions import Positions
+from holdfast.integrity.recovery import Recovery
+from holdfast.integrity.states import JointAt, States
+from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.sensor import ConstraintSensor, Measurement, Role, Sensor
+from holdfast.state import EventKind, OptimisedState, Outcome
+
+Channel = Callable[[DualGraph, Any, int], Outcome]
+"""Takes the graphs, a measurement and the time that the IMU has reached; says what became of the measurement."""
+
+
+class Update(NamedTuple):
+    """What one optimisation led to.
+
+    `smoothed` are nodes that will not change any more; `is_recovery` says that GNSS was regained by it.
+    """
+
+    state: OptimisedState
+    smoothed: Sequence[tuple[int, gtsam.NavState]]
+    is_recovery: bool
+
+
+class Tracking:
+    """The estimator from one start to the next.
+
+    Args:
+        config: of the estimator.
+        buffer: of the IMU's samples.
+        sensors: all models, by name.
+        gravity: [m/s^2].
+        state: the first one.
+        joint_at: tells the turn joint.
+        monitor: of the health.
+        log: where counts and events go.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        buffer: ImuBuffer,
+        sensors: Mapping[str, Sensor],
+        gravity: float,
+        state: OptimisedState,
+        *,
+        joint_at: JointAt,
+        monitor: HealthMonitor,
+        log: EventLog,
+    ) -> None:
+        def of(*roles: Role) -> dict[str, Any]:
+            return {name: sensor for name, sensor in sensors.items() if sensor.role in roles}
+
+        self._buffer, self._log, self._monitor = buffer, log, monitor
+        self._roles = {name: sensor.role for name, sensor in sensors.items()}
+        self._constraints = [sensor for sensor in sensors.values() if isinstance(sensor, ConstraintSensor)]
+        self._positions = Positions(config.gate, of(Role.POSITION), log)
+        self._headings = Headings(of(Role.HEADING), log)
+        self._odometries = Odometries(config, of(Role.ODOMETRY), log)
+        self._states = States(of(Role.STATE, Role.POSE), joint_at, log)
+        self._recovery = Recovery(config.gate, self._positions, self._headings, self._odometries, log)
+        self._channels: dict[Role, Channel] = {
+            Role.POSITION: self._positions.add,
+            Role.HEADING: self._headings.add,
+            Role.ODOMETRY: self._odometries.add,
+            Role.STATE: self._states.add,
+            Role.POSE: self._states.add,
+        }
+        self._standstill = StandstillUpdates(config.standstill, buffer)
+        self._node_interval_ns = round(config.graph.max_node_interval_s * 1e9)
+        self._due_ns: int | None = None
+        self._constrained_ns = state.stamp_ns
+        self.queue = MeasurementQueue()
+        self.graph = DualGraph(config, buffer, gravity, self._odometries.new_tracks(), state)
+
+    @property
+    def is_due(self) -> bool:
+        """Whether an update should follow."""
+        return self._due_ns is not None
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether no receiver of positions is trusted."""
+        return self.graph.is_lost
+
+    def lost(self) -> list[str]:
+        """Return the sensors that are not trusted."""
+        channels = self._positions, self._headings, self._odometries, self._states
+        return [name for channel in channels for name in channel.lost()]
+
+    def distrust(self, names: Iterable[str]) -> None:
+        """Begin with receivers that are not trusted."""
+        self._positions.distrust(name for name in names if self._roles.get(name) is Role.POSITION)
+
+    def refuse(self, sensor: str, outcome: Outcome) -> None:
+        """Note a message that could not be converted."""
+        if self._roles[sensor] is Role.POSITION:
+            self._positions.refuse(sensor, outcome)
+
+    def receive(self, received: Received) -> bool:
+        """Take note of a sample of the IMU; say whether the state can be carried to it."""
+        stamp = self._buffer.latest_ns
+        if received.line_since_ns is not None:
+            self._report_gap(received.line_since_ns, "samples on a straight line")
+            for smoother in self.graph.smoothers():
+                smoother.mark_silent(received.line_since_ns)
+        elif stamp - received.before_ns > self._buffer.max_gap_ns:
+            self._report_gap(received.before_ns, f"no samples for {(stamp - received.before_ns) * 1e-9:.3f} s")
+        published = self.graph.published
+        if stamp <= published.newest.stamp_ns:
+            return False  # a measurement in a silent stretch has led the state past this sample
+        if self.queue.is_due(stamp) or stamp - published.newest_ns > self._node_interval_ns:
+            self._due_ns = stamp
+        return True
+
+    def _report_gap(self, since_ns: int, reason: str) -> None:
+        self._log.report(EventKind.IMU_GAP, since_ns, self._log.imu, reason)
+
+    def enqueue(self, measurement: Measurement, arrival_ns: int) -> None:
+        """Let a measurement wait until the IMU has reached its time, unless it is too late."""
+        stamp_ns, published = measurement.stamp_ns, self.graph.published
+        if stamp_ns < published.oldest_ns:
+            behind_s = (published.newest_ns - stamp_ns) * 1e-9
+            self._log.count(measurement.sensor, Outcome.LATE)
+            reason = f"{behind_s:.3f} s behind the newest state"
+            self._log.report(EventKind.LATE, stamp_ns, measurement.sensor, reason)
+            return
+        self.queue.push(measurement)
+        # as a rule the next sample of the IMU takes it in, with what else has come until then
+        if arrival_ns - self._buffer.arrival_ns > self._buffer.max_gap_ns:  # it is silent: do not wait for it
+            self._due_ns = max(self._due_ns or 0, self._buffer.latest_ns, stamp_ns)
+
+    def update(self) -> Update:
+        """Add every measurement whose time the IMU has reached, and optimise once."""
+        now_ns = self._buffer.latest_ns
+        reached_ns, self._due_ns = max(self._due_ns or 0, now_ns), None
+        self._push_constraints(now_ns)
+        for measurement in self.queue.pop_due(reached_ns):
+            self._take(measurement)
+        for smoother in self.graph.smoothers():
+            if now_ns - smoother.newest_ns > self._node_interval_ns:
+                smoother.node(now_ns // self._node_interval_ns * self._node_interval_ns)
+        standing = self._standstill.add_to(self.graph.smoothers())
+        if standing:
+            self._log.count("standstill", Outcome.USED, standing)
+        for smoother in self.graph.smoothers():
+            self._optimise(smoother)
+        is_recovery = self._recovery.review(self.graph, now_ns)
+        for channel in self._headings, self._states:
+            channel.review(self.graph, now_ns)
+        self._odometries.review(now_ns)
+        if is_recovery:
+            self._monitor.recovered(now_ns)
+        published = self.graph.published
+        return Update(published.newest, published.settled(), is_recovery)
+
+    def drop_samples(self) -> None:
+        """Drop the samples that no window needs any more."""
+        oldest_ns = min(smoother.oldest_ns for smoother in self.graph.smoothers())
+        self._buffer.forget_before(oldest_ns - self._node_interval_ns)
+
+    def _push_constraints(self, now_ns: int) -> None:
+        since_ns, self._constrained_ns = max(self._constrained_ns, self.graph.published.oldest_ns), now_ns
+        for sensor in self._constraints:
+            first = since_ns // sensor.period_ns + 1
+            for stamp_ns in range(first * sensor.period_ns, now_ns + 1, sensor.period_ns):
+                # in a drop-out the attitude is known too badly for what is linear about it
+                if self._buffer.is_trusted(stamp_ns - sensor.period_ns, stamp_ns):
+                    self.queue.push(sensor.at(stamp_ns))
+
+    def _take(self, measurement: Measurement) -> None:
+        name = measurement.sensor
+        outcome = self._channels[self._roles[name]](self.graph, measurement, self._buffer.latest_ns)
+        self._log.count(name, outcome)
+        if outcome is Outcome.USED:
+            self._monitor.entered(name, measurement.stamp_ns)
+        if outcome is Outcome.LATE:
+            self._log.report(EventKind.LATE, measurement.stamp_ns, name, "left the window while it waited")
+
+    def _optimise(self, smoother: Smoother) -> None:
+        try:
+            smoother.optimise()
+        except OptimiserError as fault:
+            self._log.report(EventKind.OPTIMISER_FAULT, smoother.newest_ns, "", str(fault))
+            self.graph.begin_tracks_anew(smoother)
+            self._monitor.reset(self._buffer.latest_ns)
+            if smoother is self.graph.main:
+                self._recovery.forget_window()

@@ -1,0 +1,151 @@
+"""How the poses of an odometry become factors of one smoother, in one of three ways.
+
+anchored: each pose is joined to the track of its odometry, whose frame in W is a variable that drifts slowly. Poses
+    hold each other over minutes, and say nothing of where they are: (29) in docs/math.md. The variable is the pose on
+    the track where an epoch begins, so that no long lever acts on it.
+relative: each pose is joined to the one before (paper, IV-A.4a).
+frozen: the track stays where it was when the chain was frozen, at the loss of GNSS (paper, Eq. 10).
+"""
+
+from copy import copy
+from typing import Literal, NamedTuple
+
+import gtsam
+import numpy as np
+
+from holdfast.graph.smoother import FREE, Smoother
+from holdfast.sensors.odometry import STILL_M_S, OdometryNoise, TrackPose, is_possible
+from holdfast.state import Outcome
+
+EPOCH_NS, EPOCH_M, EPOCH_RAD = 1_000_000_000, 0.4, 0.1  # within which the track does not drift
+
+Mode = Literal["anchored", "relative", "frozen"]
+
+
+class Joined(NamedTuple):
+    """What became of a pose, and whether its odometry has jumped before it."""
+
+    outcome: Outcome
+    has_jumped: bool = False
+
+
+class _Epoch(NamedTuple):
+    first: TrackPose
+    key: int
+
+
+class OdometryTrack:
+    """The poses of one odometry in one smoother; a pose may come late, a jump of the odometry begins a new frame."""
+
+    def __init__(self, noise: OdometryNoise, max_interval_ns: int, mode: Mode) -> None:
+        self._noise = noise
+        self._max_interval_ns = max_interval_ns
+        self._mode = mode
+        self._newest: TrackPose | None = None
+        self._epochs: list[_Epoch] = []
+        self._T_W_I0: gtsam.Pose3 | None = None  # where the frame is frozen
+
+    def copy(self, mode: Mode) -> "OdometryTrack":
+        """Return a track for a clone of the smoother, which goes on in its own way."""
+        other = copy(self)
+        other._epochs, other._mode = list(self._epochs), mode
+        return other
+
+    def begin_anew(self) -> "OdometryTrack":
+        """Return an empty track of the same odometry."""
+        return OdometryTrack(self._noise, self._max_interval_ns, self._mode)
+
+    @property
+    def newest(self) -> TrackPose | None:
+        """The newest pose."""
+        return self._newest
+
+    def freeze(self, smoother: Smoother) -> None:
+        """Hold the frame where the newest pose sees it: T_W_I(t_j) T_I0_I(t_j)^-1, of Eq. (10) with the extrinsics."""
+        if self._newest is not None and self._newest.stamp_ns >= smoother.oldest_ns:
+            self._T_W_I0 = _frame_seen_by(smoother, self._newest)
+
+    def add(self, smoother: Smoother, key: int, pose: TrackPose) -> Joined:
+        """Join the node of a pose, which exists under `key`, to what was before."""
+        before = self._newest
+        motion, has_jumped = None, False
+        if before is None or before.stamp_ns < pose.stamp_ns:
+            self._newest = pose
+        if before is not None and before.stamp_ns < pose.stamp_ns:
+            motion = before.T_I0_I.between(pose.T_I0_I)
+            if not is_possible(motion, (pose.stamp_ns - before.stamp_ns) * 1e-9):
+                self._epochs, self._T_W_I0 = [], None
+                return Joined(Outcome.OUT_OF_RANGE)
+            has_jumped = self._has_jumped(smoother, before, pose, motion)
+            if has_jumped:
+                self._epochs, self._T_W_I0, motion = [], None, None
+        if self._mode == "relative":
+            return Joined(self._add_relative(smoother, key, before, pose, motion), has_jumped)
+        if self._mode == "frozen":
+            return Joined(self._add_frozen(smoother, key, pose), has_jumped)
+        return Joined(self._add_anchored(smoother, key, pose), has_jumped)
+
+    def _has_jumped(self, smoother: Smoother, before: TrackPose, pose: TrackPose, motion: gtsam.Pose3) -> bool:
+        """Whether the IMU, which must have measured all along, contradicts the odometry."""
+        if before.stamp_ns < smoother.oldest_ns or not smoother.imu.is_trusted(before.stamp_ns, pose.stamp_ns):
+            return False
+        predicted = smoother.nav(before.stamp_ns).pose().between(smoother.nav(pose.stamp_ns).pose())
+        return self._noise.has_jumped(motion, predicted)
+
+    def _add_relative(
+        self, smoother: Smoother, key: int, before: TrackPose | None, pose: TrackPose, motion: gtsam.Pose3 | None
+    ) -> Outcome:
+        if before is None or motion is None or pose.stamp_ns - before.stamp_ns > self._max_interval_ns:
+            return Outcome.NO_PREDECESSOR
+        previous_key = smoother.node(before.stamp_ns)
+        if previous_key is None:
+            return Outcome.NO_PREDECESSOR
+        smoother.enter(pose, self._noise.relative_factor(previous_key, key, motion))
+        return Outcome.USED
+
+    def _add_frozen(self, smoother: Smoother, key: int, pose: TrackPose) -> Outcome:
+        if self._T_W_I0 is None:
+            self._T_W_I0 = _frame_seen_by(smoother, pose)
+            return Outcome.NO_PREDECESSOR
+        smoother.enter(pose, self._noise.pseudo_global_factor(key, self._T_W_I0 * pose.T_I0_I))
+        return Outcome.USED
+
+    def _add_anchored(self, smoother: Smoother, key: int, pose: TrackPose) -> Outcome:
+        self._epochs = [epoch for epoch in self._epochs if smoother.has_frame(epoch.key)]
+        at = next((epoch for epoch in reversed(self._epochs) if epoch.first.stamp_ns <= pose.stamp_ns), None)
+        is_newest = bool(self._epochs) and at is self._epochs[-1]
+        if not self._epochs or (is_newest and at is not None and _is_over(at, pose)):
+            at = self._begin_epoch(smoother, at, pose)
+        elif at is None:
+            return Outcome.NO_PREDECESSOR  # from before a jump
+        smoother.keep_frame(at.key, pose.stamp_ns)
+        smoother.enter(pose, self._noise.anchored_factor(at.key, key, at.first.T_I0_I.between(pose.T_I0_I)))
+        return Outcome.USED
+
+    def _begin_epoch(self, smoother: Smoother, before: _Epoch | None, pose: TrackPose) -> _Epoch:
+        here = smoother.nav(pose.stamp_ns).pose()
+        key = smoother.insert_frame(here, pose.stamp_ns)
+        if before is None:
+            free = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([FREE, FREE, STILL_M_S], 3))
+            smoother.add(gtsam.PriorFactorNavState(key, gtsam.NavState(here, np.zeros(3)), free))
+        else:
+            motion = before.first.T_I0_I.between(pose.T_I0_I)
+            duration_s = (pose.stamp_ns - before.first.stamp_ns) * 1e-9
+            smoother.add(self._noise.drift_factor(before.key, key, motion, duration_s))
+        self._epochs.append(_Epoch(pose, key))
+        return self._epochs[-1]
+
+
+def _frame_seen_by(smoother: Smoother, pose: TrackPose) -> gtsam.Pose3:
+    """Return the pose of the odometry's frame in W as one of its poses sees it."""
+    return smoother.nav(pose.stamp_ns).pose() * pose.T_I0_I.inverse()
+
+
+def _is_over(epoch: _Epoch, pose: TrackPose) -> bool:
+    """Whether the machine has moved on so far since an epoch began that the odometry may have drifted."""
+    motion = epoch.first.T_I0_I.between(pose.T_I0_I)
+    return (
+        pose.stamp_ns - epoch.first.stamp_ns >= EPOCH_NS
+        or float(np.linalg.norm(motion.translation())) > EPOCH_M
+        or float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation()))) > EPOCH_RAD
+    )

@@ -1,0 +1,74 @@
+"""Headings on their way into the main graph: tested as all states are, and held back while GNSS is lost.
+
+They come from the receiver whose fixes are doubted, so while GNSS is lost they wait in quarantine; those of its
+recovery enter together with the fixes, and the heading of the world is corrected once.
+"""
+
+from collections import deque
+
+from holdfast.event_log import EventLog
+from holdfast.graph.dual_graph import DualGraph
+from holdfast.graph.smoother import Smoother
+from holdfast.integrity.states import JudgedSensor
+from holdfast.sensors.sensor import Measurement, StateSensor
+from holdfast.state import Outcome
+
+
+class Headings:
+    """All headings of one machine.
+
+    Args:
+        sensors: the models, by name.
+        log: where counts and events go.
+    """
+
+    def __init__(self, sensors: dict[str, StateSensor], log: EventLog) -> None:
+        self._judged = {name: JudgedSensor(sensor, lambda _: None, log) for name, sensor in sensors.items()}
+        self._quarantine: deque[Measurement] = deque()
+        self._log = log
+
+    def lost(self) -> list[str]:
+        """Return the headings that are not trusted."""
+        return [name for name, judged in self._judged.items() if judged.gate.is_lost]
+
+    def forget_window(self) -> None:
+        """Forget what waits: the graph lost its window, or the estimate is moved."""
+        self._quarantine.clear()
+
+    def add(self, graph: DualGraph, heading: Measurement, now_ns: int) -> Outcome:
+        """Judge a heading at its node, and add its factor to the main graph if it may enter."""
+        judged, smoother = self._judged[heading.sensor], graph.published
+        if smoother.node(heading.stamp_ns) is None:
+            return Outcome.LATE
+        if not graph.is_lost:
+            return judged.judge(heading, graph.main, [graph.main], now_ns)
+        judged.gate.note(heading, now_ns)
+        while self._quarantine and self._quarantine[0].stamp_ns < smoother.oldest_ns:
+            self._quarantine.popleft()
+        self._quarantine.append(heading)
+        return Outcome.QUARANTINED
+
+    def admit(self, trial: Smoother, since_ns: int, now_ns: int) -> bool:
+        """Let the headings since a time out of quarantine, into a smoother that has just accepted the fixes since then.
+
+        Each is judged by what the fixes have made of the estimate.
+
+        Returns:
+            Whether any entered, so that the smoother has to be optimised again.
+        """
+        held = [heading for heading in self._quarantine if heading.stamp_ns >= since_ns]
+        self._quarantine.clear()
+        outcomes = []
+        for name, judged in self._judged.items():
+            of_one = [heading for heading in held if heading.sensor == name]
+            inflation = judged.held_inflation(of_one)
+            for heading in of_one:
+                outcomes.append(judged.judge(heading, trial, [trial], now_ns, inflation))
+                self._log.recount(name, Outcome.QUARANTINED, outcomes[-1])
+        return Outcome.USED in outcomes
+
+    def review(self, graph: DualGraph, now_ns: int) -> None:
+        """Lose and regain headings, while the fixes of their receiver are trusted."""
+        if not graph.is_lost:
+            for judged in self._judged.values():
+                judged.review([graph.main], now_ns)

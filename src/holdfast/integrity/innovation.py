@@ -1,0 +1,104 @@
+"""One innovation test with hysteresis, for every sensor whose measurements one state explains.
+
+A measurement that the state contradicts never enters. So many refused in a row lose the sensor, and so does silence;
+then what comes waits in quarantine until so many in a row agree with the state, and enters together. After refusals
+they must agree for a while: what is frozen agrees now and then, too.
+"""
+
+from collections import Counter
+from enum import StrEnum
+
+from holdfast.config.sensors import JudgedConfig
+from holdfast.sensors.sensor import Measurement
+from holdfast.state import Outcome
+
+MIN_SILENCE_S = 1.0
+PERIODS_OF_SILENCE = 3.0
+CONSISTENT_NS = 2_000_000_000  # for so long measurements agree before a faulty sensor is regained
+
+
+class Change(StrEnum):
+    """What a measurement, or its absence, changed about its sensor."""
+
+    NONE = "none"
+    LOST = "lost"
+    REGAINED = "regained"
+
+
+class InnovationGate:
+    """The trust in one sensor.
+
+    Args:
+        settings: as in its section of the configuration.
+        can_fall_silent: whether its measurements come on their own; those of a constraint are made where the IMU is.
+    """
+
+    def __init__(self, settings: JudgedConfig, *, can_fall_silent: bool = True) -> None:
+        self.limit = settings.gate_sigma**2
+        self.is_lost = False
+        self.reasons: Counter[Outcome] = Counter()  # of what was refused since a measurement entered last
+        self._settings, self._can_fall_silent = settings, can_fall_silent
+        self._refused_in_a_row = 0
+        self._quarantine: list[Measurement] = []
+        self._last_ns: int | None = None  # stamp of the newest measurement
+        self._received_ns = 0  # what the IMU had reached then
+        self._period_s = 0.0
+
+    def note(self, measurement: Measurement, now_ns: int) -> None:
+        """Note that a measurement came, whatever it is worth: the sensor is not silent."""
+        if self._last_ns is not None and measurement.stamp_ns > self._last_ns:
+            self._period_s = (measurement.stamp_ns - self._last_ns) * 1e-9
+        self._last_ns, self._received_ns = measurement.stamp_ns, now_ns
+
+    def judge(self, measurement: Measurement, nis: float | Outcome, now_ns: int) -> Outcome:
+        """Say what a measurement is worth: USED where it may enter, QUARANTINED where it waits, else what is wrong.
+
+        Args:
+            measurement: in the order of stamps.
+            nis: its normalised innovation squared, or why there is none.
+            now_ns: time that the IMU has reached.
+        """
+        self.note(measurement, now_ns)
+        if isinstance(nis, Outcome):
+            return nis
+        if not nis <= self.limit:
+            self._refused_in_a_row += 1
+            self.reasons[Outcome.INNOVATION] += 1
+            self._quarantine.clear()
+            return Outcome.INNOVATION
+        self._refused_in_a_row = 0
+        if not self.is_lost:
+            self.reasons.clear()
+            return Outcome.USED
+        self._quarantine.append(measurement)
+        return Outcome.QUARANTINED
+
+    def review(self, now_ns: int) -> Change:
+        """Lose the sensor or regain it, if that is due."""
+        if not self.is_lost:
+            if self._refused_in_a_row >= self._settings.lose_after or self._is_silent(now_ns):
+                self.is_lost = True
+                return Change.LOST
+        elif len(self._quarantine) >= self._settings.regain_after and self._is_consistent():
+            self.is_lost = False
+            self.reasons.clear()
+            return Change.REGAINED
+        return Change.NONE
+
+    def take_quarantined(self) -> list[Measurement]:
+        """Return what has waited."""
+        waiting, self._quarantine = self._quarantine, []
+        return waiting
+
+    def reason(self) -> str:
+        """Return why the sensor is lost, in words."""
+        return ", ".join(f"{count} {outcome}" for outcome, count in self.reasons.items()) or "silent"
+
+    def _is_consistent(self) -> bool:
+        span_ns = self._quarantine[-1].stamp_ns - self._quarantine[0].stamp_ns
+        return not self.reasons or span_ns >= CONSISTENT_NS
+
+    def _is_silent(self, now_ns: int) -> bool:
+        if self._last_ns is None or not self._can_fall_silent:
+            return False
+        return (now_ns - self._received_ns) * 1e-9 > max(MIN_SILENCE_S, PERIODS_OF_SILENCE * self._period_s)

@@ -1,0 +1,142 @@
+"""Odometries on their way into both graphs: which jump, slip or fall silent, and what they say against GNSS."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from holdfast.config.model import Config
+from holdfast.event_log import EventLog
+from holdfast.graph.dual_graph import DualGraph
+from holdfast.graph.odometry_track import OdometryTrack
+from holdfast.integrity.drift_monitor import Contradiction, DriftMonitor
+from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
+from holdfast.state import EventKind, Outcome
+
+DISTRUST = 3.0  # factor on the noise of an odometry that proves to be worse than configured
+JUMPS, JUMPS_NS = 4, 20_000_000_000  # so many jumps in this time are no jumps but noise
+PERIODS_OF_SILENCE = 2.0  # of the longest interval between poses that are joined
+
+
+class Walk(NamedTuple):
+    """Fixes that walked away, as an odometry that can be trusted says."""
+
+    odometry: str
+    pose: TrackPose
+    found: Contradiction
+
+
+class _Odometry:
+    """One odometry, as long as one start of the estimator lasts."""
+
+    def __init__(self, model: OdometryModel) -> None:
+        self.model = model
+        self.noise = OdometryNoise(model)
+        self.monitor = DriftMonitor(self.noise)
+        self.used_ns: int | None = None
+        self.is_lost = False
+        self._jumps_ns: list[int] = []
+
+    def note_jump(self, stamp_ns: int) -> bool:
+        """Note a jump; trust the odometry less if it jumps too often to be as good as is configured."""
+        self._jumps_ns = [jump for jump in self._jumps_ns if stamp_ns - jump < JUMPS_NS] + [stamp_ns]
+        if len(self._jumps_ns) < JUMPS:
+            return False
+        self._jumps_ns.clear()
+        self.noise.trust_less(DISTRUST)
+        return True
+
+    def is_silent(self, now_ns: int) -> bool:
+        return self.used_ns is not None and now_ns - self.used_ns > PERIODS_OF_SILENCE * self.model.max_interval_ns
+
+
+class Odometries:
+    """All odometries of one machine, each with its own track, noise and drift.
+
+    Args:
+        config: of the estimator.
+        models: by name.
+        log: where counts and events go.
+    """
+
+    def __init__(self, config: Config, models: dict[str, OdometryModel], log: EventLog) -> None:
+        self._odometries = {name: _Odometry(model) for name, model in models.items()}
+        self._mode = config.graph.main_odometry
+        self._is_monitored = config.gate.drift_monitor
+        self._log = log
+
+    def __len__(self) -> int:
+        return len(self._odometries)
+
+    def new_tracks(self) -> dict[str, OdometryTrack]:
+        """Return an empty track of each odometry for a new graph."""
+        return {
+            name: OdometryTrack(one.noise, one.model.max_interval_ns, self._mode)
+            for name, one in self._odometries.items()
+        }
+
+    def lost(self) -> list[str]:
+        """Return the odometries that fell silent."""
+        return [name for name, one in self._odometries.items() if one.is_lost]
+
+    def add(self, graph: DualGraph, pose: TrackPose, now_ns: int) -> Outcome:
+        """Join a pose to its track in the graphs; a jump begins a new frame."""
+        odometry = self._odometries[pose.sensor]
+        outcome, has_jumped = graph.add_pose(pose)
+        if outcome is Outcome.USED:
+            odometry.used_ns = max(pose.stamp_ns, odometry.used_ns or 0)
+            if odometry.is_lost:
+                odometry.is_lost = False
+                self._log.report(EventKind.SENSOR_REGAINED, now_ns, pose.sensor, "poses again")
+        if has_jumped:
+            often = "; too often: its noise is trebled" if odometry.note_jump(pose.stamp_ns) else ""
+            reason = f"the IMU did not measure this motion{often}"
+            self._log.report(EventKind.ODOMETRY_JUMP, pose.stamp_ns, pose.sensor, reason)
+            odometry.monitor.forget_frame()
+        return outcome
+
+    def review(self, now_ns: int) -> None:
+        """Lose the odometries that are silent."""
+        for name, one in self._odometries.items():
+            if not one.is_lost and one.is_silent(now_ns):
+                one.is_lost = True
+                self._log.report(EventKind.SENSOR_LOST, now_ns, name, "silent")
+
+    def find_walk(self, graph: DualGraph, now_ns: int) -> Walk | None:
+        """Compare where each odometry sees the machine with where GNSS has led the estimate.
+
+        Where another odometry agrees with GNSS, or where fixes hardly walk so fast, it is the odometry that slipped.
+        """
+        if not self._is_monitored:
+            return None
+        for name, pose in self._due(graph):
+            node = graph.main.nav(pose.stamp_ns).pose()
+            found = self._odometries[name].monitor.observe(pose, node, graph.main.covariance(pose.stamp_ns))
+            if found is None:
+                continue
+            others = [one.monitor for other, one in self._odometries.items() if other != name]
+            if not found.is_slip and not any(one.vouches(found.since_ns, now_ns) for one in others):
+                return Walk(name, pose, found)
+            self._odometries[name].monitor.forget_frame()
+            self._log.report(EventKind.ODOMETRY_SLIP, now_ns, name, f"{found.distance_m:.2f} m beside GNSS")
+            graph.begin_tracks_anew(graph.main, name)
+        return None
+
+    def forget_frames(self) -> None:
+        """The estimate has jumped, or the graph lost its window."""
+        for one in self._odometries.values():
+            one.monitor.forget_frame()
+
+    def forget_after(self, stamp_ns: int) -> None:
+        """The estimate went astray after a time, and is now put back."""
+        for one in self._odometries.values():
+            one.monitor.forget_after(stamp_ns)
+
+    def trust_less(self) -> None:
+        """The odometries have held an estimate against fixes that were right."""
+        for one in self._odometries.values():
+            one.noise.trust_less(DISTRUST)
+
+    def _due(self, graph: DualGraph) -> Iterator[tuple[str, TrackPose]]:
+        for name, one in self._odometries.items():
+            pose = graph.newest_pose(name)
+            if pose is not None and pose.stamp_ns >= graph.main.oldest_ns and one.monitor.is_due(pose):
+                yield name, pose

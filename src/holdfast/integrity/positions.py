@@ -1,0 +1,146 @@
+"""Positions of receivers on their way into the main graph: tested, weighed, and taken out again."""
+
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from math import inf
+
+from holdfast.config.model import GateConfig
+from holdfast.event_log import EventLog
+from holdfast.graph.dual_graph import DualGraph
+from holdfast.graph.smoother import Smoother
+from holdfast.integrity.baseline import BaselineTest
+from holdfast.integrity.receiver import Held, ReceiverGate, Trust, predict
+from holdfast.integrity.review import UsedPositions
+from holdfast.sensors.noise import correlation_inflation, shared_inflation
+from holdfast.sensors.sensor import Position, PositionSensor
+from holdfast.state import EventKind, Outcome
+
+REVIEW_NS = 250_000_000  # used positions are reviewed this often
+BENIGN = {Outcome.LOW_STATUS, Outcome.LARGE_COVARIANCE, Outcome.NO_COVARIANCE, Outcome.NOT_FINITE}
+
+
+class Positions:
+    """All receivers of positions of one machine, antennas and prisms.
+
+    Args:
+        config: of the gates.
+        sensors: the models, by name.
+        log: where counts and events go.
+    """
+
+    def __init__(self, config: GateConfig, sensors: dict[str, PositionSensor], log: EventLog) -> None:
+        self.gates = {name: ReceiverGate(config, sensor.limit) for name, sensor in sensors.items()}
+        self.used = UsedPositions(sensors)
+        self._config = config
+        self._sensors = sensors
+        self._baseline = BaselineTest(sensors)
+        self._log = log
+        self._reviewed_ns = 0
+
+    @property
+    def is_trusted(self) -> bool:
+        """Whether at least one receiver is trusted."""
+        return any(gate.trust is Trust.TRUSTED for gate in self.gates.values())
+
+    def lost(self) -> list[str]:
+        """Return the receivers that are not trusted."""
+        return [name for name, gate in self.gates.items() if gate.trust is Trust.LOST]
+
+    def distrust(self, names: Iterable[str]) -> None:
+        """Begin with receivers that are not trusted."""
+        for name in names:
+            self.gates[name].become(Trust.LOST, hold_s=self._config.regain_s)
+
+    def refuse(self, sensor: str, outcome: Outcome) -> None:
+        """Note a position that the receiver itself reports as bad."""
+        if outcome in BENIGN:
+            self.gates[sensor].refuse(outcome)
+
+    def add(self, graph: DualGraph, position: Position, now_ns: int) -> Outcome:
+        """Judge a position at its node, and add its factor to the main graph if it may enter."""
+        smoother, name = graph.published, position.sensor
+        if smoother.node(position.stamp_ns) is None:
+            return Outcome.LATE
+        gate = self.gates[name]
+        prediction = predict(self._sensors[name], position, smoother.state_at(position.stamp_ns))
+        worse = self._baseline.contradicted(position, prediction.nis) if self._config.baseline else None
+        if worse is not None and worse is not position:
+            self.gates[worse.sensor].refuse(Outcome.BASELINE)
+            if worse in self.used.of(worse.sensor):
+                self.take_out(graph.main, worse, Outcome.BASELINE)
+        outcome = gate.judge(position, prediction, now_ns=now_ns, baseline_agrees=worse is not position)
+        if outcome is Outcome.USED:
+            correlated = correlation_inflation(position.correlation_s, self.used.since_last_s(position))
+            if self._enter(graph.main, position, gate.inflation(prediction) * correlated):
+                self.used.add(position)
+        elif outcome is not Outcome.QUARANTINED:
+            self._log.report(EventKind.REJECTED, position.stamp_ns, name, outcome)
+        return outcome
+
+    def enter_held(self, smoother: Smoother, held: Sequence[Held], *, is_trial: bool) -> list[Position]:
+        """Let positions that waited enter a smoother, and return them.
+
+        Those of one receiver weigh the same, or the first would say more than all others. The window of a trial holds
+        no others, whatever the main graph holds.
+        """
+        entered = []
+        for name in self._sensors:
+            positions = [one.position for one in held if one.position.sensor == name]
+            if not positions:
+                continue
+            before_s = inf if is_trial else self.used.since_last_s(positions[0])
+            gaps_s = [(b.stamp_ns - a.stamp_ns) * 1e-9 for a, b in pairwise(positions)]
+            correlation_s = max(one.correlation_s for one in positions)
+            inflation = shared_inflation(correlation_s, [before_s, *gaps_s])
+            entered += [one for one in positions if self._enter(smoother, one, inflation)]
+        return entered
+
+    def take_out(self, smoother: Smoother, position: Position, outcome: Outcome) -> None:
+        """Take a used position out of the main graph again."""
+        self.used.remove(position)
+        smoother.retract(position)
+        self._log.recount(position.sensor, Outcome.USED, outcome)
+        self._log.report(EventKind.REJECTED, position.stamp_ns, position.sensor, outcome)
+
+    def take_out_all(self, smoother: Smoother, outcome: Outcome) -> None:
+        """Take every used position out of the main graph again."""
+        for position in self.used.of():
+            self.take_out(smoother, position, outcome)
+
+    def review(self, smoother: Smoother) -> None:
+        """After an optimisation of the main graph: take out the position that later ones contradict most."""
+        self.used.forget_before(smoother.oldest_ns)
+        if self._config.innovation and len(self.used) and self.used.newest_ns - self._reviewed_ns >= REVIEW_NS:
+            self._reviewed_ns = self.used.newest_ns
+            worst = self.used.worst(smoother, {name: self._quarantine_ns(name) for name in self.gates})
+            if worst is not None:
+                self.take_out(smoother, worst, Outcome.CONTRADICTED)
+
+    def lose_due(self, smoother: Smoother, now_ns: int) -> None:
+        """Lose the receivers that are silent or had too many bad positions in a row."""
+        for name, gate in self.gates.items():
+            if gate.loses(now_ns):
+                self._lose(smoother, name, gate, now_ns)
+
+    def forget_window(self) -> None:
+        """The graph lost its window, and with it every factor."""
+        self.used = UsedPositions(self._sensors)
+
+    def _lose(self, smoother: Smoother, name: str, gate: ReceiverGate, now_ns: int) -> None:
+        reasons = ", ".join(f"{count} {outcome}" for outcome, count in gate.reasons.items()) or "silent"
+        is_faulty = bool(set(gate.reasons) - BENIGN)
+        if is_faulty:
+            for position in self.used.of(name, now_ns - self._quarantine_ns(name)):
+                self.take_out(smoother, position, Outcome.QUARANTINED)
+        gate.become(Trust.LOST, hold_s=self._config.regain_s if is_faulty else 0.0)
+        self._log.report(EventKind.RECEIVER_LOST, now_ns, name, f"{reasons}; gate power {gate.power_m:.2f} m")
+
+    def _quarantine_ns(self, sensor: str) -> int:
+        """Return for how long a used position can be taken out again."""
+        return round(max(self._config.quarantine_s, 2.5 * self.gates[sensor].period_s) * 1e9)
+
+    def _enter(self, smoother: Smoother, position: Position, inflation: float) -> bool:
+        key = smoother.node(position.stamp_ns)
+        if key is not None:
+            smoother.enter(position, self._sensors[position.sensor].factor(key, position, inflation))
+        return key is not None

@@ -1,0 +1,226 @@
+"""The gate of a receiver: which positions may enter the graph, when the receiver is lost and when it is regained.
+
+A trusted receiver's positions are tested one by one; bad ones never enter. So many bad ones in a row lose it, and those
+that were used just before are taken out again. A lost receiver's positions wait in quarantine until so many in a row
+are good and agree with each other. What walks away slowly is the business of the drift monitor.
+"""
+
+from collections import Counter
+from dataclasses import dataclass
+from enum import StrEnum
+from math import inf, sqrt
+
+import numpy as np
+
+from holdfast.config.model import GateConfig
+from holdfast.messages import Array
+from holdfast.sensors.sensor import Position, PositionSensor, State
+from holdfast.state import Outcome
+
+HOLD_BACK = 4.0  # in units of the limit on NIS: twice the gate in sigma
+AGREEMENT_SIGMA = 4.0  # positions in quarantine are no further from their mean
+COMPARED = 20  # with the mean of so many of the newest
+OUTLIERS = 3  # so many in a row that disagree end a run of agreement
+PERIODS_OF_SILENCE = 3
+PUNCTUAL = 0.99  # positions every two seconds are not always two seconds apart
+UNKNOWN_PERIOD_S = 2.0  # before the second fix
+
+
+class Trust(StrEnum):
+    """Whether the positions of a receiver may enter the graph."""
+
+    TRUSTED = "trusted"
+    LOST = "lost"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """What the graph expects of a position.
+
+    Attributes:
+        innovation: (3,) position minus prediction in W [m].
+        of_state: (3, 3) covariance of the prediction [m^2].
+        of_position: (3, 3) covariance that is claimed [m^2].
+        of_velocity: (3, 3) covariance of the velocity in W [m^2/s^2]: how fast the prediction may drift.
+    """
+
+    innovation: Array
+    of_state: Array
+    of_position: Array
+    of_velocity: Array
+
+    @property
+    def nis(self) -> float:
+        """Normalised innovation squared: (21) in docs/math.md."""
+        return float(self.innovation @ np.linalg.solve(self.of_state + self.of_position, self.innovation))
+
+    def smallest_visible_m(self, limit: float) -> float:
+        """Return the jump [m] that a limit on NIS sees in every direction: the power of the gate."""
+        return sqrt(limit * float(np.linalg.eigvalsh(self.of_state + self.of_position)[-1]))
+
+
+def predict(sensor: PositionSensor, position: Position, state: State) -> Prediction:
+    """Return what a state expects of a position."""
+    innovation = sensor.innovation(position, state)
+    R_W_I = state.nav.attitude().matrix()
+    of_velocity = R_W_I @ state.covariance[6:, 6:] @ R_W_I.T
+    H = innovation.H
+    return Prediction(innovation.y, H @ state.covariance @ H.T, innovation.R, of_velocity)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Held:
+    """A position of a lost receiver, with what was expected of it when it came."""
+
+    position: Position
+    prediction: Prediction
+
+
+class ReceiverGate:
+    """Hysteresis over the positions of one receiver, in the order of their stamps; `limit` bounds their NIS."""
+
+    def __init__(self, gate: GateConfig, limit: float) -> None:
+        self._gate = gate
+        self.limit = limit
+        self.trust = Trust.TRUSTED
+        self._hold_s = 0.0
+        self.reasons: Counter[Outcome] = Counter()  # of the bad positions since the receiver was trusted last
+        self.quarantine: list[Held] = []
+        self.power_m = inf
+        self._bad_in_a_row = 0
+        self._last_good: Position | None = None
+        self._last_ns: int | None = None
+        self._received_ns = 0
+        self._contradicting: list[Held] = []
+        self._outliers = 0
+        self.period_s = UNKNOWN_PERIOD_S
+
+    def judge(
+        self, position: Position, prediction: Prediction, *, now_ns: int, baseline_agrees: bool = True
+    ) -> Outcome:
+        """Say what a position is worth: USED where it may enter, QUARANTINED where it waits, else what is wrong.
+
+        `now_ns` is the time that the IMU has reached: a position may be late, but the receiver is not silent.
+        """
+        if self._last_ns is not None and position.stamp_ns > self._last_ns:
+            self.period_s = (position.stamp_ns - self._last_ns) * 1e-9
+        self._last_ns = position.stamp_ns
+        outcome = self._test(position, prediction, baseline_agrees)
+        if outcome is not Outcome.USED:
+            self.refuse(outcome)
+            self._note_contradiction(Held(position, prediction), outcome)
+            return outcome
+        self._last_good, self._received_ns = position, now_ns
+        self._bad_in_a_row = 0
+        if self.trust is Trust.TRUSTED:
+            return Outcome.USED
+        self._wait(Held(position, prediction))
+        return Outcome.QUARANTINED
+
+    def refuse(self, outcome: Outcome) -> None:
+        """Count a bad position, also one that the receiver itself reports as bad."""
+        self._bad_in_a_row += 1
+        self.reasons[outcome] += 1
+        self.quarantine.clear()
+
+    def inflation(self, prediction: Prediction) -> float:
+        """Return the factor on the covariance of a used position, which weighs less beyond the gate."""
+        return max(1.0, prediction.nis / self.limit) ** 2 if self._gate.innovation else 1.0
+
+    def loses(self, now_ns: int) -> bool:
+        """Whether a trusted receiver is lost now, by bad positions or by silence."""
+        if self.trust is Trust.LOST:
+            return False
+        return self._bad_in_a_row >= self._gate.lose_after or self._is_silent(now_ns)
+
+    def regains(self) -> bool:
+        """Whether the positions in quarantine are enough to trust a lost receiver again.
+
+        After faulty positions they have to be consistent for a while; after a silence or a warning they need not.
+        """
+        held = self.quarantine
+        if self.trust is Trust.TRUSTED or len(held) < 2:
+            return False
+        span_s = (held[-1].position.stamp_ns - held[0].position.stamp_ns) * 1e-9
+        if self._hold_s > 0.0:
+            return span_s >= self._hold_s
+        return span_s >= PUNCTUAL * self._gate.regain_s or len(held) >= self._gate.regain_after
+
+    def contradicts_for(self, after_s: float) -> bool:
+        """Whether positions that contradict the estimate have agreed with each other for so long [s]."""
+        against = self._contradicting
+        if len(against) < self._gate.regain_after:
+            return False
+        return (against[-1].position.stamp_ns - against[0].position.stamp_ns) * 1e-9 > after_s
+
+    def distance_m(self) -> float:
+        """Return how far the positions that contradict lie from the estimate [m]."""
+        return float(np.linalg.norm(self._contradicting[-1].prediction.innovation))
+
+    def become(self, trust: Trust, *, hold_s: float = 0.0) -> list[Held]:
+        """Trust or lose the receiver from now on; return the positions that were in quarantine.
+
+        Fixes must be consistent for `hold_s` before the receiver is trusted again; without it, their number is enough.
+        """
+        held, self.quarantine = self.quarantine, []
+        self.trust, self._hold_s = trust, hold_s
+        self._bad_in_a_row, self._last_good = 0, None
+        self._contradicting.clear()
+        if trust is Trust.TRUSTED:
+            self.reasons.clear()
+        return held
+
+    def _test(self, position: Position, prediction: Prediction, baseline_agrees: bool) -> Outcome:
+        if self._is_too_fast(position):
+            return Outcome.TOO_FAST
+        if self._gate.innovation:
+            limit = HOLD_BACK * self.limit if self.trust is Trust.TRUSTED else self.limit
+            self.power_m = prediction.smallest_visible_m(limit)
+            if not prediction.nis <= limit:
+                return Outcome.INNOVATION
+        if self._gate.baseline and not baseline_agrees:
+            return Outcome.BASELINE
+        return Outcome.USED
+
+    def _is_too_fast(self, position: Position) -> bool:
+        """Whether the receiver would have had to move faster than it can since its last good position (paper, IV-B)."""
+        last = self._last_good
+        if last is None:
+            return False
+        noise_m = AGREEMENT_SIGMA * sqrt(float(np.trace(position.covariance + last.covariance)))
+        reach = self._gate.max_speed_m_s * abs(position.stamp_ns - last.stamp_ns) * 1e-9 + noise_m
+        return float(np.linalg.norm(position.p_W_P - last.p_W_P)) > reach
+
+    def _is_silent(self, now_ns: int) -> bool:
+        if self._last_good is None:
+            return False
+        patience_s = max(self._gate.silence_s, PERIODS_OF_SILENCE * self.period_s)
+        return (now_ns - self._received_ns) * 1e-9 > patience_s
+
+    def _wait(self, one: Held) -> None:
+        """Put a good position into quarantine; if it disagrees with those that wait, they wait no longer."""
+        if self.quarantine and not _agree(self.quarantine, one):
+            self.quarantine.clear()
+        self.quarantine.append(one)
+
+    def _note_contradiction(self, one: Held, outcome: Outcome) -> None:
+        """Keep the run of positions that contradict the estimate but agree with each other, but for some outliers."""
+        against = self._contradicting
+        if outcome is not Outcome.INNOVATION:
+            return
+        if against and not _agree(against[-COMPARED:], one):
+            self._outliers += 1
+            if self._outliers < OUTLIERS:
+                return
+            against.clear()
+        self._outliers = 0
+        against.append(one)
+        del against[1:-COMPARED]  # the first tells since when
+
+
+def _agree(others: list[Held], one: Held) -> bool:
+    """Whether an innovation lies near the mean of others, by the noise of both and the drift of the prediction."""
+    residual = one.prediction.innovation - np.mean([other.prediction.innovation for other in others], axis=0)
+    since_s = float(np.mean([one.position.stamp_ns - other.position.stamp_ns for other in others])) * 1e-9
+    covariance = one.position.covariance * (1.0 + 1.0 / len(others)) + one.prediction.of_velocity * since_s**2
+    return float(residual @ np.linalg.solve(covariance, residual)) <= AGREEMENT_SIGMA**2

@@ -1,0 +1,83 @@
+"""The positions that were used, while the main graph holds them: what is to be taken out again once more is known."""
+
+from collections import deque
+from math import inf
+
+import numpy as np
+
+from holdfast.graph.smoother import Smoother
+from holdfast.sensors.sensor import Position, PositionSensor, State
+
+NO_DOUBT = np.zeros((9, 9))
+
+
+class UsedPositions:
+    """The positions in the window of the main graph, in the order in which they entered.
+
+    Args:
+        sensors: their models, by name.
+    """
+
+    def __init__(self, sensors: dict[str, PositionSensor]) -> None:
+        self._sensors = sensors
+        self._used: deque[Position] = deque()
+
+    def __len__(self) -> int:
+        return len(self._used)
+
+    @property
+    def newest_ns(self) -> int:
+        """Stamp of the one that entered last; there must be one."""
+        return self._used[-1].stamp_ns
+
+    def add(self, position: Position) -> None:
+        """Note that a position entered the main graph."""
+        self._used.append(position)
+
+    def extend(self, positions: list[Position]) -> None:
+        """Note that positions entered the main graph."""
+        self._used.extend(positions)
+
+    def remove(self, position: Position) -> None:
+        """Forget a position that was taken out."""
+        self._used.remove(position)
+
+    def forget_before(self, oldest_ns: int) -> None:
+        """Forget what left the window."""
+        if any(one.stamp_ns < oldest_ns for one in self._used):  # they are in the order of arrival, not of stamps
+            self._used = deque(one for one in self._used if one.stamp_ns >= oldest_ns)
+
+    def of(self, sensor: str | None = None, since_ns: int = 0) -> list[Position]:
+        """Return the positions of a receiver, or of all, since a time."""
+        return [one for one in self._used if sensor in (None, one.sensor) and one.stamp_ns >= since_ns]
+
+    def since_last_s(self, position: Position) -> float:
+        """Return the time since a used position of the same receiver [s], infinite if the window holds none."""
+        before = next((one.stamp_ns for one in reversed(self._used) if one.sensor == position.sensor), None)
+        return inf if before is None else abs(position.stamp_ns - before) * 1e-9
+
+    def worst(self, smoother: Smoother, quarantine_ns: dict[str, int]) -> Position | None:
+        """Return the position that later ones contradict most, if that is beyond its gate: (21) in docs/math.md.
+
+        A position that looked plausible when it came may stand alone once its successors are in.
+
+        Args:
+            smoother: the main one, just optimised.
+            quarantine_ns: for how long a used position of each receiver can be taken out again.
+        """
+        worst, worst_nis = None, 0.0
+        for one in list(self._used)[:-1]:  # the newest has no successor yet, and may be what pulls at the others
+            if self.newest_ns - one.stamp_ns <= quarantine_ns[one.sensor]:
+                nis = self._residual_nis(one, smoother)
+                if nis > worst_nis:
+                    worst, worst_nis = one, nis
+        return worst if worst is not None and worst_nis > self._sensors[worst.sensor].limit else None
+
+    def median_nis(self, positions: list[Position], smoother: Smoother) -> float:
+        """Return the median of the squared residuals of positions over their covariance, infinite if there are none."""
+        residuals = [self._residual_nis(one, smoother) for one in positions]
+        return float(np.median(residuals)) if residuals else inf
+
+    def _residual_nis(self, position: Position, smoother: Smoother) -> float:
+        state = State(smoother.nav(position.stamp_ns), NO_DOUBT)
+        return self._sensors[position.sensor].innovation(position, state).nis(state)

@@ -1,0 +1,137 @@
+"""Measurements that one state explains, on their way into the graphs: tested one by one, with hysteresis."""
+
+from collections.abc import Callable, Iterable, Sequence
+from itertools import pairwise
+
+from holdfast.event_log import EventLog
+from holdfast.graph.dual_graph import DualGraph
+from holdfast.graph.smoother import Smoother
+from holdfast.integrity.innovation import Change, InnovationGate
+from holdfast.sensors.noise import correlation_inflation, shared_inflation
+from holdfast.sensors.sensor import ConstraintSensor, Innovation, Joint, Measurement, State, StateSensor
+from holdfast.state import EventKind, Outcome
+
+JointAt = Callable[[int], Joint | None]
+"""Returns the turn joint at a time [ns], None where its angle is not known."""
+
+
+class JudgedSensor:
+    """One sensor whose measurements are compared with a state, weighed by their correlation, and trusted or not.
+
+    Args:
+        sensor: its model.
+        joint_at: tells the turn joint.
+        log: where counts and events go.
+    """
+
+    def __init__(self, sensor: StateSensor, joint_at: JointAt, log: EventLog) -> None:
+        self.gate = InnovationGate(sensor.settings, can_fall_silent=not isinstance(sensor, ConstraintSensor))
+        self._sensor = sensor
+        self._joint_at = joint_at
+        self._log = log
+        self._used_ns = 0
+
+    def judge(
+        self,
+        measurement: Measurement,
+        judge: Smoother,
+        smoothers: Iterable[Smoother],
+        now_ns: int,
+        inflation: float | None = None,
+    ) -> Outcome:
+        """Test a measurement at its node of one smoother, and add its factor to all of them if it may enter.
+
+        Args:
+            measurement: in the order of stamps.
+            judge: whose state it is compared with.
+            smoothers: into which it enters.
+            now_ns: time that the IMU has reached.
+            inflation: factor on its covariance; without it, that of one measurement after the last.
+        """
+        outcome = self.gate.judge(measurement, self._nis(judge, measurement), now_ns)
+        if outcome is Outcome.USED:
+            if inflation is None:
+                since_s = abs(measurement.stamp_ns - self._used_ns) * 1e-9
+                inflation = correlation_inflation(self._sensor.settings.correlation_s, since_s)
+            self._enter(measurement, smoothers, inflation)
+        elif outcome is not Outcome.QUARANTINED:
+            self._log.report(EventKind.REJECTED, measurement.stamp_ns, measurement.sensor, outcome)
+        return outcome
+
+    def held_inflation(self, held: Sequence[Measurement]) -> float:
+        """Return the factor on the covariance of each of some measurements that enter at once."""
+        if not held:
+            return 1.0
+        gaps_s = [abs(b.stamp_ns - a.stamp_ns) * 1e-9 for a, b in pairwise(held)]
+        since_s = abs(held[0].stamp_ns - self._used_ns) * 1e-9
+        return shared_inflation(self._sensor.settings.correlation_s, [since_s, *gaps_s])
+
+    def review(self, smoothers: Iterable[Smoother], now_ns: int) -> None:
+        """Lose the sensor or regain it; what waited enters when it is regained."""
+        change, name = self.gate.review(now_ns), self._sensor.name
+        if change is Change.LOST:
+            self._log.report(EventKind.SENSOR_LOST, now_ns, name, self.gate.reason())
+        elif change is Change.REGAINED:
+            held, every = self.gate.take_quarantined(), list(smoothers)
+            inflation = self.held_inflation(held)
+            for measurement in held:
+                if self._enter(measurement, every, inflation):
+                    self._log.recount(name, Outcome.QUARANTINED, Outcome.USED)
+            self._log.report(EventKind.SENSOR_REGAINED, now_ns, name, f"{len(held)} good measurements in a row")
+
+    def _nis(self, smoother: Smoother, measurement: Measurement) -> float | Outcome:
+        if smoother.node(measurement.stamp_ns) is None:
+            return Outcome.LATE
+        _, state = self._state(smoother, measurement)
+        innovation = self._sensor.innovation(measurement, state)
+        return innovation.nis(state) if isinstance(innovation, Innovation) else innovation
+
+    def _enter(self, measurement: Measurement, smoothers: Iterable[Smoother], inflation: float) -> bool:
+        has_entered = False
+        for smoother in smoothers:
+            key = smoother.node(measurement.stamp_ns)
+            if key is None:
+                continue
+            parameter_keys, state = self._state(smoother, measurement)
+            innovation = self._sensor.innovation(measurement, state)
+            if isinstance(innovation, Innovation):
+                factor = self._sensor.factor([key, *parameter_keys], measurement, state, innovation, inflation)
+                smoother.enter(measurement, factor)
+                self._used_ns, has_entered = measurement.stamp_ns, True
+        return has_entered
+
+    def _state(self, smoother: Smoother, measurement: Measurement) -> tuple[list[int], State]:
+        stamp_ns, prior = measurement.stamp_ns, self._sensor.parameter
+        state = smoother.state_at(stamp_ns, self._joint_at(stamp_ns))
+        if prior is None:
+            return [], state
+        start = self._sensor.first_parameter(measurement, state)
+        key, value, covariance = smoother.parameter(self._sensor.name, prior, stamp_ns, start)
+        return [key], state._replace(parameter=value, parameter_covariance=covariance)
+
+
+class States:
+    """All sensors of role STATE of one machine; they enter both graphs alike.
+
+    Args:
+        sensors: the models, by name.
+        joint_at: tells the turn joint.
+        log: where counts and events go.
+    """
+
+    def __init__(self, sensors: dict[str, StateSensor], joint_at: JointAt, log: EventLog) -> None:
+        self._judged = {name: JudgedSensor(sensor, joint_at, log) for name, sensor in sensors.items()}
+
+    def lost(self) -> list[str]:
+        """Return the sensors that are not trusted."""
+        return [name for name, judged in self._judged.items() if judged.gate.is_lost]
+
+    def add(self, graph: DualGraph, measurement: Measurement, now_ns: int) -> Outcome:
+        """Judge a measurement at its node, and add its factor to the graphs if it may enter."""
+        judged = self._judged[measurement.sensor]
+        return judged.judge(measurement, graph.published, graph.smoothers(), now_ns)
+
+    def review(self, graph: DualGraph, now_ns: int) -> None:
+        """Lose and regain sensors."""
+        for judged in self._judged.values():
+            judged.review(graph.smoothers(), now_ns)

@@ -1,0 +1,1 @@
+"""The estimator's output as ROS messages: the same in a file and on the network."""

@@ -1,0 +1,140 @@
+"""The estimator's output as ROS messages with their topics: the same in a file and on the network."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
+
+from holdfast.chassis.kinematics import BaseGeometry
+from holdfast.config.model import Config
+from holdfast.ros.cdr import OdometryEncoder
+from holdfast.ros.frame_transforms import FrameTransforms
+from holdfast.ros.outputs import base_odometry, odometry, seen_from
+from holdfast.state import BaseState, Estimate, Health, HealthReport, Outcome
+
+ODOMETRY = "nav_msgs/msg/Odometry"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+DIAGNOSTICS_PERIOD_NS = 1_000_000_000
+BIAS_KEYS = tuple(
+    f"bias_{sensor}_{axis}_{unit}" for sensor, unit in (("gyro", "rad_s"), ("accel", "m_s2")) for axis in "xyz"
+)
+OK, WARN = 0, 1
+
+
+class RosMessage(NamedTuple):
+    """One message of a topic, in CDR."""
+
+    topic: str
+    type_name: str
+    data: bytes
+
+
+class EstimateMessages:
+    """Encodes every estimate: odometry of the IMU in both frames, of the chassis where it is known, and transforms.
+
+    Args:
+        config: names the frames.
+        node: full name of the node, the `~` of its topics.
+    """
+
+    def __init__(self, config: Config, node: str = "/holdfast") -> None:
+        frames = config.frames
+        self._topics = [f"{node}/odometry/{name}" for name in ("world", "odom", "base")]
+        self._geometry = BaseGeometry(config) if config.has_base() else None
+        self._in_world = OdometryEncoder(frames.world, config.imu_frame)
+        self._in_odometry = OdometryEncoder(frames.odometry, config.imu_frame)
+        self._of_base = OdometryEncoder(frames.odometry, frames.base)
+        self._transforms = FrameTransforms(config)
+        self._rate_density = config.imu.gyroscope_noise_density**2
+        self._last_stamp_ns = 0
+        self.has_mounts = bool(config.extrinsics)
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Every topic that `of` may name, with its type."""
+        odometries = self._topics if self._geometry is not None else self._topics[:2]
+        return dict.fromkeys(odometries, ODOMETRY) | {"/tf": TRANSFORMS}
+
+    def of(self, estimate: Estimate, base: BaseState | None) -> Iterator[RosMessage]:
+        """Yield the messages of one estimate, stamped as it is, each as soon as it is made; ask in order of time."""
+        stamp = estimate.stamp_ns
+        T_W_I = estimate.nav.pose()
+        period_s = min(max((stamp - self._last_stamp_ns) * 1e-9, 1e-4), 0.1)
+        self._last_stamp_ns = stamp
+        rate_variance = self._rate_density / period_s
+        world = odometry(estimate, T_W_I, rate_variance)
+        yield RosMessage(self._topics[0], ODOMETRY, self._in_world.encode(stamp, *world))
+        odom = seen_from(world, estimate, estimate.T_W_O.inverse() * T_W_I)
+        yield RosMessage(self._topics[1], ODOMETRY, self._in_odometry.encode(stamp, *odom))
+        yield RosMessage("/tf", TRANSFORMS, self._transforms.at(estimate, base))
+        if base is not None and self._geometry is not None:
+            chassis = base_odometry(estimate, base, self._geometry, rate_variance)
+            yield RosMessage(self._topics[2], ODOMETRY, self._of_base.encode(stamp, *chassis))
+
+    def mounts(self, stamp_ns: int) -> RosMessage:
+        """Return the message for /tf_static: what does not move."""
+        return RosMessage("/tf_static", TRANSFORMS, self._transforms.mounts(stamp_ns))
+
+
+class Observed(Protocol):
+    """What diagnostics need of an estimator."""
+
+    @property
+    def initialised(self) -> bool:
+        """Return whether estimates are being given."""
+
+    @property
+    def waiting_for(self) -> str:
+        """Return what keeps it from starting."""
+
+    @property
+    def counts(self) -> Mapping[tuple[str, Outcome], int]:
+        """Return the number of measurements by sensor and outcome."""
+
+    def health_report(self) -> HealthReport:
+        """Return the health with what it rests on."""
+
+
+class Status(NamedTuple):
+    """One diagnostic_msgs/DiagnosticStatus."""
+
+    level: int
+    name: str
+    message: str
+    values: Sequence[tuple[str, str]] = ()
+
+
+def estimator_status(estimator: Observed) -> Status:
+    """Return the estimator's health: what is fused, how old it is, and the outcome counts of each sensor."""
+    report = estimator.health_report()
+    values = [("fused", " ".join(report.fused))]
+    values += [(f"{sensor} age_s", f"{age_s:.3f}") for sensor, age_s in report.ages_s.items()]
+    values += [(f"{sensor} {outcome}", str(count)) for (sensor, outcome), count in sorted(estimator.counts.items())]
+    level = OK if report.health is Health.NOMINAL else WARN
+    message = report.health if estimator.initialised else f"{report.health}: {estimator.waiting_for}"
+    return Status(level, "holdfast", message, values)
+
+
+def bias_status(estimate: Estimate) -> Status:
+    """Return the biases of the IMU, as they are estimated."""
+    biases = (*estimate.bias.gyroscope(), *estimate.bias.accelerometer())
+    values = [(key, f"{value:.9g}") for key, value in zip(BIAS_KEYS, biases, strict=True)]
+    return Status(OK, "holdfast: biases of the IMU", "", values)
+
+
+def diagnostic_array(types: Mapping[str, Any], stamp_ns: int, statuses: Sequence[Status]) -> Any:
+    """Return a diagnostic_msgs/DiagnosticArray made of `types`, the classes of the standard messages by name."""
+    key_value, status_type = types["diagnostic_msgs/msg/KeyValue"], types["diagnostic_msgs/msg/DiagnosticStatus"]
+    stamp = types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+    return types[DIAGNOSTICS](
+        header=types["std_msgs/msg/Header"](stamp=stamp, frame_id=""),
+        status=[
+            status_type(
+                level=status.level,
+                name=status.name,
+                message=status.message,
+                hardware_id="",
+                values=[key_value(key=key, value=value) for key, value in status.values],
+            )
+            for status in statuses
+        ],
+    )

@@ -1,0 +1,170 @@
+"""Odometry: which poses can be used, what their motion weighs, and the factors that they become.
+
+Its poses are relative, so one state says nothing of them: `holdfast.graph.odometry_track` joins them.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import gtsam
+import numpy as np
+
+from holdfast.config.sensors import OdometryConfig
+from holdfast.geometry.world import World
+from holdfast.messages import Array, Message, SensorPose
+from holdfast.sensors.noise import FREE_VARIANCE, noise_model
+from holdfast.sensors.sensor import Role, mounting, register
+from holdfast.state import Outcome
+
+MAX_DISTANCE_M = 1e6
+MAX_SPEED_M_S = 100.0
+MAX_SCALE = 30.0
+FREE_TILT_RAD = 0.2  # of a pseudo-global pose, whose roll and pitch are left to the IMU
+STILL_M_S = 1e-3  # velocity of a frame, which has one only because it shares the type of the nodes
+STANDING_DRIFT_M_PER_SQRT_S = 1e-4  # what even a standing odometry is allowed; a tenth of it in rad
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackPose:
+    """A checked pose: T_I0_I of the IMU in the frame where it was when the odometry started, time offset applied."""
+
+    stamp_ns: int
+    sensor: str
+    T_I0_I: gtsam.Pose3
+
+
+class OdometryModel:
+    """One odometry; `T_I_L` is the pose of its sensor in the IMU's frame."""
+
+    role: ClassVar[Role] = Role.ODOMETRY
+    message: ClassVar[type[Message] | None] = SensorPose
+
+    def __init__(self, name: str, config: OdometryConfig, T_I_L: gtsam.Pose3) -> None:
+        self.name = name
+        self.config = config
+        self.offset_ns = round(config.time_offset_s * 1e9)
+        self.max_interval_ns = round(config.max_interval_s * 1e9)
+        self.adjoint: Array = T_I_L.AdjointMap()
+        self._T_I_L = T_I_L
+        self._T_L_I = T_I_L.inverse()
+
+    def convert(self, message: SensorPose, world: World) -> TrackPose | Outcome:  # noqa: ARG002 (it starts anywhere)
+        """Return the pose of the IMU on the track, T_I_L T_L0_L T_L_I, or what is wrong with it."""
+        if not (np.isfinite(message.position).all() and np.isfinite(message.quaternion).all()):
+            return Outcome.NOT_FINITE
+        if abs(message.position).max() > MAX_DISTANCE_M:
+            return Outcome.OUT_OF_RANGE
+        x, y, z, w = message.quaternion
+        T_L0_L = gtsam.Pose3(gtsam.Rot3.Quaternion(w, x, y, z), message.position)
+        return TrackPose(message.stamp_ns + self.offset_ns, self.name, self._T_I_L * T_L0_L * self._T_L_I)
+
+
+def is_possible(motion: gtsam.Pose3, duration_s: float) -> bool:
+    """Whether a machine can have moved like this between two poses."""
+    return bool(np.linalg.norm(motion.translation()) <= MAX_SPEED_M_S * duration_s)
+
+
+class OdometryNoise:
+    """What the motion of an odometry weighs: as configured, times a scale that grows where it proves to be worse.
+
+    It lives as long as one start of the estimator.
+    """
+
+    def __init__(self, model: OdometryModel) -> None:
+        self.scale = 1.0
+        self._config = model.config
+        self._adjoint = model.adjoint
+
+    def trust_less(self, factor: float) -> None:
+        """The odometry has proved to be worse than configured."""
+        self.scale = min(factor * self.scale, MAX_SCALE)
+
+    def has_jumped(self, motion: gtsam.Pose3, predicted: gtsam.Pose3) -> bool:
+        """Whether the motion between two poses is beyond `jump_sigma` from the one that the IMU predicts."""
+        residual = gtsam.Pose3.Logmap(predicted.between(motion))
+        return bool(residual @ np.linalg.solve(self.covariance(motion), residual) > self._config.jump_sigma**2)
+
+    def covariance(self, motion: gtsam.Pose3) -> Array:
+        """Return the covariance (6, 6) of the IMU's motion between two poses, rotation [rad] then translation [m].
+
+        The odometry's own noise, that of both poses and the drift between them, is carried over the lever arm to the
+        IMU by the adjoint: (16) in docs/math.md.
+        """
+        rotation_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation())))
+        drift = self._drift(float(np.linalg.norm(motion.translation())), rotation_rad)
+        return self._at_imu(self._sigmas() ** 2 + drift**2)
+
+    def pose_variances(self) -> tuple[float, float]:
+        """Return the variances of one pose per axis, half of that of a motion: rotation [rad^2], translation [m^2]."""
+        sigmas = self._sigmas()
+        return 0.5 * float(sigmas[0]) ** 2, 0.5 * float(sigmas[3]) ** 2
+
+    def drift(self, motion: gtsam.Pose3, duration_s: float) -> Array:
+        """Return the sigmas (6,) of the drift of the odometry over a motion, rotation [rad] then translation [m].
+
+        What cannot be told from the noise of two poses is no motion: a standing odometry hardly drifts.
+        """
+        rotation_sigma, translation_sigma = self._sigmas()[0], self._sigmas()[3]
+        distance_m = max(0.0, float(np.linalg.norm(motion.translation())) - 2.0 * translation_sigma)
+        rotated = float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation())))
+        standing = STANDING_DRIFT_M_PER_SQRT_S * np.sqrt(duration_s)
+        sigmas: Array = self._drift(distance_m, max(0.0, rotated - 2.0 * rotation_sigma))
+        sigmas += np.repeat([0.1 * standing, standing], 3)
+        return sigmas
+
+    # --- factors -----------------------------------------------------------------------------------------------------
+
+    def relative_factor(self, key_i: int, key_j: int, motion: gtsam.Pose3) -> gtsam.NonlinearFactor:
+        """Return the factor between two nodes for the IMU's motion T_Ii_Ij (paper, IV-A.4a).
+
+        It is a factor between two `NavState`s whose velocity part is free.
+        """
+        return self._between(key_i, key_j, motion, self.covariance(motion))
+
+    def anchored_factor(self, frame_key: int, key: int, motion: gtsam.Pose3) -> gtsam.NonlinearFactor:
+        """Return the factor that joins a node to a pose on the track, `motion` away: (29) in docs/math.md.
+
+        Its noise is that of one pose, half the variance of a motion between two.
+        """
+        return self._between(frame_key, key, motion, self._at_imu(0.5 * self._sigmas() ** 2))
+
+    def pseudo_global_factor(self, key: int, T_W_I: gtsam.Pose3) -> gtsam.NonlinearFactor:
+        """Return the pose factor in W of the paper's fallback graph (IV-A.4b): roll and pitch are left to the IMU."""
+        covariance = np.eye(9) * FREE_VARIANCE
+        covariance[:6, :6] = self._at_imu(0.5 * self._sigmas() ** 2)
+        R = T_W_I.rotation().matrix()
+        covariance[:3, :3] += R.T @ np.diag([FREE_TILT_RAD**2, FREE_TILT_RAD**2, 0.0]) @ R
+        model = noise_model(covariance, self._config.robust_loss)
+        return gtsam.PriorFactorNavState(key, gtsam.NavState(T_W_I, np.zeros(3)), model)
+
+    def drift_factor(self, before_key: int, key: int, motion: gtsam.Pose3, duration_s: float) -> gtsam.NonlinearFactor:
+        """Return the factor between two poses on the track, which may drift between them: (29) in docs/math.md."""
+        covariance = np.eye(9) * STILL_M_S**2
+        covariance[:6, :6] = np.diag(self.drift(motion, duration_s) ** 2)
+        model = gtsam.noiseModel.Gaussian.Covariance(covariance)
+        return gtsam.BetweenFactorNavState(before_key, key, gtsam.NavState(motion, np.zeros(3)), model)
+
+    def _drift(self, distance_m: float, rotation_rad: float) -> Array:
+        config = self._config
+        rotation = np.hypot(
+            config.drift_rad_per_sqrt_m * np.sqrt(distance_m), config.drift_rad_per_sqrt_rad * np.sqrt(rotation_rad)
+        )
+        sigmas: Array = self.scale * np.repeat([rotation, config.drift_m_per_sqrt_m * np.sqrt(distance_m)], 3)
+        return sigmas
+
+    def _sigmas(self) -> Array:
+        sigmas: Array = self.scale * np.repeat([self._config.rotation_sigma_rad, self._config.translation_sigma_m], 3)
+        return sigmas
+
+    def _at_imu(self, variances: Array) -> Array:
+        covariance: Array = self._adjoint @ np.diag(variances) @ self._adjoint.T
+        return covariance
+
+    def _between(self, key_i: int, key_j: int, motion: gtsam.Pose3, covariance: Array) -> gtsam.NonlinearFactor:
+        free = np.eye(9) * FREE_VARIANCE
+        free[:6, :6] = covariance
+        model = noise_model(free, self._config.robust_loss)
+        return gtsam.BetweenFactorNavState(key_i, key_j, gtsam.NavState(motion, np.zeros(3)), model)
+
+
+register(OdometryConfig, lambda name, section, config: OdometryModel(name, section, mounting(name, config)))

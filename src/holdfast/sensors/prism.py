@@ -1,0 +1,57 @@
+"""A prism that a robotic total station follows: positions in the station's site grid, and how they lie in W."""
+
+from math import cos, radians, sin
+from typing import ClassVar
+
+import gtsam
+import numpy as np
+
+from holdfast.config.sensors import PrismConfig
+from holdfast.geometry.world import World
+from holdfast.messages import Array, Message, PointPosition
+from holdfast.sensors.position import position_factor, position_innovation
+from holdfast.sensors.sensor import Innovation, Position, Role, State, claimed_covariance, lever_arm, register
+from holdfast.state import Outcome
+
+MAX_DISTANCE_M = 1e5
+
+
+class PrismModel:
+    """One prism; `p_I_P` (3,) [m] is its lever arm in the IMU's frame."""
+
+    role: ClassVar[Role] = Role.POSITION
+    message: ClassVar[type[Message] | None] = PointPosition
+
+    def __init__(self, name: str, config: PrismConfig, p_I_P: Array) -> None:
+        self.name = name
+        self.offset_ns = round((config.time_offset_s - config.latency_s) * 1e9)
+        self.p_I_P = p_I_P
+        self.limit = config.gate_sigma**2
+        yaw = radians(config.grid_yaw_deg)
+        self._R_W_grid: Array = np.array([[cos(yaw), -sin(yaw), 0.0], [sin(yaw), cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+        self._p_W_grid = np.array(config.grid_position_m)
+        self._config = config
+
+    def convert(self, message: PointPosition, world: World) -> Position | Outcome:  # noqa: ARG002 (the grid is in W)
+        """Return the position in W, or what is wrong with it."""
+        if not np.isfinite(message.position).all():
+            return Outcome.NOT_FINITE
+        if abs(message.position).max() > MAX_DISTANCE_M:
+            return Outcome.OUT_OF_RANGE
+        covariance = claimed_covariance(message.covariance, np.full(3, self._config.sigma_m))
+        if np.diag(covariance)[:2].max() > self._config.max_sigma_m**2:
+            return Outcome.LARGE_COVARIANCE
+        R = self._R_W_grid
+        p_W_P, stamp_ns = self._p_W_grid + R @ message.position, message.stamp_ns + self.offset_ns
+        return Position(stamp_ns, self.name, p_W_P, R @ covariance @ R.T, self._config.correlation_s)
+
+    def innovation(self, position: Position, state: State) -> Innovation:
+        """Compare a position with a state."""
+        return position_innovation(position, state, self.p_I_P)
+
+    def factor(self, key: int, position: Position, inflation: float) -> gtsam.NonlinearFactor:
+        """Return the factor of a position on a node, its covariance times `inflation`."""
+        return position_factor(key, position, self.p_I_P, self._config.robust_loss, inflation)
+
+
+register(PrismConfig, lambda name, section, config: PrismModel(name, section, lever_arm(name, config)))

@@ -1,0 +1,259 @@
+"""What a sensor is to the estimator: it converts messages, and compares a measurement with a state.
+
+A sensor holds no state. `Sensor` is what all have; the other protocols add what their role in the estimator asks for.
+A new kind is one file with a class that has one of them, which it ends with `register`: docs/new-sensor.md builds one
+from nothing.
+"""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
+
+import gtsam
+import numpy as np
+
+from holdfast.config.model import Config
+from holdfast.config.sensors import JudgedConfig, SensorConfig
+from holdfast.geometry.world import World
+from holdfast.messages import Array, Message
+from holdfast.state import Outcome
+
+RECENT = 64  # stamps per sensor among which a duplicate is looked for
+FUTURE_NS = 1_000_000_000  # further ahead of the IMU's clock a stamp is an error
+
+
+class Role(StrEnum):
+    """What a sensor's measurements do in the estimator; each role has one way into the graph."""
+
+    POSITION = "position"  # of a point in W; the trust in all of these together decides between main and fallback
+    HEADING = "heading"  # of the receiver whose fixes are positions, and doubted with them
+    ODOMETRY = "odometry"  # poses that drift, joined to a track of their own
+    POSE = "pose"  # a state that the estimator can start from, too
+    STATE = "state"  # whatever one state explains, tested one by one
+
+
+class Measurement(Protocol):
+    """A checked message, in the estimator's units and frames, time offset applied; measurements are their identity."""
+
+    @property
+    def stamp_ns(self) -> int:
+        """Return the time of measurement on the IMU's clock."""
+
+    @property
+    def sensor(self) -> str:
+        """Return the sensor's name."""
+
+
+class Joint(NamedTuple):
+    """The turn joint at one time: angle [rad] and rate [rad/s] of the cabin on the chassis."""
+
+    angle_rad: float
+    rate_rad_s: float
+
+
+class State(NamedTuple):
+    """What a measurement is compared with.
+
+    Attributes:
+        nav: attitude R_W_I, position p_W_I [m] and velocity v_W [m/s].
+        covariance: (9, 9) of nav, in GTSAM's order (rotation, position, velocity, each in I).
+        angular_velocity: (3,) of I, bias removed [rad/s].
+        joint: the turn joint, None where there is none or where its angle is not known.
+        parameter: (p,) the sensor's estimated parameter; empty if it has none.
+        parameter_covariance: (p, p).
+    """
+
+    nav: gtsam.NavState
+    covariance: Array
+    angular_velocity: Array = np.zeros(3)
+    joint: Joint | None = None
+    parameter: Array = np.zeros(0)
+    parameter_covariance: Array = np.zeros((0, 0))
+
+
+class Innovation(NamedTuple):
+    """A measurement minus what a state predicts: y = z - h(x), and how it depends on the state.
+
+    Attributes:
+        y: (m,) in the measurement's units.
+        H: (m, 9) derivative of h by GTSAM's tangent of the `NavState`.
+        R: (m, m) covariance of the measurement.
+        J: (m, p) derivative of h by the sensor's parameter; p may be 0.
+    """
+
+    y: Array
+    H: Array
+    R: Array
+    J: Array
+
+    def nis(self, state: State) -> float:
+        """Return the normalised innovation squared, given the covariances of the state: (21) in docs/math.md."""
+        S = self.H @ state.covariance @ self.H.T + self.R
+        if self.J.size:
+            S += self.J @ state.parameter_covariance @ self.J.T
+        return float(self.y @ np.linalg.solve(S, self.y))
+
+
+class Parameter(NamedTuple):
+    """A constant of a sensor that the graph estimates, such as a scale factor: prior mean (p,) and sigmas (p,)."""
+
+    mean: Array
+    sigmas: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Position:
+    """A checked position of a point of the machine: p_W_P (3,) [m] with covariance (3, 3) [m^2], offset applied.
+
+    Attributes:
+        correlation_s: correlation time of its error.
+    """
+
+    stamp_ns: int
+    sensor: str
+    p_W_P: Array
+    covariance: Array
+    correlation_s: float
+
+
+class Sensor(Protocol):
+    """One sensor of the machine; `role` says which protocol below it has, `message` what it converts, if anything."""
+
+    role: ClassVar[Role]
+    message: ClassVar[type[Message] | None]
+    name: str
+    offset_ns: int
+
+    def convert(self, message: Any, world: World) -> Any:
+        """Return the measurement in a message, or the `Outcome` that says what is wrong with it.
+
+        A point on the ellipsoid may place `world`. The message is of the kind's type, the measurement of the sensor's.
+        """
+
+
+class PositionSensor(Sensor, Protocol):
+    """A sensor of role POSITION: `p_I_P` (3,) [m] is its lever arm, `limit` bounds the NIS."""
+
+    p_I_P: Array
+    limit: float
+
+    def innovation(self, position: Position, state: State) -> Innovation:
+        """Compare a position with a state."""
+
+    def factor(self, key: int, position: Position, inflation: float) -> gtsam.NonlinearFactor:
+        """Return the factor on a node, its covariance times `inflation`."""
+
+
+class StateSensor(Sensor, Protocol):
+    """A sensor of role STATE, POSE or HEADING: one state explains its measurement, beside a constant perhaps."""
+
+    settings: JudgedConfig
+    parameter: Parameter | None
+
+    def innovation(self, measurement: Any, state: State) -> Innovation | Outcome:
+        """Compare a measurement with a state, or say why it cannot be compared."""
+
+    def first_parameter(self, measurement: Any, state: State) -> Array:  # noqa: ARG002 (the prior's mean, as a rule)
+        """Return the parameter (p,) about which the first factor is linearised."""
+        return np.zeros(0) if self.parameter is None else self.parameter.mean
+
+    def factor(
+        self, keys: Sequence[int], measurement: Any, state: State, innovation: Innovation, inflation: float
+    ) -> gtsam.NonlinearFactor:
+        """Return the factor of a measurement: as a rule that of its innovation, evaluated anew at each linearisation.
+
+        Args:
+            keys: that of the node and, if there is one, that of the parameter.
+            measurement: what was measured.
+            state: the estimate of node and parameter.
+            innovation: of the measurement at that state.
+            inflation: factor on the covariance.
+        """
+        return innovation_factor(self, keys, measurement, state, innovation.R * inflation)
+
+
+@runtime_checkable
+class ConstraintSensor(StateSensor, Protocol):
+    """A `StateSensor` without messages, whose measurements are made every `period_ns`."""
+
+    period_ns: int
+
+    def at(self, stamp_ns: int) -> Measurement:
+        """Return the measurement at a time."""
+
+
+def innovation_factor(
+    sensor: StateSensor, keys: Sequence[int], measurement: Any, state: State, covariance: Array
+) -> gtsam.NonlinearFactor:
+    """Return the factor |h(x, p) - z| weighed by a covariance (m, m), with h and its derivatives from `innovation`.
+
+    Angular velocity and joint of the state are taken as known. A measurement that cannot be compared any more weighs
+    nothing.
+    """
+    size = len(covariance)
+
+    def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
+        at = state._replace(nav=values.atNavState(keys[0]))
+        if len(keys) > 1:
+            at = at._replace(parameter=values.atVector(keys[1]))
+        found = sensor.innovation(measurement, at)
+        if isinstance(found, Outcome):
+            found = Innovation(np.zeros(size), np.zeros((size, 9)), covariance, np.zeros((size, len(at.parameter))))
+        if jacobians is not None:
+            for k, by_variable in enumerate((found.H, found.J)[: len(keys)]):
+                jacobians[k] = by_variable
+        return -found.y
+
+    return gtsam.CustomFactor(gtsam.noiseModel.Gaussian.Covariance(covariance), list(keys), error)
+
+
+def claimed_covariance(claim: Array | None, floors: Array) -> Array:
+    """Return the covariance (m, m) that a sensor claims, not below `floors` (m,), which stand for no claim."""
+    if claim is None or not np.isfinite(claim).all() or not (np.diag(claim) > 0.0).all():
+        return np.diag(floors**2)
+    floored: Array = claim + np.diag(np.maximum(0.0, floors**2 - np.diag(claim)))
+    return floored
+
+
+Maker = Callable[[str, Any, Config], Sensor]
+"""Takes a sensor's name, its section, and the configuration."""
+
+MAKERS: dict[type[SensorConfig], Maker] = {}
+
+
+def register(section: type[SensorConfig], maker: Maker) -> None:
+    """Let the estimator use a kind of sensor, of which a section of the configuration makes the model."""
+    MAKERS[section] = maker
+
+
+def lever_arm(name: str, config: Config) -> Array:
+    """Return the position (3,) of a sensor in the IMU's frame [m]."""
+    return config.T_I(config.frame_of(name))[:3, 3]
+
+
+def mounting(name: str, config: Config) -> gtsam.Pose3:
+    """Return the pose T_I_S of a sensor in the IMU's frame."""
+    return gtsam.Pose3(config.T_I(config.frame_of(name)))
+
+
+class StampFilter:
+    """Duplicates, and stamps that are ahead of the IMU's clock; one for all sensors."""
+
+    def __init__(self) -> None:
+        self._recent: dict[str, deque[int]] = {}
+
+    def check(self, sensor: str, stamp_ns: int, arrival_ns: int, reached_ns: int, reached_arrival_ns: int) -> Outcome:
+        """Say whether a stamp, time offset applied, can be right; the IMU has reached a time, and when it arrived.
+
+        A stamp is in the future if it is further ahead than silence of the IMU explains.
+        """
+        recent = self._recent.setdefault(sensor, deque(maxlen=RECENT))
+        if stamp_ns in recent:
+            return Outcome.DUPLICATE
+        silence_ns = max(0, arrival_ns - reached_arrival_ns)
+        if reached_ns > 0 and stamp_ns - reached_ns > silence_ns + FUTURE_NS:
+            return Outcome.CLOCK_JUMP
+        recent.append(stamp_ns)
+        return Outcome.USED

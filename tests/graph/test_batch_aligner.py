@@ -1,0 +1,80 @@
+"""Heading from motion: a batch of fixes and IMU, and when it is not yet certain."""
+
+import gtsam
+import numpy as np
+import pytest
+from motion import ARM, Drive, G, machine, ns
+from rig import NO_BIAS, buffered, position
+
+from holdfast.graph.alignment import BatchAligner, level_attitude
+from holdfast.sensors.preintegration import ImuNoise
+from holdfast.sensors.registry import sensors_of
+
+CONFIG = machine()
+BIAS_SIGMAS = np.repeat([0.1, 0.01], 3)
+LIMIT_RAD = np.radians(5.0)
+STRAIGHT = Drive(start_s=-10.0, radius_m=1e5, speed=1e-5, tilt=0.0, heave_m=0.0)  # 1 m/s, never turning
+
+
+def aligned(motion, times, *, offset=lambda _: (0.0, 0.0, 0.0), limit_rad=LIMIT_RAD, motions=()):
+    sensors = {"gnss": sensors_of(CONFIG)["gnss"]}
+    noise = ImuNoise(CONFIG.imu, CONFIG.graph.position_integration_sigma, G)
+    aligner = BatchAligner(buffered(motion, times[-1] + 0.1), noise, sensors, BIAS_SIGMAS)
+    fixes = [position(motion, t, ARM, offset(t)) for t in times]
+    return aligner.solve(fixes, NO_BIAS, motions, limit_rad)
+
+
+@pytest.mark.parametrize("yaw_rad", [-2.5, 0.3, 3.1])
+def test_a_curve_gives_attitude_velocity_and_position_whatever_the_heading(yaw_rad):
+    drive, times = Drive(start_s=-3.0, yaw_rad=yaw_rad), np.arange(0.1, 4.0, 0.2)
+    found = aligned(drive, times)
+    assert found.reason == "heading from motion"
+    assert found.heading_sigma_rad < LIMIT_RAD
+    assert found.state.stamp_ns == ns(times[-1])
+    error = found.state.nav.localCoordinates(drive.nav(times[-1]))
+    assert (abs(error) < 4.0 * np.sqrt(np.diag(found.state.covariance)[:9])).all()
+    assert np.linalg.norm(found.state.angular_velocity - drive.readings(times[-1])[1]) < 0.01
+
+
+def test_a_heading_that_is_less_sure_than_is_needed_is_refused_with_both_numbers():
+    found = aligned(Drive(start_s=-3.0), np.arange(0.1, 2.0, 0.2), limit_rad=1e-5)
+    assert found.state is None
+    assert "heading is known to" in found.reason and "0.0 deg are needed" in found.reason
+
+
+def test_an_even_straight_drive_fits_more_than_one_heading():
+    found = aligned(STRAIGHT, np.arange(0.1, 6.0, 0.2))
+    assert found.state is None
+    assert found.reason == "the motion so far fits more than one heading"
+
+
+def test_relative_motions_of_an_odometry_make_an_even_straight_drive_certain():
+    """An odometry that moves along x, where GNSS sees the machine go, is the heading."""
+    times = np.arange(0.1, 6.0, 0.2)
+    noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([0.002, 0.01, 1e6], 3))
+    step = STRAIGHT.pose(0.0).between(STRAIGHT.pose(0.2))
+    motions = [
+        gtsam.BetweenFactorNavState(
+            gtsam.symbol("x", k), gtsam.symbol("x", k + 1), gtsam.NavState(step, np.zeros(3)), noise
+        )
+        for k in range(len(times) - 1)
+    ]
+    found = aligned(STRAIGHT, times, motions=motions)
+    assert found.state is not None
+    assert (
+        abs(found.state.nav.attitude().rpy()[2] - STRAIGHT.nav(6.0).attitude().rpy()[2]) < 4.0 * found.heading_sigma_rad
+    )
+
+
+def test_fixes_that_no_motion_of_the_imu_explains_are_refused():
+    found = aligned(Drive(start_s=-3.0), np.arange(0.1, 4.0, 0.2), offset=lambda t: (3.0 * np.sin(9.0 * t), 0.0, 0.0))
+    assert found.state is None
+    assert "GNSS and IMU disagree" in found.reason
+
+
+@pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.3, -0.2), (-1.2, 0.7)])
+def test_the_level_attitude_puts_the_specific_force_upright(roll, pitch):
+    force = gtsam.Rot3.RzRyRx(roll, pitch, 2.0).unrotate(np.array([0.0, 0.0, G]))
+    level = level_attitude(force)
+    np.testing.assert_allclose(level.rotate(force), [0.0, 0.0, G], atol=1e-9)
+    assert level.rpy() == pytest.approx([roll, pitch, 0.0])

@@ -1,0 +1,103 @@
+"""The constants of sensors: one variable as long as it is used, and known beyond that."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from holdfast.graph.parameters import MAX_SIZE, REFRESHED_NS, Parameters, parameter_letter
+from holdfast.graph.window import Window
+from holdfast.sensors.sensor import Parameter
+
+PRIOR = Parameter(np.array([1.0, -2.0]), np.array([0.5, 0.2]))
+SECOND_NS = 1_000_000_000
+
+
+def empty():
+    thresholds = gtsam.ISAM2ThresholdMap()
+    for size in range(1, MAX_SIZE + 1):
+        thresholds.insert((parameter_letter(size), np.full(size, 1e-3)))
+    return Window(thresholds)
+
+
+def measure(window, key, value, sigma=0.1):
+    window.add(gtsam.PriorFactorVector(key, np.array(value), gtsam.noiseModel.Isotropic.Sigma(2, sigma)))
+
+
+def test_at_first_a_parameter_is_its_prior():
+    window, parameters = empty(), Parameters()
+    known = parameters.use(window, "wheels", PRIOR, 0)
+    assert known.key in window
+    np.testing.assert_array_equal(known.value, PRIOR.mean)
+    np.testing.assert_allclose(known.covariance, np.diag([0.25, 0.04]))
+    found, sigmas = parameters.estimate("wheels")
+    np.testing.assert_array_equal(found, PRIOR.mean)
+    np.testing.assert_allclose(sigmas, PRIOR.sigmas)
+    assert parameters.estimate("laser") is None
+
+
+def test_a_parameter_is_one_variable_and_each_sensor_has_its_own():
+    window, parameters = empty(), Parameters()
+    keys = [parameters.use(window, name, PRIOR, 0).key for name in ("wheels", "laser", "wheels")]
+    assert keys[0] == keys[2] != keys[1]
+
+
+def test_once_solved_it_is_what_prior_and_measurements_say():
+    window, parameters = empty(), Parameters()
+    measure(window, parameters.use(window, "wheels", PRIOR, 0).key, [1.5, -2.0])
+    window.solve(0)
+    parameters.mark_solved()
+    known = parameters.use(window, "wheels", PRIOR, REFRESHED_NS)
+    weight = 0.25 / (0.25 + 0.01)
+    assert known.value == pytest.approx([1.0 + 0.5 * weight, -2.0])
+    np.testing.assert_allclose(np.diag(known.covariance), [0.25 * (1 - weight), 0.04 * 0.01 / 0.05])
+
+
+def test_its_covariance_is_read_once_a_second_and_its_value_each_time():
+    window, parameters = empty(), Parameters()
+    measure(window, parameters.use(window, "wheels", PRIOR, 0).key, [1.5, -2.0])
+    window.solve(0)
+    parameters.mark_solved()
+    soon = parameters.use(window, "wheels", PRIOR, REFRESHED_NS - 1)
+    assert soon.value[0] > 1.4 and soon.covariance[0, 0] == 0.25
+    assert parameters.use(window, "wheels", PRIOR, REFRESHED_NS).covariance[0, 0] < 0.01
+
+
+def test_a_parameter_stays_as_long_as_it_is_used_and_what_it_knew_is_the_prior_of_the_next():
+    window, parameters = empty(), Parameters()
+    first = parameters.use(window, "wheels", PRIOR, 0)
+    measure(window, first.key, [1.5, -2.0])
+    other = parameters.use(window, "laser", PRIOR, 9 * SECOND_NS)
+    measure(window, other.key, [1.0, -2.0])
+    window.solve(0)
+    parameters.mark_solved()
+    before = parameters.use(window, "wheels", PRIOR, 2 * SECOND_NS)
+    window.solve(2 * SECOND_NS)
+    assert before.key == first.key and first.key in window
+    window.solve(5 * SECOND_NS)
+    assert first.key not in window and other.key in window
+    again = parameters.use(window, "wheels", PRIOR, 6 * SECOND_NS)
+    assert again.key not in (first.key, other.key)
+    np.testing.assert_array_equal(again.value, before.value)
+    np.testing.assert_array_equal(again.covariance, before.covariance)
+
+
+def test_a_copy_goes_its_own_way():
+    window, parameters = empty(), Parameters()
+    parameters.use(window, "wheels", PRIOR, 0)
+    copy = parameters.copy()
+    copy.use(window, "laser", PRIOR, 0)
+    assert parameters.estimate("laser") is None and copy.estimate("wheels") is not None
+
+
+def test_parameters_of_different_sizes_have_keys_of_different_letters():
+    letters = {parameter_letter(size) for size in range(1, MAX_SIZE + 1)}
+    assert len(letters) == MAX_SIZE and letters.isdisjoint("xlb")
+
+
+def test_a_start_is_where_it_is_linearised_first_and_changes_nothing_that_is_known():
+    window, parameters = empty(), Parameters()
+    known = parameters.use(window, "marker", PRIOR, 0, np.array([1.2, -2.1]))
+    np.testing.assert_array_equal(known.value, [1.2, -2.1])
+    window.solve(0)
+    parameters.mark_solved()
+    assert parameters.use(window, "marker", PRIOR, 0, np.array([9.0, 9.0])).value == pytest.approx(PRIOR.mean)

@@ -1,0 +1,111 @@
+"""Headings come from the receiver whose fixes are doubted: while GNSS is lost they wait, and enter with the fixes."""
+
+from math import atan2
+
+import numpy as np
+import pytest
+from motion import Drive, machine, ns
+from rig import Rig
+
+from holdfast.sensors.heading import AxisYaw
+from holdfast.state import EventKind, Outcome
+
+DRIVE = Drive(start_s=-3.0)
+
+
+def begun(**settings):
+    config = machine(lidar=False, heading=True, heading_={"correlation_s": 0.0, **settings})
+    return Rig(DRIVE, config, 12.0)
+
+
+def heading(t, off_rad=0.0, sigma_rad=0.01):
+    x, y, _ = DRIVE.nav(t).attitude().rotate(np.array([1.0, 0.0, 0.0]))
+    return AxisYaw(ns(t), "heading", atan2(y, x) + off_rad, sigma_rad)
+
+
+def receive(rig, measured):
+    outcome = rig.headings.add(rig.graph, measured, measured.stamp_ns)
+    rig.log.count("heading", outcome)
+    rig.update()
+    rig.headings.review(rig.graph, measured.stamp_ns)
+    return outcome
+
+
+def yaw_sigma_rad(smoother):
+    R = smoother.newest.nav.attitude().matrix()
+    return np.sqrt((R @ smoother.newest.covariance[:3, :3] @ R.T)[2, 2])
+
+
+def test_a_heading_enters_while_gnss_is_trusted_and_one_from_the_wrong_side_does_not():
+    rig = begun()
+    for t in np.arange(0.1, 3.0, 0.1):
+        assert receive(rig, heading(t, sigma_rad=0.001)) is Outcome.USED
+    assert yaw_sigma_rad(rig.graph.main) < 0.001
+    assert receive(rig, heading(3.0, np.pi)) is Outcome.INNOVATION
+    assert rig.events() == [(EventKind.REJECTED, "heading")]
+
+
+def test_so_many_contradictions_lose_a_heading_by_name():
+    rig = begun()
+    for t in np.arange(0.1, 0.6, 0.1):
+        receive(rig, heading(t, 1.0))
+    assert rig.headings.lost() == ["heading"]
+    assert rig.events()[-1] == (EventKind.SENSOR_LOST, "heading")
+
+
+def lost(rig, times=()):
+    rig.graph.lose()
+    for t in times:
+        assert receive(rig, heading(t)) is Outcome.QUARANTINED
+    return rig
+
+
+def test_while_gnss_is_lost_headings_wait_and_nothing_is_reviewed():
+    rig = lost(begun(), np.arange(0.1, 1.0, 0.1))
+    before = yaw_sigma_rad(rig.graph.main)
+    receive(rig, heading(1.0, 1.0))
+    assert yaw_sigma_rad(rig.graph.main) == pytest.approx(before, rel=0.01)
+    assert rig.headings.lost() == [] and rig.events() == []
+
+
+def test_at_the_recovery_those_since_the_first_fix_enter_the_trial_and_are_recounted():
+    rig = lost(begun(), np.arange(0.1, 2.0, 0.1))
+    trial = rig.graph.trial()
+    before = yaw_sigma_rad(trial)
+    assert rig.headings.admit(trial, ns(1.05), ns(2.0))
+    trial.optimise()
+    assert yaw_sigma_rad(trial) < before
+    assert rig.log.counts["heading", Outcome.USED] == 9
+    assert rig.log.counts["heading", Outcome.QUARANTINED] == 10  # from before the fixes
+    assert not rig.headings.admit(trial, ns(0.0), ns(2.0))  # nothing waits any more
+
+
+def test_a_heading_that_the_fixes_contradict_stays_out_at_the_recovery():
+    rig = lost(begun())
+    receive(rig, heading(1.0, 1.0))
+    assert not rig.headings.admit(rig.graph.trial(), ns(0.0), ns(1.0))
+    assert rig.log.counts["heading", Outcome.INNOVATION] == 1
+    assert rig.log.counts["heading", Outcome.QUARANTINED] == 0
+
+
+def test_a_heading_that_was_held_back_for_long_was_not_silent():
+    rig = begun()
+    receive(rig, heading(0.1))
+    lost(rig, np.arange(0.2, 3.0, 0.1))
+    rig.graph.adopt(rig.graph.trial())
+    rig.headings.review(rig.graph, ns(3.0))
+    assert rig.headings.lost() == [] and rig.events() == []
+
+
+def test_what_waits_is_forgotten_with_the_window():
+    rig = lost(begun(), [0.5])
+    rig.headings.forget_window()
+    assert not rig.headings.admit(rig.graph.trial(), ns(0.0), ns(1.0))
+
+
+def test_a_heading_that_left_the_window_is_late():
+    rig = begun()
+    for t in np.arange(0.1, 6.0, 0.5):
+        rig.graph.main.node(ns(t))
+        rig.update()
+    assert receive(rig, heading(0.5)) is Outcome.LATE

@@ -1,0 +1,140 @@
+"""Odometries: which jump, slip or fall silent, each by its name, and what they find against GNSS."""
+
+import gtsam
+import numpy as np
+import pytest
+from motion import ARM, Drive, machine, ns
+from rig import Rig, position
+
+from holdfast.sensors.odometry import TrackPose
+from holdfast.state import EventKind, Outcome
+
+DRIVE = Drive(start_s=-3.0)
+CAMERA = {"camera": {"kind": "odometry", "frame": "lidar"}}
+AHEAD = np.array([1.0, 0.5, 0.0])
+
+
+def begun(end_s=12.0, more=None, **config):
+    return Rig(DRIVE, machine(more=more, **config), end_s)
+
+
+def pose(t, sensor="lidar", off=(0.0, 0.0, 0.0)):
+    moved = gtsam.Pose3(gtsam.Rot3(), np.asarray(off))
+    return TrackPose(ns(t), sensor, moved * DRIVE.pose(0.0).between(DRIVE.pose(t)))
+
+
+def receive(rig, measured):
+    outcome = rig.odometries.add(rig.graph, measured, measured.stamp_ns)
+    rig.log.count(measured.sensor, outcome)
+    rig.update()
+    rig.odometries.review(measured.stamp_ns)
+    return outcome
+
+
+def test_a_jump_is_reported_and_survived():
+    rig = begun()
+    for t in np.arange(0.1, 2.0, 0.2):
+        assert receive(rig, pose(t)) is Outcome.USED
+    for t in np.arange(2.1, 4.0, 0.2):
+        receive(rig, pose(t, off=AHEAD))
+    assert rig.events() == [(EventKind.ODOMETRY_JUMP, "lidar")]
+    assert rig.error_m() < 0.02
+
+
+def test_an_odometry_that_jumps_four_times_in_twenty_seconds_is_trusted_less():
+    rig, reasons = begun(), []
+    for k, t in enumerate(np.arange(0.1, 2.0, 0.2)):
+        receive(rig, pose(t, off=min(k, 6) * 3.0 * AHEAD))
+        reasons += [event.reason for event in rig.log.take_events()]
+    # the count begins anew then
+    assert ["trebled" in reason for reason in reasons] == [False, False, False, True, False, False]
+
+
+def test_an_odometry_that_falls_silent_is_lost_by_its_name_and_regained_with_its_next_pose():
+    rig = begun(more=CAMERA)
+    receive(rig, pose(0.1, "camera"))
+    for t in np.arange(0.2, 2.6, 0.2):
+        receive(rig, pose(t))
+    assert rig.odometries.lost() == ["camera"]
+    assert rig.events() == [(EventKind.SENSOR_LOST, "camera")]
+    receive(rig, pose(2.7, "camera"))
+    assert rig.odometries.lost() == []
+    assert rig.events() == [(EventKind.SENSOR_REGAINED, "camera")]
+
+
+def test_an_odometry_that_never_measured_is_not_lost():
+    rig = begun(more=CAMERA)
+    rig.odometries.review(ns(1000.0))
+    assert rig.odometries.lost() == [] and len(rig.odometries) == 2
+
+
+# --- against GNSS -----------------------------------------------------------------------------------------------------
+
+QUIET_S, END_S = 42.0, 60.0
+
+
+def walk_of(rig, sees, slips=None, end_s=END_S):
+    """Follow GNSS with an error that depends on time; return the walk that is found first, and when.
+
+    Each odometry sees the true motion, but for an error in its `slips`.
+    """
+    slips = slips or {"lidar": nothing}
+    for t in np.arange(0.2, end_s, 0.2):
+        fix = position(DRIVE, t, ARM, sees(t))
+        main = rig.graph.main
+        main.enter(fix, rig.sensors["gnss"].factor(main.node(fix.stamp_ns), fix, 1.0))
+        for name, slip in slips.items():
+            rig.odometries.add(rig.graph, pose(t, name, slip(t)), ns(t))
+        rig.update()
+        found = rig.odometries.find_walk(rig.graph, ns(t))
+        if found is not None:
+            return found, t
+    return None, end_s
+
+
+def walking(t):
+    return np.array([0.0, 0.0, 0.2]) * max(0.0, t - QUIET_S)
+
+
+def nothing(t):
+    return np.zeros(3)
+
+
+LOOSE = {"imu_": {"accelerometer_noise_density": 0.3}, "lidar_": {"jump_sigma": 1000.0}}
+
+
+@pytest.fixture(scope="module")
+def found():
+    return walk_of(begun(END_S + 0.1, **LOOSE), walking)
+
+
+def test_fixes_that_walk_away_are_found_by_the_odometry(found):
+    walk, t = found
+    assert walk is not None and walk.odometry == "lidar"
+    assert QUIET_S < t < QUIET_S + 8.0
+    assert not walk.found.is_slip and 0.1 < walk.found.distance_m < 1.6
+
+
+def test_honest_fixes_are_not_accused():
+    assert walk_of(begun(END_S + 0.1, **LOOSE), nothing) == (None, END_S)
+
+
+def test_an_odometry_that_loses_its_hold_has_slipped_and_gnss_is_not_accused():
+    rig = begun(END_S + 0.1, **LOOSE)
+    at_once = {"lidar": lambda t: np.array([0.0, 0.0, 2.0]) * (t > QUIET_S)}
+    assert walk_of(rig, nothing, at_once) == (None, END_S)
+    assert (EventKind.ODOMETRY_SLIP, "lidar") in rig.events()
+
+
+def test_where_another_odometry_agrees_with_gnss_it_is_the_odometry_that_slipped():
+    """As slow as fixes walk: one odometry alone could not tell. The other must be known for almost a minute."""
+    rig = begun(75.1, CAMERA, **LOOSE)
+    slow = {"lidar": nothing, "camera": lambda t: np.array([0.0, 0.0, 0.2]) * max(0.0, t - 62.0)}
+    assert walk_of(rig, nothing, slow, 75.0) == (None, 75.0)
+    slipped = {sensor for kind, sensor in rig.events() if kind is EventKind.ODOMETRY_SLIP}
+    assert slipped == {"camera"}
+
+
+def test_without_the_monitor_no_walk_is_looked_for():
+    rig = begun(END_S + 0.1, gate={"drift_monitor": False}, **LOOSE)
+    assert walk_of(rig, walking) == (None, END_S)

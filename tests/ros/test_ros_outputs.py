@@ -1,0 +1,99 @@
+"""Estimates as ROS messages: covariances against samples of the tangent."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from holdfast.ros.outputs import odometry, pose_covariance, quaternion_xyzw
+from holdfast.state import Estimate
+
+SAMPLES = 20_000
+RATE_VARIANCE = 3e-4
+ATTITUDES = {
+    "level": gtsam.Rot3(),
+    "yawed": gtsam.Rot3.Yaw(2.0),
+    "askew": gtsam.Rot3.RzRyRx(0.6, -0.9, -2.4),
+    "upside down": gtsam.Rot3.RzRyRx(3.0, 0.2, 1.0),
+}
+
+
+def random_covariance(seed, sigmas):
+    """A full covariance (9, 9): every pair of errors is correlated."""
+    A = np.random.default_rng(seed).normal(size=(9, 9)) * np.asarray(sigmas)[:, None]
+    return A @ A.T / 9.0
+
+
+# small, so that what is not linear does not matter: an angle of 3e-3 rad is wrong by less than 1e-5
+TANGENT = random_covariance(3, [1e-3, 2e-3, 3e-3, 0.02, 0.05, 0.01, 0.02, 0.03, 0.01])
+
+
+def estimate(rotation, velocity=(3.0, -1.0, 0.5), position=(40.0, -30.0, 5.0), covariance=TANGENT):
+    nav = gtsam.NavState(rotation, np.array(position), np.array(velocity))
+    bias = gtsam.imuBias.ConstantBias()
+    return Estimate(1, nav, gtsam.Pose3(), bias, covariance, np.array([0.1, 0.2, 0.3]), True)
+
+
+def sampled(nav):
+    """States drawn from the tangent at a state."""
+    errors = np.random.default_rng(5).multivariate_normal(np.zeros(9), TANGENT, SAMPLES)
+    return [nav.retract(error) for error in errors]
+
+
+def assert_is_covariance_of(expected, errors):
+    """Within 5 standard deviations of what so many samples can resolve: var(S_ij) = (P_ii P_jj + P_ij^2) / N."""
+    found = np.cov(errors.T)
+    std = np.sqrt((np.outer(np.diag(found), np.diag(found)) + found**2) / len(errors))
+    assert (abs(found - expected) < 5 * std).all()
+
+
+@pytest.mark.parametrize("name", ATTITUDES)
+def test_pose_covariance_is_that_of_samples_in_the_axes_of_the_world(name):
+    given = estimate(ATTITUDES[name])
+    R0, p0 = given.nav.attitude(), given.nav.position()
+    errors = []
+    for nav in sampled(given.nav):
+        rotation = gtsam.Rot3.Logmap(nav.attitude() * R0.inverse())  # about the fixed axes
+        errors.append(np.concatenate([nav.position() - p0, rotation]))
+    message = odometry(given, given.nav.pose(), RATE_VARIANCE)
+    assert_is_covariance_of(message.pose_covariance.reshape(6, 6), np.array(errors))
+
+
+@pytest.mark.parametrize("name", ATTITUDES)
+def test_twist_covariance_is_that_of_samples_in_the_axes_of_the_body(name):
+    given = estimate(ATTITUDES[name])
+    R0, v0 = given.nav.attitude(), given.nav.velocity()
+    errors = [nav.attitude().unrotate(nav.velocity()) - R0.unrotate(v0) for nav in sampled(given.nav)]
+    twist = odometry(given, given.nav.pose(), RATE_VARIANCE).twist_covariance.reshape(6, 6)
+    assert_is_covariance_of(twist[:3, :3], np.array(errors))
+    np.testing.assert_array_equal(twist[3:, 3:], RATE_VARIANCE * np.eye(3))
+    assert not twist[:3, 3:].any()
+
+
+@pytest.mark.parametrize("name", ATTITUDES)
+def test_turning_the_body_leaves_the_covariance_of_the_position_in_the_world(name):
+    in_world = np.diag([0.01, 0.04, 0.09]) + 0.005
+    R = ATTITUDES[name].matrix()
+    covariance = np.eye(9)
+    covariance[3:6, 3:6] = R.T @ in_world @ R
+    np.testing.assert_allclose(pose_covariance(covariance, R)[:3, :3], in_world, rtol=0, atol=1e-15)
+
+
+def test_no_lever_to_the_origin_enters_the_covariance():
+    near, far = (estimate(ATTITUDES["askew"], position=p) for p in ((0, 0, 0), (1e4, -1e4, 1e3)))
+    P = [odometry(given, given.nav.pose(), RATE_VARIANCE).pose_covariance for given in (near, far)]
+    np.testing.assert_array_equal(*P)
+
+
+def test_twist_is_the_velocity_in_the_body_whichever_frame_the_pose_has():
+    given = estimate(gtsam.Rot3.Yaw(np.pi / 2), velocity=(0.0, 2.0, 0.5))
+    T_O_W = gtsam.Pose3(gtsam.Rot3.Yaw(1.0), np.array([5.0, 6.0, 7.0]))
+    for pose in (given.nav.pose(), T_O_W * given.nav.pose()):
+        message = odometry(given, pose, RATE_VARIANCE)
+        np.testing.assert_allclose(message.linear, [2.0, 0.0, 0.5], rtol=0, atol=1e-15)
+        np.testing.assert_array_equal(message.angular, [0.1, 0.2, 0.3])
+        np.testing.assert_array_equal(message.position, pose.translation())
+
+
+def test_quaternions_are_x_y_z_w():
+    np.testing.assert_allclose(quaternion_xyzw(gtsam.Rot3.Yaw(0.6)), [0, 0, np.sin(0.3), np.cos(0.3)], atol=1e-15)
+    np.testing.assert_allclose(quaternion_xyzw(gtsam.Rot3.Roll(0.6)), [np.sin(0.3), 0, 0, np.cos(0.3)], atol=1e-15)
