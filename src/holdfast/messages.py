@@ -190,6 +190,35 @@ class JointAngle:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Twist:
+    """Velocity of a frame of the machine, expressed in that frame: that of wheels or tracks.
+
+    Attributes:
+        linear: (3,) [m/s].
+        angular: (3,) [rad/s].
+        covariance: (6, 6) in GTSAM's order (angular, then linear), or None.
+    """
+
+    stamp_ns: int
+    arrival_ns: int
+    sensor: str
+    linear: Array
+    angular: Array
+    covariance: Array | None
+    WIDTH: ClassVar[int] = 6 + 37
+
+    def values(self) -> Row:
+        """Return linear and angular velocity and the covariance."""
+        return (*self.linear.tolist(), *self.angular.tolist(), *_optional_row(self.covariance, 36))
+
+    @classmethod
+    def of(cls, stamp_ns: int, arrival_ns: int, sensor: str, values: Sequence[float]) -> Self:
+        """Return the twist that has a row."""
+        linear, angular = np.array(values[:3]), np.array(values[3:6])
+        return cls(stamp_ns, arrival_ns, sensor, linear, angular, _optional_matrix(values[6:], 6))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PointPosition:
     """Position of a point of the machine in a Cartesian frame: what a total station says of its prism.
 

@@ -142,6 +142,18 @@ class OdometryConfig(MountedConfig):
     robust_loss: RobustLoss = RobustLoss(kind="huber", threshold=2.5)
 
 
+class TwistConfig(JudgedConfig, MountedConfig):
+    """Velocity of a frame of the machine in that frame, such as that of its wheels or tracks."""
+
+    may_be_on_chassis: ClassVar[bool] = True
+    kind: Literal["twist"]
+    topic: Topic
+    axes: tuple[Axis, ...] = Field(("x",), min_length=1, description="linear velocities that are used")
+    sigma_m_s: float = quantity("m/s", 0.05, gt=0, le=10, doc="per axis, where none is claimed; floor of a claim")
+    slip_ratio: float = quantity("1", 0.02, ge=0, le=1, doc="error in proportion to the speed")
+    scale_sigma: float = quantity("1", 0.05, ge=0, le=1, doc="of the scale factor, which is estimated; 0: known")
+
+
 class NonholonomicConfig(JudgedConfig, MountedConfig):
     """A constraint instead of a sensor: a machine whose wheels slip neither sideways nor off the ground."""
 
