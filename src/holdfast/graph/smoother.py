@@ -27,6 +27,7 @@ BIAS_EPOCH_NS = 1_000_000_000
 SETTLE_MARGIN_NS = 1_000_000_000  # a node is read this long before it leaves the window; updates are not further apart
 FREE = FREE_VARIANCE**0.5  # sigma of what a factor says nothing about
 PARAMETER_THRESHOLD = 0.01  # 1 cm, 0.6 deg, 1 %: a sensor's parameter is relinearised when it has moved by more
+FORGET_NS = 1_000_000_000  # measurements that left the window are dropped this often
 MAX_VARIANCE = 1e6  # beyond it a covariance says no more, whatever its unit
 FAULT_INFLATION = 4.0  # of the covariance, when the graph is re-anchored after a failed optimisation
 
@@ -264,7 +265,7 @@ class Smoother:
         self._parameters.mark_solved()
         for stamp in self._nodes.forget_before(horizon):
             self._links.pop(stamp, None)
-        if self._measured and next(iter(self._measured.values()))[0].stamp_ns < self.oldest_ns:
+        if self._measured and next(iter(self._measured.values()))[0].stamp_ns < self.oldest_ns - FORGET_NS:
             self._measured = {key: one for key, one in self._measured.items() if one[0].stamp_ns >= self.oldest_ns}
         self._state, self._tail = state, state.covariance
         return state

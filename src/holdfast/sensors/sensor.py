@@ -243,6 +243,7 @@ class StampFilter:
 
     def __init__(self) -> None:
         self._recent: dict[str, deque[int]] = {}
+        self._newest: dict[str, int] = {}
 
     def check(self, sensor: str, stamp_ns: int, arrival_ns: int, reached_ns: int, reached_arrival_ns: int) -> Outcome:
         """Say whether a stamp, time offset applied, can be right; the IMU has reached a time, and when it arrived.
@@ -250,10 +251,12 @@ class StampFilter:
         A stamp is in the future if it is further ahead than silence of the IMU explains.
         """
         recent = self._recent.setdefault(sensor, deque(maxlen=RECENT))
-        if stamp_ns in recent:
+        newest_ns = self._newest.get(sensor, stamp_ns - 1)
+        if stamp_ns <= newest_ns and stamp_ns in recent:
             return Outcome.DUPLICATE
         silence_ns = max(0, arrival_ns - reached_arrival_ns)
         if reached_ns > 0 and stamp_ns - reached_ns > silence_ns + FUTURE_NS:
             return Outcome.CLOCK_JUMP
         recent.append(stamp_ns)
+        self._newest[sensor] = max(stamp_ns, newest_ns)
         return Outcome.USED
