@@ -81,7 +81,8 @@ class DriftMonitor:
     def vouches(self, since_ns: int, now_ns: int) -> bool:
         """Whether the odometry, which is known well enough, agrees with the estimate now as it did at a time before."""
         observed = [one.pose.stamp_ns for one in self._observations]
-        if len(self._ratios) < MIN_LEARNT or not observed or self._worst_ratio > VOUCHING_SIGMA:
+        is_learnt = len(self._ratios) + len(self._doubtful) >= MIN_LEARNT  # as for its own alarms
+        if not is_learnt or not observed or self._worst_ratio > VOUCHING_SIGMA:
             return False
         return observed[0] <= since_ns and now_ns - observed[-1] <= FRESH_NS
 
