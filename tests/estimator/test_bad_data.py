@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from motion import Drive, deviation, estimates, fixes, imu, in_order, machine, ns, run, scans
 
+from holdfast.errors import ConfigError
 from holdfast.estimator.estimator import Estimator
 from holdfast.state import EventKind, Outcome
 
@@ -242,3 +243,10 @@ def test_before_the_start_absurd_data_do_not_stop_it(kind):
 def test_no_message_at_all_leaves_an_estimator_that_reports_what_it_waits_for():
     estimator = Estimator(machine())
     assert not estimator.initialised and estimator.waiting_for == "no usable position has come"
+
+
+def test_a_message_of_a_sensor_that_is_not_configured_is_refused_by_its_name():
+    estimator = Estimator(machine())
+    stranger = replace(next(iter(fixes(Drive(), 0.0, 1.0))), sensor="third")
+    with pytest.raises(ConfigError, match=r"sensors\.third: not in the configuration"):
+        estimator.process(stranger)

@@ -7,6 +7,7 @@ are called in turn; `holdfast.realtime` puts them into two processes.
 from collections import Counter
 
 from holdfast.config.model import Config
+from holdfast.errors import ConfigError
 from holdfast.estimator.imu_path import ImuPath
 from holdfast.estimator.optimiser import Optimiser
 from holdfast.event_log import EventLog
@@ -85,9 +86,15 @@ class Estimator:
         return self._log.take_events()
 
     def process(self, message: Message) -> Output:
-        """Take in one message, in the order of arrival."""
+        """Take in one message, in the order of arrival.
+
+        Raises:
+            ConfigError: the sensor is not in the configuration.
+        """
         if isinstance(message, ImuSample) and message.sensor == self._imu:
             return self._process_imu(message)
+        if message.sensor not in self.config.sensors:
+            raise ConfigError(f"sensors.{message.sensor}: not in the configuration, but a message of it came")
         if isinstance(message, ImuSample | JointAngle) and self._path.serves_chassis(message.sensor):
             self._path.add_to_chassis(message)
         if self._optimiser.wants(message):

@@ -10,7 +10,7 @@ from holdfast.sensors.heading import yaw_of
 from holdfast.sensors.sensor import Position, PositionSensor
 
 MIN_BASELINE_M = 0.2  # horizontal; a shorter one tells no heading
-SIMULTANEOUS_NS = 20_000_000  # fixes of a machine that stands
+PAIRED_NS = 20_000_000  # fixes of a machine that stands
 MIN_SIGMA_RAD = 1e-3
 Antennas = tuple[PositionSensor, PositionSensor]
 
@@ -37,7 +37,7 @@ def baseline_heading(
         for a in positions
         for b in positions
         if a.sensor == first.name and b.sensor == second.name and a.stamp_ns >= since_ns
-        if abs(a.stamp_ns - b.stamp_ns) < SIMULTANEOUS_NS
+        if abs(a.stamp_ns - b.stamp_ns) < PAIRED_NS
     ]
     if length < MIN_BASELINE_M or not pairs:
         return None

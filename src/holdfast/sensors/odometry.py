@@ -19,7 +19,7 @@ from holdfast.state import Outcome
 MAX_DISTANCE_M = 1e6
 MAX_SPEED_M_S = 100.0
 MAX_SCALE = 30.0
-FREE_TILT_RAD = 0.2  # of a pseudo-global pose, whose roll and pitch are left to the IMU
+LOOSE_TILT_RAD = 0.2  # of a pseudo-global pose, whose roll and pitch are left to the IMU
 STILL_M_S = 1e-3  # velocity of a frame, which has one only because it shares the type of the nodes
 STANDING_DRIFT_M_PER_SQRT_S = 1e-4  # what even a standing odometry is allowed; a tenth of it in rad
 
@@ -133,7 +133,7 @@ class OdometryNoise:
         covariance = np.eye(9) * FREE_VARIANCE
         covariance[:6, :6] = self._at_imu(0.5 * self._sigmas() ** 2)
         R = T_W_I.rotation().matrix()
-        covariance[:3, :3] += R.T @ np.diag([FREE_TILT_RAD**2, FREE_TILT_RAD**2, 0.0]) @ R
+        covariance[:3, :3] += R.T @ np.diag([LOOSE_TILT_RAD**2, LOOSE_TILT_RAD**2, 0.0]) @ R
         model = noise_model(covariance, self._config.robust_loss)
         return gtsam.PriorFactorNavState(key, gtsam.NavState(T_W_I, np.zeros(3)), model)
 
