@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from holdfast.integrity.baseline import SIMULTANEOUS_NS, BaselineTest
+from holdfast.integrity.baseline import PAIRED_NS, BaselineTest
 from holdfast.sensors.sensor import Position
 
 ARMS = {"left": np.zeros(3), "right": np.array([0.0, -2.0, 0.0]), "mast": np.array([0.0, 0.0, 3.0])}
@@ -47,8 +47,8 @@ def test_the_worse_one_is_that_with_the_larger_nis_whichever_came_first():
 
 def test_positions_of_different_times_and_of_one_antenna_are_not_compared():
     left = position("left", np.zeros(3))
-    assert contradicted(left, position("right", RIGHT * 2.0, SIMULTANEOUS_NS + 1)) is None
-    assert contradicted(left, position("right", RIGHT * 2.0, SIMULTANEOUS_NS)) is not None
+    assert contradicted(left, position("right", RIGHT * 2.0, PAIRED_NS + 1)) is None
+    assert contradicted(left, position("right", RIGHT * 2.0, PAIRED_NS)) is not None
     assert contradicted(left, position("left", RIGHT)) is None
 
 

@@ -21,7 +21,7 @@ from holdfast.state import Outcome
 
 KEPT_FIXES = 200
 STANDING_S = 3.0  # fixes have to stand for so long
-SIMULTANEOUS_NS = 20_000_000
+PAIRED_NS = 20_000_000
 
 
 class Start(NamedTuple):
@@ -116,7 +116,7 @@ class StandstillStart:
             (a, b)
             for a in recent
             for b in recent
-            if a.sensor == left and b.sensor == right and abs(a.stamp_ns - b.stamp_ns) < SIMULTANEOUS_NS
+            if a.sensor == left and b.sensor == right and abs(a.stamp_ns - b.stamp_ns) < PAIRED_NS
         ]
         arm = level.rotate(self._intake.positions[right].p_I_P - self._intake.positions[left].p_I_P)
         length = float(np.hypot(arm[0], arm[1]))

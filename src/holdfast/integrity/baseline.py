@@ -8,7 +8,7 @@ import numpy as np
 from holdfast.messages import Array
 from holdfast.sensors.sensor import Position, PositionSensor
 
-SIMULTANEOUS_NS = 1_000_000  # in which even a fast machine moves by less than a fix is wrong
+PAIRED_NS = 1_000_000  # in which even a fast machine moves by less than a fix is wrong
 BASELINE_SIGMA = 4.0
 BASELINE_SLACK_M = 0.02  # calibration of the mounting
 
@@ -31,7 +31,7 @@ class BaselineTest:
         """Return which of two simultaneous positions is the worse one, if their distance is wrong: this or another."""
         self._last[position.sensor] = position, nis
         for other, other_nis in self._last.values():
-            if other.sensor == position.sensor or abs(other.stamp_ns - position.stamp_ns) > SIMULTANEOUS_NS:
+            if other.sensor == position.sensor or abs(other.stamp_ns - position.stamp_ns) > PAIRED_NS:
                 continue
             if not self._agrees(position, other):
                 return position if nis >= other_nis else other
