@@ -141,6 +141,11 @@ class OdometryConfig(MountedConfig):
     )
     robust_loss: RobustLoss = RobustLoss(kind="huber", threshold=2.5)
 
+    @property
+    def silence_s(self) -> float:
+        """Time without a pose after which it is silent: two of the longest intervals that are joined [s]."""
+        return 2.0 * self.max_interval_s
+
 
 class TwistConfig(JudgedConfig, MountedConfig):
     """Velocity of a frame of the machine in that frame, such as that of its wheels or tracks."""

@@ -9,7 +9,6 @@ from holdfast.state import Health, HealthReport
 FUSED_NS = 1_000_000_000  # what entered so recently counts as being fused
 RESET_NS = 1_000_000_000  # a reset is reported for so long
 RECOVERY_NS = 2_000_000_000  # after GNSS is regained the world may still move for so long
-PERIODS_OF_SILENCE = 2.0  # of the longest interval between the poses of an odometry that are joined
 NEVER_NS = -1
 
 
@@ -21,10 +20,7 @@ class HealthMonitor:
         self.names = [name for name, one in sensors.items() if not isinstance(one, InertialConfig | JointConfig)]
         self._imu = config.imu_name
         self._receivers = frozenset(config.sensors_of(PositionConfig))
-        self._silence_ns = {
-            name: round(PERIODS_OF_SILENCE * 1e9 * odometry.max_interval_s)
-            for name, odometry in config.sensors_of(OdometryConfig).items()
-        }
+        self._silence_ns = {name: round(one.silence_s * 1e9) for name, one in config.sensors_of(OdometryConfig).items()}
         self._entered_ns: dict[str, int] = {}
         self._started_ns: int | None = None
         self._reset_ns = self._recovered_ns = -RESET_NS - RECOVERY_NS

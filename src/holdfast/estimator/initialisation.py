@@ -6,7 +6,7 @@ the configuration. Without a heading the machine has to move: then a batch of po
 """
 
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from itertools import pairwise
 from math import radians
 from typing import Any
@@ -23,7 +23,7 @@ from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.odometry import OdometryNoise
 from holdfast.sensors.position import position_factor
 from holdfast.sensors.preintegration import ImuNoise
-from holdfast.sensors.sensor import Measurement, Position, Role, Sensor
+from holdfast.sensors.sensor import Measurement, Position, Role, Sensor, of_role
 from holdfast.sensors.standstill import (
     ENGINE,
     fixes_stand,
@@ -39,7 +39,7 @@ RETRY_NS = 1_000_000_000
 POSE_CORRELATION_S = 1.0
 
 
-class Initialiser:
+class Initialising:
     """Collects measurements until the first state is certain; `reason` says what is still missing.
 
     Args:
@@ -53,17 +53,15 @@ class Initialiser:
         imu = config.imu
         self._config, self._buffer, self._gravity = config, buffer, gravity
         self._sensors = sensors
-        self._points: dict[str, Any] = {name: one for name, one in sensors.items() if one.role is Role.POSITION}
-        poses: dict[str, Any] = {name: one for name, one in sensors.items() if one.role is Role.POSE}
-        self._poses: dict[str, Any] = {
-            name: one for name, one in poses.items() if not self._points or one.parameter is None
-        }
+        self._points = of_role(sensors, Role.POSITION)
+        poses = of_role(sensors, Role.POSE)
+        self._poses = {name: one for name, one in poses.items() if not self._points or one.parameter is None}
+        self._headings, self._odometries = of_role(sensors, Role.HEADING), of_role(sensors, Role.ODOMETRY)
         if not self._points:  # W is where the poses are given
             self._points = {name: _PoseAsPoint(name) for name in self._poses}
         antennas = [self._points[name] for name in config.sensors_of(GnssConfig)][:2]
         self._antennas: Antennas | None = (antennas[0], antennas[1]) if len(antennas) == 2 else None
-        triggers = (Role.POSITION, Role.POSE)
-        self._triggers = {role for role in triggers if any(one.role is role for one in sensors.values())}
+        self._triggers = {one.role for one in of_role(sensors, Role.POSITION, Role.POSE).values()}
         self._positions: deque[Position] = deque()
         self._others: dict[str, deque[Any]] = {}  # headings, poses and tracks, by sensor
         self._bias = gtsam.imuBias.ConstantBias()
@@ -165,29 +163,28 @@ class Initialiser:
     def _heading(self, now_ns: int, level: gtsam.Rot3) -> tuple[float, float] | None:
         """Return the heading of the IMU's x axis and its sigma [rad], from the first source that there is."""
         start = self._config.initialisation
-        for heading in self._newest_of(Role.HEADING):
-            found = self._sensors[heading.sensor].of_imu(heading, level)  # type: ignore[attr-defined]  # its role has it
+        for heading in self._newest_of(self._headings):
+            found: tuple[float, float] | None = self._headings[heading.sensor].of_imu(heading, level)
             if found is not None:
-                return found  # type: ignore[no-any-return]
+                return found
         if self._antennas is not None:
             since = now_ns - round(max(1.0, start.standstill_s) * 1e9)
             baseline = baseline_heading(self._antennas, self._positions, since, level)
             if isinstance(baseline, tuple):
                 return baseline
             self.reason = baseline or self.reason
-        for pose in self._newest_of(Role.POSE):
-            if pose.sensor in self._poses:
-                return pose_heading(pose.T_F_I.rotation(), level, float(np.sqrt(pose.covariance[:3, :3].max())))
+        for pose in self._newest_of(self._poses):
+            return pose_heading(pose.T_F_I.rotation(), level, float(np.sqrt(pose.covariance[:3, :3].max())))
         if start.heading_deg is not None:
             return radians(start.heading_deg), radians(start.heading_sigma_deg)
         if not self._points:
             return 0.0, 1e-3  # W is where the machine starts: heading is zero by definition
         return None
 
-    def _newest_of(self, role: Role) -> Iterable[Any]:
-        """Yield the newest measurement of each sensor of a role."""
+    def _newest_of(self, sensors: Collection[str]) -> Iterator[Any]:
+        """Yield the newest measurement of each of some sensors."""
         for name, series in self._others.items():
-            if series and self._sensors[name].role is role:
+            if series and name in sensors:
                 yield series[-1]
 
     # --- in motion ---------------------------------------------------------------------------------------------------
@@ -227,10 +224,9 @@ class Initialiser:
         stamps = sorted({fix.stamp_ns for fix in fixes})
         factors = []
         for name, track in self._others.items():
-            model: Any = self._sensors[name]
-            if model.role is not Role.ODOMETRY or len(track) < 2:
+            if name not in self._odometries or len(track) < 2:
                 continue
-            noise, poses = OdometryNoise(model), [_track_at(track, stamp) for stamp in stamps]
+            noise, poses = OdometryNoise(self._odometries[name]), [_track_at(track, stamp) for stamp in stamps]
             for k, (before, after) in enumerate(pairwise(poses)):
                 if before is not None and after is not None:
                     keys = gtsam.symbol("x", k), gtsam.symbol("x", k + 1)

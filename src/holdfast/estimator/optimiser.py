@@ -5,14 +5,13 @@ Its phase is an `Initialising` or a `Tracking`; a restart makes a new one, and n
 
 from collections import Counter
 from collections.abc import Iterable
-from typing import NamedTuple
 
 from holdfast.chassis.encoder import JointModel
 from holdfast.chassis.joint_track import JointTrack
 from holdfast.config.model import Config
 from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import Received
-from holdfast.estimator.initialisation import Initialiser
+from holdfast.estimator.initialisation import Initialising
 from holdfast.estimator.tracking import Tracking, Update
 from holdfast.event_log import EventLog
 from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, gravity
@@ -24,17 +23,6 @@ from holdfast.sensors.sensor import Joint, Measurement, StampFilter
 from holdfast.state import EventKind, Health, OptimisedState, Outcome
 
 LATE_NS = 10_000_000_000  # by which a measurement that starts the estimator may be late
-
-
-class Initialising(NamedTuple):
-    """The estimator before its start."""
-
-    initialiser: Initialiser
-
-    @property
-    def reason(self) -> str:
-        """What is still missing."""
-        return self.initialiser.reason
 
 
 class Optimiser:
@@ -66,8 +54,7 @@ class Optimiser:
         """Begin anew, before a start."""
         self.monitor.stop()
         self._stamps = StampFilter()
-        initialiser = Initialiser(self._config, self._buffer, self._sensors, self.gravity)
-        self._phase: Initialising | Tracking = Initialising(initialiser)
+        self._phase: Initialising | Tracking = Initialising(self._config, self._buffer, self._sensors, self.gravity)
 
     @property
     def tracking(self) -> Tracking | None:
@@ -149,7 +136,7 @@ class Optimiser:
             self._phase.enqueue(measurement, message.arrival_ns)
             return None
         self._log.count(name, Outcome.BEFORE_START)
-        return self._try_to_start(self._phase.initialiser, measurement)
+        return self._try_to_start(self._phase, measurement)
 
     def _check_stamp(self, measurement: Measurement, message: Message) -> Outcome:
         reached = self._buffer.latest_ns, self._buffer.arrival_ns
@@ -178,16 +165,16 @@ class Optimiser:
         self.gravity = self._config.frames.gravity or gravity(datum.latitude_deg, datum.altitude_m)
         self._begin()
 
-    def _try_to_start(self, initialiser: Initialiser, measurement: Measurement) -> OptimisedState | None:
-        if not initialiser.add(measurement):
+    def _try_to_start(self, phase: Initialising, measurement: Measurement) -> OptimisedState | None:
+        if not phase.add(measurement):
             return None
-        before = initialiser.reason
-        state = initialiser.attempt()
+        before = phase.reason
+        state = phase.attempt()
         if state is not None:
             self._start(state)
-            self._log.report(EventKind.INITIALISED, state.stamp_ns, "", initialiser.reason)
-        elif initialiser.reason != before:
-            self._log.report(EventKind.WAITING, self._buffer.latest_ns, "", initialiser.reason)
+            self._log.report(EventKind.INITIALISED, state.stamp_ns, "", phase.reason)
+        elif phase.reason != before:
+            self._log.report(EventKind.WAITING, self._buffer.latest_ns, "", phase.reason)
         return state
 
     def resume(self, state: OptimisedState, lost: Iterable[str]) -> None:

@@ -19,7 +19,7 @@ from holdfast.integrity.positions import Positions
 from holdfast.integrity.recovery import Recovery
 from holdfast.integrity.states import JointAt, States
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.sensors.sensor import ConstraintSensor, Measurement, Role, Sensor
+from holdfast.sensors.sensor import ConstraintSensor, Measurement, Role, Sensor, of_role
 from holdfast.state import EventKind, OptimisedState, Outcome
 
 Channel = Callable[[DualGraph, Any, int], Outcome]
@@ -63,16 +63,13 @@ class Tracking:
         monitor: HealthMonitor,
         log: EventLog,
     ) -> None:
-        def of(*roles: Role) -> dict[str, Any]:
-            return {name: sensor for name, sensor in sensors.items() if sensor.role in roles}
-
         self._buffer, self._log, self._monitor = buffer, log, monitor
         self._roles = {name: sensor.role for name, sensor in sensors.items()}
         self._constraints = [sensor for sensor in sensors.values() if isinstance(sensor, ConstraintSensor)]
-        self._positions = Positions(config.gate, of(Role.POSITION), log)
-        self._headings = Headings(of(Role.HEADING), log)
-        self._odometries = Odometries(config, of(Role.ODOMETRY), log)
-        self._states = States(of(Role.STATE, Role.POSE), joint_at, log)
+        self._positions = Positions(config.gate, of_role(sensors, Role.POSITION), log)
+        self._headings = Headings(of_role(sensors, Role.HEADING), log)
+        self._odometries = Odometries(config, of_role(sensors, Role.ODOMETRY), log)
+        self._states = States(of_role(sensors, Role.STATE, Role.POSE), joint_at, log)
         self._recovery = Recovery(config.gate, self._positions, self._headings, self._odometries, log)
         self._channels: dict[Role, Channel] = {
             Role.POSITION: self._positions.add,

@@ -81,8 +81,7 @@ class DriftMonitor:
     def vouches(self, since_ns: int, now_ns: int) -> bool:
         """Whether the odometry, which is known well enough, agrees with the estimate now as it did at a time before."""
         observed = [one.pose.stamp_ns for one in self._observations]
-        is_learnt = len(self._ratios) + len(self._doubtful) >= MIN_LEARNT  # as for its own alarms
-        if not is_learnt or not observed or self._worst_ratio > VOUCHING_SIGMA:
+        if not self._is_learnt() or not observed or self._worst_ratio > VOUCHING_SIGMA:
             return False
         return observed[0] <= since_ns and now_ns - observed[-1] <= FRESH_NS
 
@@ -110,7 +109,7 @@ class DriftMonitor:
         ratios = [_residual_m(then, now) / self._sigma_m(then, now, scale) for then in self._observations]
         self._worst_ratio = max(ratios, default=0.0)
         worst = self._observations[ratios.index(self._worst_ratio)] if self._worst_ratio > SIGMA else None
-        if worst is None or len(self._ratios) + len(self._doubtful) < MIN_LEARNT:
+        if worst is None or not self._is_learnt():
             self._learn(now)
             return None
         since_ns = worst.pose.stamp_ns
@@ -119,6 +118,10 @@ class DriftMonitor:
         distance = _residual_m(worst, now)
         is_slip = distance > SLIP_M_S * (now.pose.stamp_ns - since_ns) * 1e-9
         return Contradiction(worst.T_W_I0, distance, distance / self._worst_ratio, since_ns, is_slip)
+
+    def _is_learnt(self) -> bool:
+        """Whether enough was seen of the odometry for an alarm, and to vouch."""
+        return len(self._ratios) + len(self._doubtful) >= MIN_LEARNT
 
     def _scale(self) -> float:
         """Return how much worse than configured the odometry is, as learnt: at first from all that was seen."""

@@ -92,7 +92,7 @@ class InnovationGate:
 
     def reason(self) -> str:
         """Return why the sensor is lost, in words."""
-        return ", ".join(f"{count} {outcome}" for outcome, count in self.reasons.items()) or "silent"
+        return in_words(self.reasons)
 
     def _is_consistent(self) -> bool:
         span_ns = self._quarantine[-1].stamp_ns - self._quarantine[0].stamp_ns
@@ -102,3 +102,8 @@ class InnovationGate:
         if self._last_ns is None or not self._can_fall_silent:
             return False
         return (now_ns - self._received_ns) * 1e-9 > max(MIN_SILENCE_S, PERIODS_OF_SILENCE * self._period_s)
+
+
+def in_words(reasons: Counter[Outcome]) -> str:
+    """Return why a sensor or a receiver is lost, from what was refused of it."""
+    return ", ".join(f"{count} {outcome}" for outcome, count in reasons.items()) or "silent"

@@ -13,7 +13,6 @@ from holdfast.state import EventKind, Outcome
 
 DISTRUST = 3.0  # factor on the noise of an odometry that proves to be worse than configured
 JUMPS, JUMPS_NS = 4, 20_000_000_000  # so many jumps in this time are no jumps but noise
-PERIODS_OF_SILENCE = 2.0  # of the longest interval between poses that are joined
 
 
 class Walk(NamedTuple):
@@ -45,7 +44,7 @@ class _Odometry:
         return True
 
     def is_silent(self, now_ns: int) -> bool:
-        return self.used_ns is not None and now_ns - self.used_ns > PERIODS_OF_SILENCE * self.model.max_interval_ns
+        return self.used_ns is not None and now_ns - self.used_ns > self.model.config.silence_s * 1e9
 
 
 class Odometries:

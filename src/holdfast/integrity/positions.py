@@ -9,6 +9,7 @@ from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.baseline import BaselineTest
+from holdfast.integrity.innovation import in_words
 from holdfast.integrity.receiver import Held, ReceiverGate, Trust, predict
 from holdfast.integrity.review import UsedPositions
 from holdfast.sensors.noise import correlation_inflation, shared_inflation
@@ -127,13 +128,14 @@ class Positions:
         self.used = UsedPositions(self._sensors)
 
     def _lose(self, smoother: Smoother, name: str, gate: ReceiverGate, now_ns: int) -> None:
-        reasons = ", ".join(f"{count} {outcome}" for outcome, count in gate.reasons.items()) or "silent"
         is_faulty = bool(set(gate.reasons) - BENIGN)
         if is_faulty:
             for position in self.used.of(name, now_ns - self._quarantine_ns(name)):
                 self.take_out(smoother, position, Outcome.QUARANTINED)
         gate.become(Trust.LOST, hold_s=self._config.regain_s if is_faulty else 0.0)
-        self._log.report(EventKind.RECEIVER_LOST, now_ns, name, f"{reasons}; gate power {gate.power_m:.2f} m")
+        self._log.report(
+            EventKind.RECEIVER_LOST, now_ns, name, f"{in_words(gate.reasons)}; gate power {gate.power_m:.2f} m"
+        )
 
     def _quarantine_ns(self, sensor: str) -> int:
         """Return for how long a used position can be taken out again."""

@@ -8,8 +8,7 @@ import os
 import socket
 from collections import Counter
 from collections.abc import Callable
-from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 from uuid import UUID
 from xml.sax.saxutils import quoteattr
 
@@ -25,6 +24,7 @@ from cyclonedds.util import duration
 from holdfast.config.live import LiveConfig
 from holdfast.errors import ConfigError
 from holdfast.live.idl import dds_type, ros_name
+from holdfast.recording.source import Closing
 
 ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 INPUT_DEPTH = 2000
@@ -57,7 +57,7 @@ class Publication(NamedTuple):
 Publish = Callable[[bytes], None]
 
 
-class Network:
+class Network(Closing):
     """One participant on the ROS 2 network; a context manager.
 
     Topics are names as in ROS (`/imu/data`), types as well (`sensor_msgs/msg/Imu`).
@@ -153,16 +153,6 @@ class Network:
         self._writers.clear()
         self._participant.__del__()
         self._domain.__del__()
-
-    def __enter__(self) -> Self:
-        """Return the network itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Leave the network."""
-        self.close()
 
     def _topic(self, topic: str, type_name: str) -> Topic[Any]:
         return Topic(self._participant, f"rt{topic}", dds_type(type_name))

@@ -60,7 +60,6 @@ class Watch:
         self._silent_after_s = silent_after_s
         self._max_clock_offset_s = max_clock_offset_s
         self._reliable = reliable
-        self._began_ns = began_ns
         self.received = {topic: Reception(began_ns) for topic in topics}
         self._malformed: dict[str, int] = {}
 

@@ -10,7 +10,7 @@ from holdfast.geometry.earth import Geodetic
 from holdfast.geometry.world import World
 from holdfast.messages import Array, FixStatus, GnssFix, Message
 from holdfast.sensors.position import position_factor, position_innovation
-from holdfast.sensors.sensor import Innovation, Position, Role, State, lever_arm, register
+from holdfast.sensors.sensor import Innovation, Position, Role, State, is_claim, lever_arm, register
 from holdfast.state import Outcome
 
 MAX_ALTITUDE_M = 1e5
@@ -49,17 +49,15 @@ class GnssModel:
             return Outcome.LOW_STATUS
         if abs(fix.latitude_deg) > 90.0 or abs(fix.longitude_deg) > 360.0 or abs(fix.altitude_m) > MAX_ALTITUDE_M:
             return Outcome.OUT_OF_RANGE
-        if fix.covariance is None:
+        if not is_claim(fix.covariance):
             return Outcome.NO_COVARIANCE if self._config.default_sigma_m is None else Outcome.USED
-        variances = np.diag(fix.covariance)
-        if not (np.isfinite(fix.covariance).all() and (variances > 0.0).all()):
-            return Outcome.NO_COVARIANCE if self._config.default_sigma_m is None else Outcome.USED
-        return Outcome.LARGE_COVARIANCE if variances[:2].max() > self._config.max_sigma_m**2 else Outcome.USED
+        is_large = np.diag(fix.covariance)[:2].max() > self._config.max_sigma_m**2
+        return Outcome.LARGE_COVARIANCE if is_large else Outcome.USED
 
     def _covariance(self, fix: GnssFix) -> Array:
         """Return the covariance (3, 3) [m^2] of a checked fix: the receiver's claim above a floor, or the default."""
         claim = fix.covariance
-        if claim is None or not (np.isfinite(claim).all() and (np.diag(claim) > 0.0).all()):
+        if not is_claim(claim):
             claim = np.diag(np.square(self._config.default_sigma_m or (0.0, 0.0, 0.0)))  # `check` refuses it otherwise
         symmetric = 0.5 * (claim + claim.T)
         shortfall = self._config.min_sigma_m**2 - float(np.linalg.eigvalsh(symmetric)[0])

@@ -13,10 +13,9 @@ from holdfast.config.sensors import OdometryConfig
 from holdfast.geometry.world import World
 from holdfast.messages import Array, Message, SensorPose
 from holdfast.sensors.noise import FREE_VARIANCE, noise_model
-from holdfast.sensors.sensor import Role, mounting, register
+from holdfast.sensors.sensor import Role, mounting, pose_of, register
 from holdfast.state import Outcome
 
-MAX_DISTANCE_M = 1e6
 MAX_SPEED_M_S = 100.0
 MAX_SCALE = 30.0
 LOOSE_TILT_RAD = 0.2  # of a pseudo-global pose, whose roll and pitch are left to the IMU
@@ -50,12 +49,9 @@ class OdometryModel:
 
     def convert(self, message: SensorPose, world: World) -> TrackPose | Outcome:  # noqa: ARG002 (it starts anywhere)
         """Return the pose of the IMU on the track, T_I_L T_L0_L T_L_I, or what is wrong with it."""
-        if not (np.isfinite(message.position).all() and np.isfinite(message.quaternion).all()):
-            return Outcome.NOT_FINITE
-        if abs(message.position).max() > MAX_DISTANCE_M:
-            return Outcome.OUT_OF_RANGE
-        x, y, z, w = message.quaternion
-        T_L0_L = gtsam.Pose3(gtsam.Rot3.Quaternion(w, x, y, z), message.position)
+        T_L0_L = pose_of(message)
+        if isinstance(T_L0_L, Outcome):
+            return T_L0_L
         return TrackPose(message.stamp_ns + self.offset_ns, self.name, self._T_I_L * T_L0_L * self._T_L_I)
 
 

@@ -1,7 +1,7 @@
 """An absolute pose, from a map matcher or a marker, in W or in a frame that is offset from it by a constant."""
 
 from dataclasses import dataclass
-from math import cos, radians, sin
+from math import radians
 from typing import ClassVar
 
 import gtsam
@@ -18,11 +18,11 @@ from holdfast.sensors.sensor import (
     StateSensor,
     claimed_covariance,
     mounting,
+    pose_of,
     register,
 )
 from holdfast.state import Outcome
 
-MAX_DISTANCE_M = 1e6
 LINEAR_SIGMAS = np.array([1e3, 1e3, 1e3, 0.2])  # in m and rad: a frame that is known so well is linearised there
 
 
@@ -53,12 +53,9 @@ class PoseModel(StateSensor):
 
     def convert(self, message: SensorPose, world: World) -> FramePose | Outcome:  # noqa: ARG002 (F is not on the earth)
         """Return the pose of the IMU with its noise, or what is wrong with it."""
-        if not (np.isfinite(message.position).all() and np.isfinite(message.quaternion).all()):
-            return Outcome.NOT_FINITE
-        if abs(message.position).max() > MAX_DISTANCE_M:
-            return Outcome.OUT_OF_RANGE
-        x, y, z, w = message.quaternion
-        T_F_S = gtsam.Pose3(gtsam.Rot3.Quaternion(w, x, y, z), message.position)
+        T_F_S = pose_of(message)
+        if isinstance(T_F_S, Outcome):
+            return T_F_S
         floors = np.repeat([self.settings.rotation_sigma_rad, self.settings.position_sigma_m], 3)
         covariance = claimed_covariance(message.covariance, floors)
         in_imu = self._adjoint @ covariance @ self._adjoint.T
@@ -74,10 +71,10 @@ class PoseModel(StateSensor):
     def innovation(self, measured: FramePose, state: State) -> Innovation | Outcome:
         """Compare with a state: rotation and translation from the predicted to the measured pose, both in I."""
         x, y, z, yaw = state.parameter if state.parameter.size else (0.0, 0.0, 0.0, 0.0)
-        R_W_F = np.array([[cos(yaw), -sin(yaw), 0.0], [sin(yaw), cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+        R_W_F = gtsam.Rot3.Yaw(yaw)
         R_I_W = state.nav.attitude().matrix().T
-        at_W = R_W_F @ measured.T_F_I.translation()
-        turned = gtsam.Rot3(R_W_F).compose(measured.T_F_I.rotation())
+        at_W = R_W_F.rotate(measured.T_F_I.translation())
+        turned = R_W_F.compose(measured.T_F_I.rotation())
         between = state.nav.attitude().logmap(turned)
         shifted = R_I_W @ (at_W + np.array([x, y, z]) - state.nav.position())
         H, J = np.zeros((6, 9)), np.zeros((6, 4 if state.parameter.size else 0))

@@ -1,6 +1,6 @@
 """A prism that a robotic total station follows: positions in the station's site grid, and how they lie in W."""
 
-from math import cos, radians, sin
+from math import radians
 from typing import ClassVar
 
 import gtsam
@@ -27,8 +27,7 @@ class PrismModel:
         self.offset_ns = round((config.time_offset_s - config.latency_s) * 1e9)
         self.p_I_P = p_I_P
         self.limit = config.gate_sigma**2
-        yaw = radians(config.grid_yaw_deg)
-        self._R_W_grid: Array = np.array([[cos(yaw), -sin(yaw), 0.0], [sin(yaw), cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+        self._R_W_grid: Array = gtsam.Rot3.Yaw(radians(config.grid_yaw_deg)).matrix()
         self._p_W_grid = np.array(config.grid_position_m)
         self._config = config
 

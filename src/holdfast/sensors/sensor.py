@@ -6,10 +6,10 @@ from nothing.
 """
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeGuard, runtime_checkable
 
 import gtsam
 import numpy as np
@@ -17,11 +17,12 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.config.sensors import JudgedConfig, SensorConfig
 from holdfast.geometry.world import World
-from holdfast.messages import Array, Message
+from holdfast.messages import Array, Message, SensorPose
 from holdfast.state import Outcome
 
 RECENT = 64  # stamps per sensor among which a duplicate is looked for
 FUTURE_NS = 1_000_000_000  # further ahead of the IMU's clock a stamp is an error
+MAX_DISTANCE_M = 1e6  # of a pose from the origin of its frame
 
 
 class Role(StrEnum):
@@ -209,9 +210,24 @@ def innovation_factor(
     return gtsam.CustomFactor(gtsam.noiseModel.Gaussian.Covariance(covariance), list(keys), error)
 
 
+def pose_of(message: SensorPose) -> gtsam.Pose3 | Outcome:
+    """Return the pose in a message, or what is wrong with it."""
+    if not (np.isfinite(message.position).all() and np.isfinite(message.quaternion).all()):
+        return Outcome.NOT_FINITE
+    if abs(message.position).max() > MAX_DISTANCE_M:
+        return Outcome.OUT_OF_RANGE
+    x, y, z, w = message.quaternion
+    return gtsam.Pose3(gtsam.Rot3.Quaternion(w, x, y, z), message.position)
+
+
+def is_claim(covariance: Array | None) -> TypeGuard[Array]:
+    """Whether a sensor claims a covariance (m, m): one that is finite, and not zero for "unknown"."""
+    return covariance is not None and bool(np.isfinite(covariance).all() and (np.diag(covariance) > 0.0).all())
+
+
 def claimed_covariance(claim: Array | None, floors: Array) -> Array:
     """Return the covariance (m, m) that a sensor claims, not below `floors` (m,), which stand for no claim."""
-    if claim is None or not np.isfinite(claim).all() or not (np.diag(claim) > 0.0).all():
+    if not is_claim(claim):
         return np.diag(floors**2)
     floored: Array = claim + np.diag(np.maximum(0.0, floors**2 - np.diag(claim)))
     return floored
@@ -226,6 +242,11 @@ MAKERS: dict[type[SensorConfig], Maker] = {}
 def register(section: type[SensorConfig], maker: Maker) -> None:
     """Let the estimator use a kind of sensor, of which a section of the configuration makes the model."""
     MAKERS[section] = maker
+
+
+def of_role(sensors: Mapping[str, Sensor], *roles: Role) -> dict[str, Any]:
+    """Return the sensors of some roles, by name; each has the protocol of its role."""
+    return {name: sensor for name, sensor in sensors.items() if sensor.role in roles}
 
 
 def lever_arm(name: str, config: Config) -> Array:

@@ -6,7 +6,7 @@ import pytest
 from motion import ARM, Drive, G, at, imu, machine, ns, poses
 from rig import position
 
-from holdfast.estimator.initialisation import Initialiser
+from holdfast.estimator.initialisation import Initialising
 from holdfast.geometry.world import World
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.odometry import TrackPose
@@ -21,7 +21,7 @@ def begun(until_s=2.0, motion=STILL, **config):
     buffer = ImuBuffer(config.imu)
     for sample in imu(motion, 0.0, until_s, 100.0, np.random.default_rng(1)):
         buffer.add(sample)
-    return Initialiser(config, buffer, sensors_of(config), G), sensors_of(config)
+    return Initialising(config, buffer, sensors_of(config), G), sensors_of(config)
 
 
 def stand(initialiser, start_s=0.5, end_s=2.0):
