@@ -44,7 +44,7 @@ lint: $(READY) ## Check format, style, types and the direction of imports
 bench: $(READY) ## Measure speed on this machine
 	@$(BIN)/holdfast bench
 
-results: $(READY) ## Run the real drives and print their accuracy
+results: $(READY) ## Run the real drives and print their accuracy (about ten minutes)
 	@$(BIN)/python benchmarks/real_drives.py
 
 scenarios: $(READY) ## Run the simulated scenarios with ten seeds each and print the tables (long)

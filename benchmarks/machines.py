@@ -26,7 +26,7 @@ MACHINES: dict[str, tuple[tuple[str, ...], ...]] = {
     "wheels": ((), ("axle",), ("wheels",), ("wheels", "axle")),
     "two-lidars": ((), ("lidar_rear",)),
     "prism": ((),),
-    "new-sensors": ((), ("wheels", "axle", "markers", "prism", "mast")),
+    "new-sensors": ((), ("wheels", "axle", "doppler", "markers", "prism", "mast")),
 }
 LOST = {EventKind.SENSOR_LOST, EventKind.RECEIVER_LOST, EventKind.ODOMETRY_JUMP, EventKind.ODOMETRY_SLIP}
 

@@ -5,13 +5,13 @@ enters the estimator: held-out fixes and `truth_lidar.tum` only judge.
 """
 
 import argparse
-import sys
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import gtsam
 import numpy as np
+from drives import print_drives
 
 from holdfast.config.load import load_config
 from holdfast.config.model import Config
@@ -133,26 +133,40 @@ def main() -> None:
     """Run what the data allows."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=HERE.parent.parent / "shared" / "data")
-    parser.add_argument("--only", choices=["held_out", "outages"], help="leave the other part out")
-    data: Path = parser.parse_args().data
-    only = parser.parse_args().only
+    parser.add_argument("--only", choices=["held_out", "outages", "drives"], help="leave the other parts out")
+    given = parser.parse_args()
+    data: Path = given.data
     kitti, walk = data / "kitti_00" / "bag", data / "rtk_walk" / "bag"
+    if given.only in (None, "held_out"):
+        print_all_held_out(kitti, walk)
+    if given.only in (None, "outages"):
+        for left in LEFT if is_there(kitti) else ():
+            print_outages(data, left)
+    if given.only in (None, "drives"):
+        print_drives(data / "drives")
+
+
+def print_all_held_out(kitti: Path, walk: Path) -> None:
+    """Print what every second fix says of the drive of KITTI and of the walk."""
     every_second = [HoldOut("gnss", 2)]
-    if not kitti.exists() or not walk.exists():
-        sys.exit(f"no recordings at {data}: give --data")
-    if only != "outages":
+    alone = load_config(HERE / "configs" / "kitti_00_no_lidar.yaml")
+    if is_there(kitti):
         config = load_config(HERE / "configs" / "kitti_00.yaml")
         print_held_out("kitti_00, every second fix held out", replay(config, kitti, every_second))
         by_sample = config.model_copy(update={"graph": config.graph.model_copy(update={"nodes": "imu"})})
         print_held_out("the same with a node per IMU sample", replay(by_sample, kitti, every_second))
-        alone = load_config(HERE / "configs" / "kitti_00_no_lidar.yaml")
         print_held_out("the same with IMU and GNSS alone", replay(alone, kitti, every_second))
-        print_held_out("the drive in the gtsam wheel (IMU and GNSS)", replay(alone, Path("kitti"), every_second))
+    print_held_out("the drive in the gtsam wheel (IMU and GNSS)", replay(alone, Path("kitti"), every_second))
+    if is_there(walk):
         fixed_only = load_config(HERE / "configs" / "rtk_walk.yaml")
         print_held_out("rtk_walk, every second fixed epoch held out", replay(fixed_only, walk, every_second))
-    if only != "held_out":
-        for left in LEFT:
-            print_outages(data, left)
+
+
+def is_there(bag: Path) -> bool:
+    """Return whether a recording is there, and say so if it is not."""
+    if not bag.exists():
+        print(f"\n{bag.parent.name}: skipped, no recording at {bag.parent}: give --data")
+    return bag.exists()
 
 
 if __name__ == "__main__":

@@ -6,6 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from holdfast.config.load import parse_config
+from holdfast.config.sensors import GnssConfig, GnssVelocityConfig
+from holdfast.recording.first_config import first_config
+from holdfast.recording.source import open_recording
 from holdfast.replay.held_out import HoldOut
 from holdfast.replay.summary import summarise_replay
 
@@ -13,6 +17,7 @@ ROOT = Path(__file__).parent.parent
 DATA = ROOT.parent / "shared" / "data"
 sys.path.insert(0, str(ROOT / "benchmarks"))
 
+from drives import judge_drive  # noqa: E402
 from real_drives import load_config, replay  # noqa: E402
 
 pytestmark = pytest.mark.slow
@@ -44,6 +49,38 @@ def test_rtk_walk_holds_its_accuracy_between_fixed_and_float():
     assert errors["causal"]["all"]["horizontal_m"]["rms"] < 0.05
     assert 0.5 < errors["causal"]["all"]["nees_per_dof"] < 2.0
     assert run.estimator.counts["gnss", "low_status"] == 187
+
+
+@with_data
+@pytest.mark.parametrize(
+    ("recording", "fix_s", "velocity_s"),
+    [
+        ("kitti_00", pytest.approx(0.059, abs=0.015), None),
+        ("drives/rtk_drive", pytest.approx(0.27, abs=0.02), pytest.approx(0.13, abs=0.02)),  # half a period late
+        ("drives/urban-short-turn-loop-nominal-002", 0.0, 0.0),
+        ("drives/parking-lot-figure8-nominal-001", 0.0, 0.0),
+        ("drives/urban-stop-go-large-mount-001", 0.0, 0.0),
+        ("rtk_walk", 0.0, None),
+    ],
+)
+def test_config_init_sets_the_clocks_that_are_wrong_and_no_other(recording, fix_s, velocity_s):
+    with open_recording(DATA / recording / "bag") as opened:
+        config = parse_config(first_config(opened))
+    assert [one.time_offset_s for one in config.sensors_of(GnssConfig).values()] == [fix_s]
+    velocities = [one.time_offset_s for one in config.sensors_of(GnssVelocityConfig).values()]
+    assert velocities == ([] if velocity_s is None else [velocity_s])
+
+
+@with_data
+def test_the_benchmark_of_the_cars_judges_held_out_fixes_and_every_outage():
+    drive = DATA / "drives" / "urban-long-turn-loop-nominal-001"
+    row = judge_drive(drive, None, baselines=False)["Holdfast"]
+    assert row["n"] > 300
+    assert 0.15 < row["line"] < 0.21  # measured apart: 0.18 m
+    assert row["rms"] > 0.0 and row["reference"] > 0.0
+    outages = judge_drive(drive, 30.0, baselines=False)["Holdfast"]
+    assert len(outages) == 6
+    assert all(outage["end_m"] > 0.0 for outage in outages)
 
 
 def test_the_eight_drop_outs_that_the_gtsam_wheel_hides_under_lines_are_found():

@@ -115,6 +115,33 @@ class GnssFix:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class GnssVelocity:
+    """Velocity of one GNSS antenna, by Doppler.
+
+    Attributes:
+        velocity: (3,) east, north, up [m/s].
+        covariance: (3, 3) [m^2/s^2] as the receiver reports it, per axis not finite or not positive where it does not
+            measure; or None where it is unknown.
+    """
+
+    stamp_ns: int
+    arrival_ns: int
+    sensor: str
+    velocity: Array
+    covariance: Array | None
+    WIDTH: ClassVar[int] = 3 + 10
+
+    def values(self) -> Row:
+        """Return the velocity and its covariance."""
+        return (*self.velocity.tolist(), *_optional_row(self.covariance, 9))
+
+    @classmethod
+    def of(cls, stamp_ns: int, arrival_ns: int, sensor: str, values: Sequence[float]) -> Self:
+        """Return the velocity that has a row."""
+        return cls(stamp_ns, arrival_ns, sensor, np.array(values[:3]), _optional_matrix(values[3:], 3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class SensorPose:
     """Pose of a sensor in the frame of whoever measured it: where an odometry started, or that of a map.
 

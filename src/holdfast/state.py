@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -55,10 +56,12 @@ class EventKind(StrEnum):
     WAITING = "waiting"
     REJECTED = "rejected"
     LATE = "late"
+    COVARIANCE_ASSUMED = "covariance_assumed"
     IMU_GAP = "imu_gap"
     CLOCK_STEP = "clock_step"
     RESET = "reset"
     ESTIMATE_SUSPECT = "estimate_suspect"
+    BEGUN_ANEW = "begun_anew"
     GNSS_LOST = "gnss_lost"
     GNSS_REGAINED = "gnss_regained"
     RECEIVER_LOST = "receiver_lost"
@@ -68,6 +71,7 @@ class EventKind(StrEnum):
     SENSOR_REGAINED = "sensor_regained"
     ODOMETRY_JUMP = "odometry_jump"
     ODOMETRY_SLIP = "odometry_slip"
+    NOISE = "noise"
     HEALTH = "health"
     OPTIMISER_FAULT = "optimiser_fault"
     ENCODER = "encoder"
@@ -103,12 +107,14 @@ class HealthReport:
     Attributes:
         fused: sensors of which something entered the graph in the last second.
         ages_s: how old the newest measurement that entered is, by sensor.
+        noise: of a sensor over what it claims, as its innovations show, where they show that it is another.
     """
 
     stamp_ns: int
     health: Health
     fused: tuple[str, ...]
     ages_s: Mapping[str, float]
+    noise: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +144,18 @@ class OptimisedState:
     bias: gtsam.imuBias.ConstantBias
     covariance: Array
     angular_velocity: Array
+
+    def is_finite(self) -> bool:
+        """Whether every number of it is."""
+        rest = self.covariance, self.bias.vector(), self.angular_velocity
+        return is_finite(self.nav) and all(bool(np.isfinite(values).all()) for values in rest)
+
+
+def is_finite(nav: gtsam.NavState) -> bool:
+    """Whether attitude, position and velocity are finite; as fast as can be, for it is asked at every sample."""
+    x, y, z = nav.position().tolist()
+    u, v, w = nav.bodyVelocity().tolist()  # which the attitude has turned
+    return isfinite(x + y + z + u + v + w)
 
 
 class Estimate(NamedTuple):

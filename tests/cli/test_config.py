@@ -8,10 +8,12 @@ from pathlib import Path
 
 import pytest
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "recording"))
+from bags import HUMBLE, drive, write_bag
+
 from holdfast.cli import main
 from holdfast.config.load import load_config, parse_config
-from holdfast.recording import source
-from holdfast.recording.source import Subscription, TopicInfo
+from holdfast.recording.source import Subscription
 from holdfast.recording.subscriptions import subscriptions
 
 MACHINE = """\
@@ -42,32 +44,27 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
     return run
 
 
-class FakeRecording:
-    """Has topics and nothing else."""
-
-    def __init__(self, *topics: TopicInfo) -> None:
-        self.topics = topics
-        self.closed = False
-
-    def __enter__(self) -> "FakeRecording":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.closed = True
+Record = Callable[..., Path]
 
 
 @pytest.fixture
-def record(monkeypatch: pytest.MonkeyPatch) -> Callable[..., FakeRecording]:
-    def record(*topics: TopicInfo) -> FakeRecording:
-        recording = FakeRecording(*topics)
-        monkeypatch.setattr(source, "open_recording", lambda _path: recording)
-        return recording
+def record(tmp_path: Path) -> Record:
+    def record(*topics: str) -> Path:
+        rows = [row for row in drive(HUMBLE) if row[0] in topics]
+        return write_bag(tmp_path / "drive", "mcap", rows)
 
     return record
 
 
-IMU = TopicInfo("/imu/data", "sensor_msgs/msg/Imu", 100)
-FIX = TopicInfo("/gnss/fix", "sensor_msgs/msg/NavSatFix", 10)
+TWO_ANTENNAS = """\
+sensors:
+  imu: {kind: imu, topic: /imu}
+  left: {kind: gnss, topic: /left}
+  right: {kind: gnss, topic: /right}
+extrinsics:
+  - {parent: imu, child: left, translation_m: [0, 0.01, 1]}
+  - {parent: imu, child: right, translation_m: [0, 0, 1]}
+"""
 
 
 def test_check_shows_what_a_good_file_comes_to(run: Run, tmp_path: Path) -> None:
@@ -108,6 +105,20 @@ def test_check_lists_every_mistake_on_stderr_and_exits_with_2(run: Run, tmp_path
     assert run("check", tmp_path / "absent.yaml")[0] == 2
 
 
+def test_check_refuses_two_antennas_at_one_place(run: Run, tmp_path: Path) -> None:
+    """`config init` cannot know where they are; a heading between them divided by zero."""
+    file = tmp_path / "machine.yaml"
+    file.write_text(TWO_ANTENNAS)
+    code, out, err = run("check", file)
+    assert (code, out) == (2, "")
+    assert err == (
+        f"error: {file}: extrinsics: the antennas of left and right are 0.010 m apart, must be >= 0.05 m: "
+        "measure the translation_m of left and right\n"
+    )
+    file.write_text(TWO_ANTENNAS.replace("0.01", "1.8"))
+    assert run("check", file)[0] == 0
+
+
 def test_schema_is_json_with_units(run: Run) -> None:
     code, out, _ = run("schema")
     assert code == 0
@@ -115,57 +126,50 @@ def test_schema_is_json_with_units(run: Run) -> None:
     assert "[rad/s/sqrt(Hz)]" in schema["$defs"]["ImuConfig"]["properties"]["gyroscope_noise_density"]["description"]
 
 
-def test_init_writes_a_file_that_check_accepts(run: Run, record: Callable[..., FakeRecording], tmp_path: Path) -> None:
-    recording, file = record(IMU, FIX), tmp_path / "machine.yaml"
-    code, out, err = run("init", "drive.bag", "-o", file)
+def test_init_writes_a_file_that_check_accepts(run: Run, record: Record, tmp_path: Path) -> None:
+    bag, file = record("/imu", "/gnss/fix"), tmp_path / "machine.yaml"
+    code, out, err = run("init", bag, "-o", file)
     assert (code, err) == (0, "")
     assert str(file) in out
-    assert recording.closed
     config = load_config(file)
     assert subscriptions(config) == [
-        Subscription(topic="/imu/data", sensor="imu", kind="imu"),
+        Subscription(topic="/imu", sensor="imu", kind="imu"),
         Subscription(topic="/gnss/fix", sensor="gnss", kind="gnss"),
     ]
     assert run("check", file)[0] == 0
 
 
-def test_init_without_a_file_prints_the_configuration_and_nothing_else(
-    run: Run, record: Callable[..., FakeRecording]
-) -> None:
-    record(IMU, FIX)
-    code, out, _ = run("init", "drive.bag")
+def test_init_without_a_file_prints_the_configuration_and_nothing_else(run: Run, record: Record) -> None:
+    code, out, _ = run("init", record("/imu", "/gnss/fix"))
     assert code == 0
-    assert parse_config(out).imu.topic == "/imu/data"
+    assert parse_config(out).imu.topic == "/imu"
 
 
-def test_init_overwrites_only_by_force(run: Run, record: Callable[..., FakeRecording], tmp_path: Path) -> None:
-    record(IMU)
+def test_init_overwrites_only_by_force(run: Run, record: Record, tmp_path: Path) -> None:
+    bag = record("/imu")
     file = tmp_path / "machine.yaml"
     file.write_text("precious")
-    code, _, err = run("init", "drive.bag", "-o", file)
+    code, _, err = run("init", bag, "-o", file)
     assert (code, file.read_text()) == (2, "precious")
     assert err == f"error: {file}: exists already: give another name, or --force to overwrite it\n"
-    assert run("init", "drive.bag", "-o", file, "--force")[0] == 0
-    assert load_config(file).imu.topic == "/imu/data"
+    assert run("init", bag, "-o", file, "--force")[0] == 0
+    assert load_config(file).imu.topic == "/imu"
 
 
-def test_init_where_nothing_can_be_written_is_a_usage_mistake(
-    run: Run, record: Callable[..., FakeRecording], tmp_path: Path
-) -> None:
-    record(IMU)
-    code, _, err = run("init", "drive.bag", "-o", tmp_path / "absent" / "machine.yaml")
+def test_init_where_nothing_can_be_written_is_a_usage_mistake(run: Run, record: Record, tmp_path: Path) -> None:
+    code, _, err = run("init", record("/imu"), "-o", tmp_path / "absent" / "machine.yaml")
     assert code == 2
     assert "cannot be written (No such file or directory)" in err
 
 
 def test_init_of_a_recording_without_an_imu_exits_with_3_and_writes_nothing(
-    run: Run, record: Callable[..., FakeRecording], tmp_path: Path
+    run: Run, record: Record, tmp_path: Path
 ) -> None:
-    record(FIX)
+    bag = record("/gnss/fix")
     file = tmp_path / "machine.yaml"
-    code, out, err = run("init", "drive.bag", "-o", file)
+    code, out, err = run("init", bag, "-o", file)
     assert (code, out) == (3, "")
-    assert err.startswith("error: drive.bag: no IMU in it") and err.count("\n") == 1
+    assert err.startswith(f"error: {bag}: no IMU in it") and err.count("\n") == 1
     assert not file.exists()
 
 

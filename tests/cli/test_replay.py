@@ -289,6 +289,32 @@ def test_gnss_without_a_fix_throughout_ends_with_the_reason(rows, tmp_path):
     assert {event["reason"] for event in events(tmp_path / "out")} == {"low_status"}
 
 
+def test_fixes_that_claim_too_much_end_with_their_number_the_claim_and_the_key(rows, tmp_path):
+    unsure = replace(rows, gnss=[(at, arrival, (*v[:4], 12.3, 9.0, 20.0)) for at, arrival, v in rows.gnss])
+    drive = write_csv(tmp_path / "csv", unsure)
+    config = write_config(tmp_path / "config.yaml", datum=False)
+    done = holdfast("replay", drive, "-c", config, "-o", tmp_path / "out")
+    refused = f"gnss: {len(rows.gnss)} large_covariance (sensors.gnss.max_sigma_m = 1.0)"
+    assert_one_error(done, 4, drive, "never started", "it claims 12.3 m", f"imu: {len(rows.imu)} used", refused)
+    assert_outputs_say_why(tmp_path / "out", "the last of gnss was refused: large_covariance")
+
+
+def test_a_receiver_without_a_covariance_is_weighed_by_its_status_with_one_warning(rows, tmp_path):
+    messages = [
+        (topic, arrival, replace(message, position_covariance_type=0) if topic == "gnss" else message)
+        for topic, arrival, message in bag_messages(rows)
+    ]
+    drive = write_bag(tmp_path / "bag", "mcap", messages)
+    done = holdfast("replay", drive, "-c", write_config(tmp_path / "config.yaml"), "-o", tmp_path / "out")
+    assert done.code == 0, done.err
+    warnings = [line for line in done.err.splitlines() if "covariance" in line]
+    assert len(warnings) == 1
+    assert "sigmas of 0.02, 0.02, 0.04 m are assumed; sensors.gnss.default_sigma_m sets them" in warnings[0]
+    assert warnings[0] == f"warning: {summary(tmp_path / 'out')['warnings'][-1]}"
+    assert [event["sensor"] for event in events(tmp_path / "out") if event["kind"] == "covariance_assumed"] == ["gnss"]
+    assert summary(tmp_path / "out")["counts"]["gnss"]["used"] > 0.8 * len(rows.gnss)
+
+
 @pytest.mark.parametrize("how", ["no fix", "no message"])
 def test_gnss_that_is_absent_is_the_reason_with_a_datum_too(rows, tmp_path, how):
     bad = [(at, arrival, (*v[:3], -1, *v[4:])) for at, arrival, v in rows.gnss] if how == "no fix" else []

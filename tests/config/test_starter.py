@@ -13,12 +13,11 @@ from holdfast.config.load import parse_config
 from holdfast.config.sensors import GnssConfig, ImuConfig
 from holdfast.config.starter import starter_yaml
 from holdfast.errors import RecordingError
-from holdfast.recording.decode import IMU, ODOMETRY, POINT, POSE, POSE_COVARIANCE
+from holdfast.recording.decode import IMU, ODOMETRY, POINT, POSE, POSE_COVARIANCE, TWIST, TWIST_COVARIANCE
 from holdfast.recording.kinds import KINDS
 from holdfast.recording.kinds.gnss import FIX
 from holdfast.recording.kinds.heading import QUATERNION
 from holdfast.recording.kinds.joint import JOINT_STATE
-from holdfast.recording.kinds.twist import TWIST
 
 
 @dataclass(frozen=True)
@@ -39,6 +38,7 @@ EVERYTHING = {
     "imu": Info("/imu/data", IMU),
     "gnss": Info("/gnss_left/fix", FIX),
     "gnss_right": Info("/gnss_right/fix", FIX),
+    "gnss_velocity": Info("/gnss_right/velocity", TWIST_COVARIANCE),
     "heading": Info("/gnss/heading", QUATERNION),
     "lidar": Info("/lidar/odom", ODOMETRY),
     "camera": Info("/vio/odom", ODOMETRY),
@@ -135,6 +135,48 @@ def test_a_command_is_no_twist() -> None:
     assert chosen(Info("/cmd_vel", TWIST), Info("/speed", TWIST)) == {"twist": "/speed"}
 
 
+@pytest.mark.parametrize(
+    ("fix", "velocity", "type_name"),
+    [
+        ("/gnss/fix", "/gnss/velocity", TWIST_COVARIANCE),
+        ("/fix", "/fix_velocity", TWIST_COVARIANCE),
+        ("/ublox_gps/fix", "/ublox_gps/fix_velocity", TWIST_COVARIANCE),
+        ("/ublox_gps_node/fix", "/ublox_gps_node/fix_velocity", TWIST_COVARIANCE),
+        ("/navsatfix", "/twist_gnss", TWIST_COVARIANCE),
+        ("/septentrio/navsatfix", "/septentrio/twist_gnss", TWIST_COVARIANCE),
+        ("/fix", "/vel", TWIST),
+        ("/mast/fix", "/mast/vel", TWIST),
+        ("/gps/fix", "/gps/vel", TWIST),
+        ("/navsat/fix", "/navsat/vel", TWIST),
+    ],
+)
+def test_the_velocity_of_a_receiver_is_that_of_its_antenna(fix: str, velocity: str, type_name: str) -> None:
+    topics = Info("/imu", IMU), Info(fix, FIX), Info(velocity, type_name), Info("/wheel/twist", TWIST)
+    assert chosen(*topics) == {"imu": "/imu", "gnss": fix, "gnss_velocity": velocity, "twist": "/wheel/twist"}
+    config = parse_config(starter(*topics))
+    assert config.frame_of("gnss_velocity") == "gnss"
+    assert config.sensors["gnss_velocity"].axes == (("x", "y") if type_name == TWIST else ("x", "y", "z"))
+
+
+def test_of_two_antennas_that_of_the_same_namespace_is_meant_and_else_the_user_must_say() -> None:
+    both = Info("/imu", IMU), Info("/main/fix", FIX), Info("/aux/fix", FIX)
+    for topic, frame in (("/aux/vel", "gnss_right"), ("/gps/vel", "gnss_velocity")):
+        config = parse_config(starter(*both, Info(topic, TWIST)))
+        assert config.frame_of("gnss_velocity") == frame
+        assert (frame in [extrinsic.child for extrinsic in config.extrinsics]) and config.reaches(frame)
+
+
+def test_what_wheels_commands_and_inertial_systems_say_is_no_velocity_of_gnss() -> None:
+    for topic in ("/speed", "/wheel/vel", "/base/vel", "/twist"):
+        assert "gnss_velocity" not in chosen(Info("/fix", FIX), Info(topic, TWIST))
+    for topic in ("/cmd_vel", "/gps/cmd_vel", "/septentrio/twist_ins"):
+        assert chosen(Info("/fix", FIX), Info(topic, TWIST_COVARIANCE)) == {"gnss": "/fix"}
+
+
+def test_the_reason_for_a_velocity_without_a_telling_name_is_the_fix_beside_it() -> None:
+    assert reason("gnss_velocity", Info("/fix", FIX), Info("/vel", TWIST)).endswith(f"for a {FIX} beside it")
+
+
 def test_a_pose_is_an_odometry_unless_its_name_says_that_it_is_absolute() -> None:
     assert chosen(Info("/lidar/pose", POSE), Info("/marker_pose", POSE)) == {
         "lidar": "/lidar/pose",
@@ -202,7 +244,8 @@ def test_a_kind_that_was_not_found_takes_one_line() -> None:
 def test_every_sensor_with_a_frame_has_its_placeholder_marked_todo() -> None:
     text = starter(*EVERYTHING.values())
     children = [extrinsic.child for extrinsic in parse_config(text).extrinsics]
-    assert children == ["cabin", *(name for name in EVERYTHING if name not in ("imu", "heading", "joint"))]
+    without = ("imu", "heading", "joint", "gnss_velocity")  # a velocity is that of an antenna
+    assert children == ["cabin", *(name for name in EVERYTHING if name not in without)]
     assert text.count("translation_m: [0.0, 0.0, 0.0]  # TODO measure") == len(children) + 1  # and the turn joint's
     assert "PLACEHOLDERS" in text
 

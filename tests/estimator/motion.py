@@ -16,7 +16,7 @@ from holdfast.estimator.imu_path import receive
 from holdfast.estimator.optimiser import Optimiser
 from holdfast.event_log import EventLog
 from holdfast.geometry.earth import Geodetic, LocalFrame, gravity
-from holdfast.messages import FixStatus, GnssFix, Height, ImuSample, PointPosition, SensorPose, Twist
+from holdfast.messages import FixStatus, GnssFix, GnssVelocity, Height, ImuSample, PointPosition, SensorPose, Twist
 from holdfast.sensors.imu import ImuBuffer
 
 DATUM = Geodetic(47.4, 8.5, 450.0)
@@ -198,6 +198,17 @@ def twists(motion, start_s, end_s, hz=10.0, T_I_S=NOT_TURNED, scale=1.0, rng=Non
         velocity = T_I_S.rotation().unrotate(motion.nav(t).bodyVelocity() + np.cross(rate, T_I_S.translation()))
         noise = np.zeros(3) if rng is None else rng.normal(0.0, sigma, 3)
         messages.append(Twist(ns(t), ns(t), sensor, scale * velocity + noise, np.zeros(3), None))
+    return messages
+
+
+def velocities(motion, start_s, end_s, hz=5.0, arm=ARM, rng=None, sigma=(0.05, 0.05, 0.1), sensor="doppler"):
+    """Velocity of an antenna in W."""
+    messages = []
+    for t in stamps_of(start_s, end_s, hz, 0.0137):
+        _, rate = motion.readings(t)
+        velocity = motion.nav(t).velocity() + motion.nav(t).attitude().rotate(np.cross(rate, arm))
+        noise = np.zeros(3) if rng is None else rng.normal(0.0, sigma)
+        messages.append(GnssVelocity(ns(t), ns(t), sensor, velocity + noise, np.diag(np.square(sigma))))
     return messages
 
 

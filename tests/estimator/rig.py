@@ -10,6 +10,7 @@ from holdfast.geometry.world import World
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.headings import Headings
+from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.odometries import Odometries
 from holdfast.integrity.positions import Positions
 from holdfast.integrity.recovery import Recovery
@@ -52,11 +53,13 @@ class Rig:
             return {name: sensor for name, sensor in self.sensors.items() if sensor.role in roles}
 
         self.motion, self.sensors, self.log = motion, sensors_of(config), EventLog(config.imu_name)
-        self.positions = Positions(config.gate, of(Role.POSITION), self.log)
-        self.headings = Headings(of(Role.HEADING), self.log)
+        self.scales = scales = {name: NoiseScale() for name in self.sensors}
+        after_s = config.gate.patience_s(has_odometry=bool(of(Role.ODOMETRY)))
+        self.positions = Positions(config.gate, of(Role.POSITION), scales, after_s, self.log)
+        self.headings = Headings(of(Role.HEADING), scales, self.log)
         self.odometries = Odometries(config, of(Role.ODOMETRY), self.log)
-        self.states = States(of(Role.STATE, Role.POSE), lambda _: None, self.log)
-        self.recovery = Recovery(config.gate, self.positions, self.headings, self.odometries, self.log)
+        self.states = States(of(Role.STATE, Role.VELOCITY, Role.POSE), scales, lambda _: None, self.log)
+        self.recovery = Recovery(config.gate, self.positions, self.headings, self.odometries, after_s, self.log)
         self.buffer = buffered(motion, end_s, config, start_s=start_s, samples=samples)
         self.graph = DualGraph(config, self.buffer, G, self.odometries.new_tracks(), truth(motion, start_s))
         self.world = World()

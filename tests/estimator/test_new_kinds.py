@@ -1,4 +1,4 @@
-"""Twist, nonholonomic, prism, pose, height and several odometries: what each is good for, and what its faults do."""
+"""Twist, GNSS velocity, nonholonomic, prism, pose, height, several odometries: what each is for, what faults do."""
 
 from dataclasses import replace
 
@@ -26,6 +26,7 @@ from motion import (
     scans,
     seconds,
     twists,
+    velocities,
 )
 
 from holdfast.state import EventKind, Health, Outcome
@@ -41,6 +42,7 @@ WHEELS = {
     "sigma_m_s": 0.02,
     "correlation_s": 0.0,
 }
+DOPPLER = {"kind": "gnss_velocity", "frame": "gnss", "correlation_s": 0.0}
 PRISM = {"kind": "prism", "mount": at(ARM), "correlation_s": 0.0}
 MARKER = {"kind": "pose", "mount": at([0.0, 0.0, 0.0]), "correlation_s": 0.0}
 LASER = {"kind": "height", "mount": at(ARM), "correlation_s": 0.0}
@@ -124,6 +126,61 @@ def test_silent_wheels_are_lost_and_health_names_it():
     assert 8.0 < seconds(event.stamp_ns) < 8.4
     assert estimator.health is Health.SENSOR_LOST
     assert "wheels" not in estimator.health_report().fused
+
+
+# --- GNSS velocity ----------------------------------------------------------------------------------------------------
+
+
+def coarse(drive, sensor=None, end_s=30.0):
+    """Fixes of half a metre, 1 Hz, and an IMU of raw MEMS; with what a sensor adds."""
+    rng = np.random.default_rng(1)
+    return in_order(
+        imu(drive, 0.0, end_s, 100.0, rng, densities=(5e-3, 1e-3), bias=(0.05, -0.04, 0.03, 0.005, -0.003, 0.002)),
+        fixes(drive, 0.0, end_s, 1.0, rng, (0.5, 0.5, 0.8), phase_s=0.0137),
+        sensor or [],
+    )
+
+
+MEMS = {"imu_": {"accelerometer_noise_density": 5e-3, "gyroscope_noise_density": 1e-3}}
+
+
+def rms_m(drive, outputs, start_s, end_s):
+    errors = [deviation(drive, e)[0] for e in estimates(outputs) if ns(start_s) < e.stamp_ns < ns(end_s)]
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def test_a_doppler_velocity_makes_more_of_coarse_fixes():
+    curve = replace(CURVE, start_s=6.0)  # fixes of half a metre need five seconds to tell that the machine stands
+    doppler = velocities(curve, 0.0, 30.0, rng=np.random.default_rng(2))
+    estimator, outputs = run(machine(lidar=False, more={"doppler": DOPPLER}, **MEMS), coarse(curve, doppler))
+    assert kinds(estimator, "doppler") == []
+    assert estimator.counts["doppler", Outcome.USED] > 100
+    _, alone = run(machine(lidar=False, **MEMS), coarse(curve))
+    assert rms_m(curve, outputs, 10.0, 30.0) < 0.6 * rms_m(curve, alone, 10.0, 30.0)
+
+
+def test_a_vertical_velocity_that_nobody_measured_is_left_out():
+    """NMEA drivers write zero; here 2 m/s up are so far from it that the sensor would be lost."""
+    climb = Drive(tilt=0.0, heave_m=3.0)
+    rng = np.random.default_rng(2)
+    flat = [replace(m, velocity=m.velocity * [1.0, 1.0, 0.0], covariance=None) for m in velocities(climb, 0.0, 9.0)]
+    messages = in_order(imu(climb, 0.0, 9.0, 100.0, rng), fixes(climb, 0.0, 9.0, 10.0, rng, phase_s=0.0137), flat)
+    for axes, lost in ((("x", "y"), []), (("x", "y", "z"), [EventKind.SENSOR_LOST])):
+        estimator, outputs = run(machine(lidar=False, more={"doppler": DOPPLER | {"axes": axes}}), messages)
+        assert kinds(estimator, "doppler")[:1] == lost
+        assert worst_m(climb, outputs, 3.0, 9.0) < FIX_M
+
+
+def test_a_frozen_velocity_is_lost_by_name_harms_nothing_and_is_regained():
+    rng = np.random.default_rng(1)
+    doppler = velocities(CURVE, 0.0, 20.0, rng=rng)
+    stuck = next(m for m in doppler if m.stamp_ns > ns(8.0))
+    frozen = [replace(m, velocity=stuck.velocity) if ns(8.0) < m.stamp_ns < ns(11.0) else m for m in doppler]
+    messages = in_order(imu(CURVE, 0.0, 20.0, 100.0, rng), fixes(CURVE, 0.0, 20.0, 10.0, rng, phase_s=0.0137), frozen)
+    estimator, outputs = run(machine(lidar=False, more={"doppler": DOPPLER}), messages)
+    assert kinds(estimator, "doppler") == [EventKind.SENSOR_LOST, EventKind.SENSOR_REGAINED]
+    assert not kinds(estimator, "gnss")
+    assert worst_m(CURVE, outputs, 8.0, 20.0) < FIX_M
 
 
 # --- nonholonomic -----------------------------------------------------------------------------------------------------

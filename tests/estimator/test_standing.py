@@ -44,10 +44,13 @@ def test_no_node_that_moves_is_held_to_zero_velocity(vibration, monkeypatch):
     """0.3 m/s^2: after a tenth of a second the machine is faster than the factor's three sigma."""
     from holdfast.graph.smoother import Smoother
 
-    held, original = [], Smoother.add_zero_velocity
-    monkeypatch.setattr(
-        Smoother, "add_zero_velocity", lambda self, stamp, *rest: (held.append(stamp), original(self, stamp, *rest))[1]
-    )
+    held, original = [], Smoother.enter_zero_velocity
+
+    def noting(self, standing, sigma_m_s):
+        held.append(standing.stamp_ns)
+        original(self, standing, sigma_m_s)
+
+    monkeypatch.setattr(Smoother, "enter_zero_velocity", noting)
     motion = Line(5.0, 0.3)
     messages, config = driven(motion, 8.0, vibration)
     _estimator, outputs = run(config, messages)

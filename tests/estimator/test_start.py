@@ -174,6 +174,17 @@ def test_an_even_drive_is_as_quiet_as_standstill_but_gnss_tells_them_apart(gnss_
         assert np.linalg.norm(first_state(outputs).nav.velocity() - [1.5, 0.0, 0.0]) < 0.1
 
 
+@pytest.mark.parametrize("sigma_m", [0.5, 0.8])
+def test_a_standing_machine_whose_heading_is_configured_starts_with_coarse_fixes_of_1_hz(sigma_m):
+    """Five seconds of 0.8 m tell the speed to 0.36 m/s at best: more seconds tell it better."""
+    rng, sigma = np.random.default_rng(1), (sigma_m, sigma_m, 2.0 * sigma_m)
+    messages = in_order(
+        imu(STANDING, 0.0, 25.0, 50.0, rng), fixes(STANDING, 0.0, 24.0, 1.0, rng, sigma, phase_s=0.0137)
+    )
+    estimator, _ = run(machine(lidar=False), messages)
+    assert estimator.initialised, estimator.waiting_for
+
+
 def test_nothing_comes_up_before_the_imu_has_measured_for_the_whole_standstill():
     _, outputs = run(machine(), in_order(standing(), fixes(STANDING, 0.0, 3.0)))
     assert 1.0 <= seconds(first_state(outputs).stamp_ns) <= 1.2

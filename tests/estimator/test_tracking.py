@@ -9,8 +9,11 @@ from rig import G, position, truth
 
 from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import receive
+from holdfast.estimator.initialisation import Initialising
+from holdfast.estimator.successor import Successor
 from holdfast.estimator.tracking import Tracking
 from holdfast.event_log import EventLog
+from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.registry import sensors_of
 from holdfast.state import EventKind, Health, Outcome
@@ -49,12 +52,15 @@ def begun(**config):
     buffer, log, monitor = ImuBuffer(config.imu), EventLog("imu"), HealthMonitor(config)
     buffer.add(imu(DRIVE, 0.0, 0.0)[0])
     monitor.start(ns(0.0))
+    sensors = sensors_of(config)
     tracking = Tracking(
         config,
         buffer,
-        sensors_of(config),
+        sensors,
         G,
         truth(DRIVE, 0.0),
+        scales={name: NoiseScale() for name in sensors},
+        successor=Successor(Initialising(config, buffer, sensors, G)),
         joint_at=lambda _: None,
         monitor=monitor,
         log=log,
@@ -117,11 +123,20 @@ def test_constraints_are_made_at_their_rate_but_not_over_a_gap():
     assert [event for event in run.log.take_events() if event.sensor == "rear"] == []
 
 
-def test_samples_that_no_window_needs_are_dropped():
-    run = begun()
-    run.go(14.0, fixes(0.1, 14.0))
+def test_samples_that_neither_a_window_nor_a_new_beginning_needs_are_dropped():
+    """The window is of 3 s; a beginning in motion looks at the last 4 s before the newest measurement."""
+    run = begun(initialisation={"window_s": 4.0})
+    run.go(16.0, fixes(0.1, 16.0))
     run.tracking.drop_samples()
-    assert ns(14.0 - 3.0 - 2.0) < run.buffer.oldest_ns <= ns(14.0 - 3.0 - 0.5)
+    assert ns(15.9 - 4.0 - 0.1) < run.buffer.oldest_ns <= ns(15.9 - 4.0)
+
+
+def test_samples_are_dropped_also_while_no_measurement_comes():
+    run = begun(initialisation={"window_s": 4.0})
+    run.go(2.0, fixes(0.1, 2.0))
+    run.go(30.0)
+    run.tracking.drop_samples()
+    assert run.buffer.oldest_ns > ns(30.0 - 15.0)
 
 
 def test_it_begins_with_the_receivers_that_its_predecessor_did_not_trust():

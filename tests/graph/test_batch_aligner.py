@@ -6,12 +6,12 @@ import pytest
 from motion import ARM, Drive, G, machine, ns
 from rig import NO_BIAS, buffered, position
 
-from holdfast.graph.alignment import BatchAligner, level_attitude
+from holdfast.graph.alignment import BatchAligner, BiasPrior, Evidence, level_attitude
 from holdfast.sensors.preintegration import ImuNoise
 from holdfast.sensors.registry import sensors_of
 
 CONFIG = machine()
-BIAS_SIGMAS = np.repeat([0.1, 0.01], 3)
+PRIOR = BiasPrior(NO_BIAS, np.repeat([0.1, 0.01], 3))
 LIMIT_RAD = np.radians(5.0)
 STRAIGHT = Drive(start_s=-10.0, radius_m=1e5, speed=1e-5, tilt=0.0, heave_m=0.0)  # 1 m/s, never turning
 
@@ -19,16 +19,16 @@ STRAIGHT = Drive(start_s=-10.0, radius_m=1e5, speed=1e-5, tilt=0.0, heave_m=0.0)
 def aligned(motion, times, *, offset=lambda _: (0.0, 0.0, 0.0), limit_rad=LIMIT_RAD, motions=()):
     sensors = {"gnss": sensors_of(CONFIG)["gnss"]}
     noise = ImuNoise(CONFIG.imu, CONFIG.graph.position_integration_sigma, G)
-    aligner = BatchAligner(buffered(motion, times[-1] + 0.1), noise, sensors, BIAS_SIGMAS)
+    aligner = BatchAligner(buffered(motion, times[-1] + 0.1), noise, sensors, {})
     fixes = [position(motion, t, ARM, offset(t)) for t in times]
-    return aligner.solve(fixes, NO_BIAS, motions, limit_rad)
+    return aligner.solve(Evidence(fixes, [], motions), PRIOR, limit_rad)
 
 
 @pytest.mark.parametrize("yaw_rad", [-2.5, 0.3, 3.1])
 def test_a_curve_gives_attitude_velocity_and_position_whatever_the_heading(yaw_rad):
     drive, times = Drive(start_s=-3.0, yaw_rad=yaw_rad), np.arange(0.1, 4.0, 0.2)
     found = aligned(drive, times)
-    assert found.reason == "heading from motion"
+    assert found.reason.startswith("heading from motion, ")
     assert found.heading_sigma_rad < LIMIT_RAD
     assert found.state.stamp_ns == ns(times[-1])
     error = found.state.nav.localCoordinates(drive.nav(times[-1]))

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from motion import ARM, Drive, apart, machine, ns
 from rig import NO_BIAS, enter, position, smoother_of
 
+from holdfast.estimator.standstill import Standing
 from holdfast.graph.nodes import NODE_RESOLUTION_NS, Timeline, to_grid
 from holdfast.graph.smoother import OptimiserError
 from holdfast.graph.window import Window
@@ -89,7 +90,7 @@ def test_zero_velocity_takes_the_velocity_and_leaves_the_pose():
     smoother = smoother_of(STILL, 2.0, state=begun)
     before = smoother.nav(ns(0.0))
     smoother.optimise()
-    smoother.add_zero_velocity(smoother.newest_ns, 0.01)
+    smoother.enter_zero_velocity(Standing(smoother.newest_ns), 0.01)
     state = smoother.optimise()
     # 0.3 m/s at sigma 1 m/s against 0 at 0.01 m/s
     assert np.linalg.norm(state.nav.velocity()) == pytest.approx(0.3 * 1e-4 / (1.0 + 1e-4), rel=0.01)

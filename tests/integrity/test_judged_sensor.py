@@ -5,6 +5,7 @@ import pytest
 from motion import ARM, Drive, at, machine, ns, twists
 from rig import Rig, position
 
+from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.states import JudgedSensor
 from holdfast.sensors.height import PointHeight
 from holdfast.sensors.sensor import Joint
@@ -104,7 +105,7 @@ def test_measurements_with_correlated_errors_weigh_less_and_those_that_enter_at_
         rig = begun(LASER | {"correlation_s": correlation_s}, 3.0)
         sigmas[correlation_s] = height_sigma_m(rig.graph.main)
     assert sigmas[10.0] > 1.5 * sigmas[0.0]
-    judged = JudgedSensor(rig.sensors["laser"], lambda _: None, rig.log)
+    judged = JudgedSensor(rig.sensors["laser"], NoiseScale(), lambda _: None, rig.log)
     assert judged.held_inflation([]) == 1.0
     # three of one short time, the first after a long silence, weigh as much as one: a third each
     assert judged.held_inflation([height(t) for t in (1.0, 1.1, 1.2)]) == pytest.approx(3.0, rel=0.02)
@@ -116,13 +117,13 @@ def test_the_turn_joint_at_the_time_of_the_measurement_is_what_it_is_compared_wi
     asked, seen, sensor = [], [], rig.sensors["wheels"]
 
     class Watching:
-        settings, parameter, name, factor = sensor.settings, None, "wheels", sensor.factor
+        settings, parameter, name, factor, role = sensor.settings, None, "wheels", sensor.factor, sensor.role
 
         def innovation(self, measured, state):
             seen.append(state.joint)
             return Outcome.NO_JOINT_ANGLE if state.joint is None else sensor.innovation(measured, state)
 
-    judged = JudgedSensor(Watching(), lambda stamp_ns: asked.append(stamp_ns) or joint, rig.log)
+    judged = JudgedSensor(Watching(), NoiseScale(), lambda stamp_ns: asked.append(stamp_ns) or joint, rig.log)
     measured = rig.convert(twists(DRIVE, 0.5, 0.5)[0])
     outcome = judged.judge(measured, rig.graph.main, [rig.graph.main], measured.stamp_ns)
     assert outcome is (Outcome.NO_JOINT_ANGLE if joint is None else Outcome.USED)

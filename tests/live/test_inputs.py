@@ -7,7 +7,7 @@ from holdfast.errors import ConfigError
 from holdfast.live.dds import Publication, Sample
 from holdfast.live.idl import STORE
 from holdfast.live.inputs import Inputs
-from holdfast.recording.decode import IMU, ODOMETRY, POINT, POSE, POSE_COVARIANCE
+from holdfast.recording.decode import IMU, ODOMETRY, POINT, POSE, POSE_COVARIANCE, TWIST, TWIST_COVARIANCE
 from holdfast.recording.source import Subscription
 
 BOTH = [Subscription("/odom", "wheels", "odometry"), Subscription("/odom", "speed", "twist")]
@@ -53,6 +53,22 @@ def test_one_odometry_serves_an_odometry_and_a_twist():
     pose, speed = inputs.decode(odometry(), 7)
     assert (pose.sensor, pose.position.tolist()) == ("wheels", [1.0, 2.0, 3.0])
     assert (speed.sensor, speed.linear.tolist(), speed.stamp_ns, speed.arrival_ns) == ("speed", [4, 0, 0], 5 * 10**9, 7)
+
+
+def test_the_velocity_of_a_receiver_is_received_as_whichever_twist_is_published():
+    network, types = FakeNetwork(), STORE.types
+    inputs = Inputs(network, [Subscription("/vel", "doppler", "gnss_velocity")])
+    inputs.join([Publication("/vel", TWIST, True)])
+    assert network.subscribed == [("/vel", TWIST, False)]
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](5, 0), "gnss")
+    vectors = (types["geometry_msgs/msg/Vector3"](x, 2.0, 0.0) for x in (4.0, 0.0))
+    twist = types["geometry_msgs/msg/Twist"](*vectors)
+    with_covariance = types["geometry_msgs/msg/TwistWithCovariance"](twist, np.full(36, 0.25))
+    for type_name, content, covariance in ((TWIST, twist, None), (TWIST_COVARIANCE, with_covariance, 0.25)):
+        message = types[type_name](header, content)
+        (velocity,) = inputs.decode(Sample("/vel", type_name, bytes(STORE.serialize_cdr(message, type_name))), 7)
+        assert (velocity.sensor, velocity.stamp_ns, velocity.velocity.tolist()) == ("doppler", 5 * 10**9, [4, 2, 0])
+        assert velocity.covariance is None if covariance is None else (velocity.covariance == covariance).all()
 
 
 @pytest.mark.parametrize("order", [1, -1])

@@ -7,6 +7,7 @@ import tracemalloc
 from contextlib import contextmanager
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 import pytest
 from engine import bring_up, play, sigmas_m, stamps_of, wait_for, with_settings
@@ -204,6 +205,34 @@ def test_a_gap_of_the_imu_is_crossed(drive, engine):
     assert not next(o.estimate for o in after if o.estimate is not None).from_imu
     assert sigmas_m(after)[0] > sigmas_m(before)[-1]
     assert engine.event_counts["imu_gap"] == 1
+
+
+@pytest.mark.parametrize("by_s", [50 * 365.25 * 86400.0, -1.0])
+def test_a_step_of_all_clocks_is_followed_without_a_pause(drive, engine, by_s):
+    messages = [replace(m, stamp_ns=m.stamp_ns + round(by_s * 1e9)) for m in drive.between(BEGIN_S, 6.0)]
+    outputs = play(engine, messages, rate=1.0)
+    engine.flush()
+    assert stamps_of(outputs) == imu_stamps(messages)[2:]  # two samples are no new clock yet
+    assert engine.newest_state.stamp_ns > messages[-1].stamp_ns - 500_000_000
+    assert engine.health_report().stamp_ns == stamps_of(outputs)[-1]
+    assert engine.event_counts["optimiser_fault"] == 0
+    (told,) = (e for e in engine.take_events() if e.kind == "clock_step" and e.sensor == "imu")
+    assert f"by {abs(by_s):.2f} s" in told.reason and "carried over" in told.reason
+    assert abs(told.stamp_ns - messages[0].stamp_ns) < 100_000_000
+    assert sigmas_m(outputs)[-1] < 0.1
+
+
+def test_an_estimate_that_would_not_be_finite_is_not_given(drive, engine):
+    state = engine.newest_state
+    broken = gtsam.NavState(state.nav.attitude(), state.nav.position(), np.full(3, np.nan))
+    engine._path.anchor(replace(state, nav=broken), is_recovery=False)
+    outputs = play(engine, drive.between(BEGIN_S, 4.5), rate=1.0)
+    assert all(np.isfinite(o.estimate.nav.matrix()).all() for o in outputs if o.estimate is not None)
+    assert engine.event_counts["optimiser_fault"] == 1
+    assert engine.health is Health.INITIALISING or engine.initialised
+    play(engine, drive.between(4.5, 16.0), rate=2.0)
+    engine.flush()
+    assert engine.initialised
 
 
 def test_a_flood_of_fixes_loses_nothing_and_the_state_keeps_up(drive, engine):

@@ -14,6 +14,7 @@ from holdfast.geometry.earth import Geodetic
 from holdfast.messages import (
     FixStatus,
     GnssFix,
+    GnssVelocity,
     Heading,
     Height,
     ImuSample,
@@ -29,6 +30,7 @@ AT_IMU = {"frame": "imu"}
 KINDS = {
     "body": {"kind": "imu", "frame": "imu"},
     "mast": {"kind": "gnss", **AT_IMU},
+    "doppler": {"kind": "gnss_velocity", **AT_IMU},
     "heading": {"kind": "heading"},
     "camera": {"kind": "odometry", **AT_IMU},
     "wheels": {"kind": "twist", "frame": "base_link"},
@@ -72,6 +74,7 @@ def of(kind, sensor, *fields):
 
 messages = st.one_of(
     of(GnssFix, "mast", floats, floats, floats, matrix(3), st.sampled_from(FixStatus)),
+    of(GnssVelocity, "doppler", vector(3), matrix(3)),
     of(Heading, "heading", floats, st.none() | floats),
     of(SensorPose, "camera", vector(3), vector(4), matrix(6)),
     of(SensorPose, "marker", vector(3), vector(4), matrix(6)),

@@ -1,5 +1,7 @@
 """With equal trigger points the engine gives what the estimator in one process gives, to the bit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from engine import bits, events_of, play, shifted, simulated, with_settings
@@ -40,16 +42,26 @@ def test_every_estimate_and_state_is_the_same_through_a_loss_of_gnss(drive, node
 
 
 def test_every_kind_of_sensor_gives_the_same(tmp_path):
-    """Wheels on the chassis below the encoder, no slip, a map matcher, a prism and a height beside GNSS."""
+    """Wheels on the chassis below the encoder, no slip, Doppler, a map matcher, a prism and a height beside GNSS."""
     machine = simulated(tmp_path, "new-sensors", duration_s=9.0, faults=[])
     kinds = {section.kind for section in machine.config.sensors.values()}
-    assert {"twist", "nonholonomic", "pose", "prism", "height", "joint"} <= kinds
+    assert {"twist", "nonholonomic", "gnss_velocity", "pose", "prism", "height", "joint"} <= kinds
     assert compare(machine.config, machine.messages) > 100
 
 
 def test_a_clock_that_goes_back_starts_both_over_alike(drive):
     messages = drive.until(6.0) + shifted(drive.between(6.0, 10.0), -3_600_000_000_000)
     assert compare(drive.config, messages) > 100
+
+
+@pytest.mark.parametrize("by_s", [1.0, -1.0, 50 * 365.25 * 86400.0])
+def test_a_clock_that_steps_is_followed_alike(drive, by_s):
+    stepped = [replace(m, stamp_ns=m.stamp_ns + round(by_s * 1e9)) for m in drive.between(6.0, 10.0)]
+    assert compare(drive.config, drive.until(6.0) + stepped) > 150
+
+
+def test_a_silence_of_an_hour_starts_both_over_alike(drive):
+    assert compare(drive.config, drive.until(6.0) + shifted(drive.between(6.0, 10.0), 3_600_000_000_000)) > 100
 
 
 def test_a_gap_and_a_straight_line_are_crossed_alike(drive):

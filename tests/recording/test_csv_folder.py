@@ -61,6 +61,8 @@ def test_files_of_velocities_positions_and_heights_are_read_with_and_without_sig
         wheels="stamp_ns,vx_m_s,vy_m_s,vz_m_s\n1,2,0.1,0\n",
         tracks="stamp_ns,vx_m_s,vy_m_s,vz_m_s,wx_rad_s,wy_rad_s,wz_rad_s,sigma_vx_m_s,sigma_vy_m_s,sigma_vz_m_s\n"
         "1,2,0,0,0,0,0.5,0.1,0.2,0.3\n2,2,0,0,0,0,0.5,,,\n",
+        doppler="stamp_ns,v_east_m_s,v_north_m_s,v_up_m_s,sigma_v_east_m_s,sigma_v_north_m_s,sigma_v_up_m_s\n"
+        "1,2,3,nan,0.1,0.2,\n2,2,3,0,,,\n",
         prism="stamp_ns,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m\n1,4,5,6,0.1,0.2,0.3\n",
         laser="stamp_ns,height_m,sigma_m\n1,7,0.02\n2,8,\n",
     )
@@ -71,6 +73,10 @@ def test_files_of_velocities_positions_and_heights_are_read_with_and_without_sig
     (known, unknown), _ = read(tmp_path, "tracks", "twist")
     assert known.angular.tolist() == [0.0, 0.0, 0.5]
     np.testing.assert_allclose(known.covariance, np.diag([0, 0, 0, 0.01, 0.04, 0.09]))
+    assert unknown.covariance is None
+    (flat, unknown), _ = read(tmp_path, "doppler", "gnss_velocity")
+    np.testing.assert_array_equal(flat.velocity, [2.0, 3.0, np.nan])
+    np.testing.assert_array_equal(flat.covariance.diagonal(), np.array([0.1, 0.2, np.nan]) ** 2)
     assert unknown.covariance is None
     (prism,), _ = read(tmp_path, "prism", "prism")
     assert prism.position.tolist() == [4.0, 5.0, 6.0]

@@ -128,6 +128,24 @@ def test_a_twist_that_is_not_finite_is_passed_on_to_be_counted() -> None:
     np.testing.assert_array_equal(decode("twist", message).linear, [nan, 0.0, inf])
 
 
+@pytest.mark.parametrize("store", STORES)
+def test_a_velocity_of_gnss_is_decoded_of_both_twists_with_its_linear_covariance_only(store) -> None:
+    """ublox and septentrio write -1 into the angular variances; septentrio NaN and -1 for what was not measured."""
+    motion = {"linear": (1.0, 2.0, nan)}
+    ros = asymmetric()
+    ros[3:, 3:], ros[2, 2] = -1.0, nan
+    plain = decode("gnss_velocity", stamped(store, START_NS, "TwistStamped", twist(store, **motion)), store=store)
+    content = twist_with_covariance(store, ros.ravel(), **motion)
+    known = decode("gnss_velocity", stamped(store, START_NS, "TwistWithCovarianceStamped", content), store=store)
+    content = twist_with_covariance(store, np.zeros(36), **motion)
+    unknown = decode("gnss_velocity", stamped(store, START_NS, "TwistWithCovarianceStamped", content), store=store)
+    for decoded in (plain, known, unknown):
+        np.testing.assert_array_equal(decoded.velocity, [1.0, 2.0, nan])
+        assert (decoded.stamp_ns, decoded.arrival_ns, decoded.sensor) == (START_NS, 7, "sensor")
+    assert plain.covariance is None and unknown.covariance is None
+    np.testing.assert_array_equal(known.covariance, ros[:3, :3])
+
+
 def test_a_prism_is_a_point_or_the_position_of_a_pose_whose_rotation_does_not_matter() -> None:
     plain = decode("prism", point(HUMBLE, (4.0, 5.0, 6.0)))
     assert (plain.position.tolist(), plain.covariance) == ([4.0, 5.0, 6.0], None)

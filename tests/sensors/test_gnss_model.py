@@ -126,8 +126,6 @@ def test_the_errors_of_a_float_solution_have_a_longer_correlation_time(sigma_m, 
         ({"latitude_deg": 90.1}, Outcome.OUT_OF_RANGE),
         ({"latitude_deg": 1e300}, Outcome.OUT_OF_RANGE),
         ({"longitude_deg": -1e300}, Outcome.OUT_OF_RANGE),
-        ({"covariance": None}, Outcome.NO_COVARIANCE),
-        ({"covariance": np.zeros((3, 3))}, Outcome.NO_COVARIANCE),
         ({"covariance": np.diag([1e-4, -1e-4, 1e-4])}, Outcome.NO_COVARIANCE),
         ({"covariance": np.diag([1e-4, np.nan, 1e-4])}, Outcome.NO_COVARIANCE),
         ({"covariance": np.diag([1.0, 1.01, 1.0])}, Outcome.LARGE_COVARIANCE),
@@ -155,7 +153,28 @@ def test_the_status_that_the_configuration_asks_for_is_the_worst_that_is_used(ne
     assert outcome_of(model(min_status=needed), replace(GOOD, status=status)) is outcome
 
 
-def test_a_default_stands_in_for_a_missing_covariance_only_if_it_is_given():
+@pytest.mark.parametrize(
+    ("status", "sigmas_m"),
+    [
+        (FixStatus.FIX, (2.5, 2.5, 4.0)),
+        (FixStatus.SBAS, (0.8, 0.8, 1.5)),
+        (FixStatus.GBAS, (0.02, 0.02, 0.04)),
+    ],
+)
+@pytest.mark.parametrize("claim", [None, np.zeros((3, 3))])
+def test_the_status_stands_in_for_a_missing_covariance(status, sigmas_m, claim):
+    fix = replace(GOOD, covariance=claim, status=status)
+    np.testing.assert_allclose(MODEL.convert(fix, PLACED).covariance, np.diag(np.square(sigmas_m)))
+    assert f"status {status.name.lower()} come without a covariance" in MODEL.assumption(fix)
+    assert f"sensors.{MODEL.name}.default_sigma_m" in MODEL.assumption(fix)
+
+
+def test_nothing_is_assumed_of_a_fix_that_claims_or_that_the_configuration_weighs():
+    assert not MODEL.assumption(GOOD)
+    assert not model(default_sigma_m=(0.1, 0.2, 0.3)).assumption(replace(GOOD, covariance=None))
+
+
+def test_a_default_of_the_configuration_stands_in_for_a_missing_and_for_a_broken_covariance():
     patient = model(default_sigma_m=(0.1, 0.2, 0.3))
     for claim in (None, np.zeros((3, 3)), np.full((3, 3), np.nan)):
         covariance = patient.convert(replace(GOOD, covariance=claim), PLACED).covariance

@@ -11,8 +11,9 @@ from motion import Drive, G, apart, imu, machine, ns, tilted_circle
 from numeric import assert_jacobians, residual
 
 from holdfast.config.model import MotionModelConfig
+from holdfast.sensors import preintegration
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.sensors.preintegration import ImuNoise, MotionModel, preintegrate
+from holdfast.sensors.preintegration import CALM, ImuNoise, MotionModel, integrate, preintegrate
 
 CONFIG = machine().imu
 NO_BIAS = gtsam.imuBias.ConstantBias()
@@ -121,10 +122,10 @@ def test_motion_makes_the_noise_grow_in_proportion_and_rest_does_not():
     moving = ImuNoise(machine(imu_={"accelerometer_error_ratio": 0.02, "gyroscope_error_ratio": 0.01}).imu, 1e-4, G)
     R = gtsam.Rot3.RzRyRx(0.1, 0.2, 0.3)
     up = R.unrotate(np.array([0.0, 0.0, G]))
-    at_rest = moving.params(up, np.zeros(3), R)
+    at_rest = moving.params(up, np.zeros(3), R, CALM)
     np.testing.assert_allclose(np.sqrt(np.diag(at_rest.getAccelerometerCovariance())), 2e-3, rtol=1e-9)
     np.testing.assert_allclose(np.sqrt(np.diag(at_rest.getGyroscopeCovariance())), 2e-4, rtol=1e-9)
-    turning = moving.params(up + np.array([0.0, 1.5, 0.0]), np.array([0.0, 0.0, 1.0]), R)
+    turning = moving.params(up + np.array([0.0, 1.5, 0.0]), np.array([0.0, 0.0, 1.0]), R, CALM)
     np.testing.assert_allclose(np.sqrt(np.diag(turning.getAccelerometerCovariance())), np.hypot(2e-3, 0.03), rtol=1e-9)
     np.testing.assert_allclose(np.sqrt(np.diag(turning.getGyroscopeCovariance())), np.hypot(2e-4, 0.01), rtol=1e-9)
 
@@ -149,6 +150,20 @@ def test_the_motion_model_goes_on_with_a_constant_twist(duration_s):
     assert rotation < 1e-9
     assert velocity < 0.02**2 / 24.0 * 1.5 * duration_s + 1e-9
     assert position < 0.02**2 * 1.5 * (duration_s / 12.0 + duration_s**2 / 48.0) + 1e-9
+
+
+def test_a_long_silence_takes_no_more_steps_than_a_short_one(monkeypatch):
+    """3600 s took 180000 steps; at most 100 follow the twist of ten seconds within a hundredth of its uncertainty."""
+    steps = []
+    monkeypatch.setattr(preintegration, "integrate", lambda *step: steps.append(step) or integrate(*step))
+    for duration_s in (1.99, 10.0, 3600.0):
+        steps.clear()
+        nav, pim = coasted(duration_s)
+        assert len(steps) <= 100
+        assert pim.deltaTij() == pytest.approx(duration_s)
+        position, _, _ = apart(pim.predict(nav, NO_BIAS), tilted_circle().nav(0.7 + duration_s))
+        sigma_m = MotionModelConfig().acceleration_density * np.sqrt(duration_s**3 / 3.0)
+        assert position < 0.01 * sigma_m or duration_s > 10.0  # which is begun anew after
 
 
 def test_the_motion_model_does_not_depend_on_the_bias():

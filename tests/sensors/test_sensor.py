@@ -20,6 +20,19 @@ from holdfast.state import Outcome
 SECOND_NS = 1_000_000_000
 
 
+def test_a_stamp_a_second_ahead_of_those_before_of_its_sensor_is_a_clock_jump():
+    """It would wait for the IMU and enter where the machine is a second later."""
+    stamps, reached_ns = StampFilter(), 100 * SECOND_NS
+    for k in range(5):
+        now_ns = reached_ns + k * SECOND_NS
+        assert stamps.check("gnss", now_ns - 50_000_000, now_ns, now_ns, now_ns) is Outcome.USED
+        assert stamps.check("slow", now_ns + 700_000_000, now_ns, now_ns, now_ns) is Outcome.USED  # it was ever ahead
+    now_ns = reached_ns + 5 * SECOND_NS
+    assert stamps.check("gnss", now_ns + 950_000_000, now_ns, now_ns, now_ns) is Outcome.CLOCK_JUMP
+    assert stamps.check("gnss", now_ns, now_ns, now_ns, now_ns) is Outcome.USED
+    assert stamps.check("slow", now_ns + 950_000_000, now_ns, now_ns, now_ns) is Outcome.USED
+
+
 def test_the_nis_adds_what_is_unsure_of_state_parameter_and_measurement():
     """0.03, 0.04 and 0.12 m make 0.13 m; 0.39 m are three sigmas of that."""
     H = np.zeros((1, 9))

@@ -73,7 +73,11 @@ def fix(t, east_m, sigma_m=0.01):
     [
         ([], None),
         ([fix(0.0, 0.0)], None),
-        ([fix(0.0, 0.0), fix(0.1, 0.0)], None),  # too soon to tell
+        ([fix(0.0, 0.0, 0.02), fix(0.1, 0.0, 0.02)], None),  # too soon to tell: a slope known to 0.4 m/s
+        ([fix(0.0, 0.0), fix(0.1, 0.0)], True),  # 0.2 m/s
+        ([fix(0.1 * k, 0.0, 1.5) for k in range(20)], None),
+        ([fix(0.1 * k, 0.0, 1.5) for k in range(50)], True),
+        ([fix(0.1 * k, 0.1 * k, 1.5) for k in range(50)], False),  # 1 m/s, known to 0.2 m/s
         ([fix(0.0, 0.0), fix(1.0, 0.1)], True),  # 0.1 m/s, and noise of 0.06 m
         ([fix(0.0, 0.0), fix(1.0, 0.2)], False),
         ([fix(0.0, 0.0, 0.1), fix(1.0, 0.2, 0.1)], True),

@@ -25,8 +25,19 @@ class Held:
         return self.joint_rad, np.zeros_like(self.joint_rad)
 
 
-def sampled(sheet, moving, times_s, rng, *, joint_rad=None, earth_rotation=False):
+@dataclass(frozen=True, eq=False)
+class EvenScene(Scene):
+    """A scene in which every frame sees the same part of the sky all the time."""
+
+    part: float = 1.0
+
+    def open_sky(self, _frame, times_s):
+        return np.full(len(times_s), self.part)
+
+
+def sampled(sheet, moving, times_s, rng, *, joint_rad=None, earth_rotation=False, open_sky=1.0):
     """Return the readings of a sensor whose frame has this motion at these times (N,)."""
     machine = Held(moving, joint_rad)
-    scene = Scene({"one": sheet}, "one", 0, float(times_s[-1]), DATUM, earth_rotation, machine, machine)
+    of_machine = {"one": sheet}, "one", 0, float(times_s[-1]), DATUM, earth_rotation, machine, machine
+    scene = EvenScene(*of_machine, part=open_sky)
     return KINDS[sheet.kind].measure(Sampling(scene, "one", sheet, times_s, rng))

@@ -32,6 +32,7 @@ SHEETS = {
     "lidar": sheet("odometry"),
     "scanner": sheet("scanner"),
     "wheels": sheet("twist"),
+    "doppler": sheet("gnss_velocity"),
     "markers": sheet("pose"),
     "prism": sheet("prism", station_m=(50.0, 0.0, 2.0)),
     "mast": sheet("height"),
@@ -62,7 +63,7 @@ def measure(seed=0, right_rate_hz=10.0, quality=Quality.RTK_FIXED):
     ends = (Antenna(GNSS, times["heading"], side["heading"].p_W, fixed["heading"]) for side in (left, right))
     readings["heading"] = heading_readings(SHEETS["heading"], *ends, rng)
     readings["joint"] = Readings(times["joint"], {"angle_rad": np.sin(times["joint"])})
-    of_frame = ("lidar", "wheels", "markers", "prism", "mast")
+    of_frame = ("lidar", "wheels", "doppler", "markers", "prism", "mast")
     readings |= {name: sampled(SHEETS[name], left[name], times[name], rng) for name in of_frame}
     readings["scanner"] = Readings(times["scanner"], {})
     return readings

@@ -70,6 +70,16 @@ def test_a_frozen_twist_repeats_its_first_velocity():
         np.testing.assert_array_equal(after.values[column][~within(after)], before.values[column][~within(before)])
 
 
+def test_a_receiver_that_is_stuck_repeats_its_first_velocity_with_its_claim():
+    before, after = HEALTHY["doppler"], strike("freeze", sensors=("doppler",))["doppler"]
+    inside = within(before)
+    np.testing.assert_array_equal(
+        after.values["velocity"][inside], before.values["velocity"][inside][:1].repeat(101, 0)
+    )
+    assert same(after.taken(~inside), before.taken(~inside))
+    assert after.values["sigma"] is before.values["sigma"]
+
+
 def test_spinning_wheels_report_a_fraction_and_a_constant_too_much_along_x():
     before, after = HEALTHY["wheels"], strike("slip", sensors=("wheels",), slip_ratio=0.3, slip_m_s=0.5)["wheels"]
     inside = within(before)

@@ -131,7 +131,7 @@ def test_a_sensor_defined_in_this_file_finds_its_own_mistakes(clinometer: dict[s
 
 
 def test_a_kind_that_nobody_registered_is_refused():
-    with pytest.raises(Exception, match="must be one of gnss, heading"):
+    with pytest.raises(Exception, match="must be one of gnss, gnss_velocity, heading"):
         load_scenario("quick", {"sensors": {"level": {"kind": "clinometer"}}})
 
 
@@ -145,7 +145,9 @@ def test_every_kind_of_datasheet_has_a_row_and_all_but_a_scanner_can_be_configur
 def test_the_messages_of_the_new_kinds_are_standard_ones(tmp_path: Path):
     simulation = simulate(load_scenario("new-sensors", {"duration_s": 15, "faults": []}), 1)
     write_recording(simulation, tmp_path / "recording.mcap", False, None)
-    topics = {simulation.scenario.sensors[name].topic: name for name in ("wheels", "markers", "prism", "mast")}
+    topics = {
+        simulation.scenario.sensors[name].topic: name for name in ("wheels", "doppler", "markers", "prism", "mast")
+    }
     messages: dict[str, list[Any]] = {name: [] for name in topics.values()}
     with AnyReader([tmp_path / "recording.mcap"]) as bag:
         types = {topics[c.topic]: c.msgtype for c in bag.connections if c.topic in topics}
@@ -154,6 +156,7 @@ def test_the_messages_of_the_new_kinds_are_standard_ones(tmp_path: Path):
                 messages[topics[connection.topic]].append(bag.deserialize(raw, connection.msgtype))
     assert types == {
         "wheels": "geometry_msgs/msg/TwistWithCovarianceStamped",
+        "doppler": "geometry_msgs/msg/TwistWithCovarianceStamped",
         "markers": "geometry_msgs/msg/PoseWithCovarianceStamped",
         "prism": "geometry_msgs/msg/PointStamped",
         "mast": "geometry_msgs/msg/PointStamped",
@@ -166,6 +169,10 @@ def test_the_messages_of_the_new_kinds_are_standard_ones(tmp_path: Path):
     assert wheels.twist.linear.x == readings["wheels"]["linear"][-1, 0] > 0.1
     assert wheels.twist.angular.z == readings["wheels"]["angular"][-1, 2]
     np.testing.assert_array_equal(wheels.covariance.reshape(6, 6), np.diag(readings["wheels"]["covariance"][-1]))
+    doppler = messages["doppler"][-1].twist
+    assert doppler.twist.linear.y == readings["doppler"]["velocity"][-1, 1] != 0.0
+    claimed = np.diag([*readings["doppler"]["sigma"][-1] ** 2, -1.0, -1.0, -1.0])
+    np.testing.assert_array_equal(doppler.covariance.reshape(6, 6), claimed)
     assert marker.pose.position.y == readings["markers"]["position"][50, 1]
     assert marker.pose.orientation.z == readings["markers"]["quaternion"][50, 2]
     np.testing.assert_array_equal(marker.covariance.reshape(6, 6), np.diag(readings["markers"]["covariance"][50]))

@@ -84,7 +84,7 @@ def test_a_machine_of_the_old_form_is_refused_with_what_is_missing(tmp_path: Pat
         "sensors: {imu: {topic: /imu, frame: imu, rate_hz: 50}}\n"
     )
     text = refusal(tmp_path, "machine: crane.yaml\nsite: yard\nduration_s: 5\n")
-    assert "sensors.imu: kind: missing, must be one of gnss, heading, height," in text
+    assert "sensors.imu: kind: missing, must be one of gnss, gnss_velocity, heading, height," in text
     assert "\n" not in text
 
 
@@ -121,7 +121,7 @@ def test_an_unknown_scenario_is_reported_with_those_that_there_are():
         ),
         (
             MINIMAL + "faults:\n  - {kind: freeze, sensors: [gnss], start_s: 1, end_s: 2}\n",
-            "mine.yaml:4 faults: freeze of entry 1 cannot happen to gnss (kinds: joint, twist)",
+            "mine.yaml:4 faults: freeze of entry 1 cannot happen to gnss (kinds: gnss_velocity, joint, twist)",
         ),
         (
             MINIMAL + "faults:\n  - {kind: outage, sensors: [gnss], start_s: 3, end_s: 2}\n",
@@ -142,7 +142,8 @@ def test_an_unknown_scenario_is_reported_with_those_that_there_are():
         ),
         (
             MINIMAL + "sensors: {radar: {kind: gns, topic: /r, frame: imu, rate_hz: 1}}\n",
-            'mine.yaml:4 sensors.radar: kind = "gns": did you mean gnss? must be one of gnss, heading, height,',
+            'mine.yaml:4 sensors.radar: kind = "gns": did you mean gnss? '
+            "must be one of gnss, gnss_velocity, heading, height,",
         ),
     ],
 )

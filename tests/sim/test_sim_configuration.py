@@ -53,9 +53,10 @@ def test_the_owner_knows_the_datasheets_of_the_new_sensors_but_neither_scale_nor
     data = scenario.model_dump()
     data["sensors"]["markers"] |= off
     sensors = configuration(Scenario.model_validate(data)).sensors
-    wheels, markers, mast = (sensors[name] for name in ("wheels", "markers", "mast"))
+    wheels, doppler, markers, mast = (sensors[name] for name in ("wheels", "doppler", "markers", "mast"))
     assert (wheels.axes, wheels.slip_ratio, wheels.scale_sigma) == (("x",), 0.01, 0.02)
     assert wheels.sigma_m_s == pytest.approx(0.01, rel=0.01)
+    assert (doppler.sigma_m_s, doppler.correlation_s) == pytest.approx((np.hypot(0.035, 0.035), 1.0))
     assert (markers.offset_sigma_m, markers.offset_sigma_deg) == (5.0, 5.0)
     assert markers.position_sigma_m == pytest.approx(np.hypot(0.02, 0.02))
     assert markers.correlation_s == pytest.approx(10.0)  # half of the variance, over both sides of 10 s

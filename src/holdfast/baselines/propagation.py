@@ -12,7 +12,7 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.config.sensors import ImuConfig
 from holdfast.messages import Array
-from holdfast.sensors.preintegration import ImuNoise, MotionModel, Step, integrate, preintegration_params
+from holdfast.sensors.preintegration import CALM, ImuNoise, MotionModel, Step, integrate, preintegration_params
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,4 +91,4 @@ def _constant_noise(
     level = gtsam.Rot3()
     force = np.array([tuning.acceleration, 0.0, gravity])
     rate = np.array([0.0, 0.0, tuning.angular_rate_rad_s])
-    return ImuNoise(imu, integration_sigma, gravity).params(force, rate, level)
+    return ImuNoise(imu, integration_sigma, gravity).params(force, rate, level, CALM)

@@ -31,6 +31,7 @@ from holdfast.errors import ConfigError, EstimatorError, HoldfastError
 from holdfast.evaluation.percentiles import percentiles
 from holdfast.messages import ImuSample
 from holdfast.recording.source import Subscription, open_recording
+from holdfast.replay.never_started import never_started
 from holdfast.replay.outputs import Outputs
 from holdfast.replay.runner import Replay
 from holdfast.replay.summary import timing_summary
@@ -136,7 +137,8 @@ def _measure_here(job: Job, folder: Path, progress: Callable[[int], None]) -> Re
             run.run(messages, None, progress)
     cpu_s, peak_memory_mb = process_time() - began_s, _peak_memory_mb()
     if not run.estimator.initialised:
-        raise EstimatorError(f"{job.recording}: the estimator never started: {run.estimator.waiting_for}")
+        why = never_started(run.estimator.waiting_for, run.estimator.counts, job.config)
+        raise EstimatorError(f"{job.recording}: the estimator never started: {why}")
     floor_ns += measure_floor(job)  # before and after: the machine may have become slower meanwhile
     floor_us = percentiles(np.array(floor_ns) * 1e-3)
     timing = timing_summary(run.timing)

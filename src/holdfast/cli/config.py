@@ -18,9 +18,11 @@ def config() -> None:
 def check(file: Path) -> None:
     """Check FILE and show what it comes to; every mistake is listed with its line."""
     from holdfast.config.load import load_config
-    from holdfast.config.review import sensor_rows, warnings
+    from holdfast.config.review import impossibilities, sensor_rows, warnings
 
     loaded = load_config(file)
+    if impossible := impossibilities(loaded):
+        raise ConfigError("\n".join(f"{file}: {line}" for line in impossible))
     click.echo(f"{file}: ok")
     rows = [("sensor", "topic", "frame", "lever arm")]
     for row in sensor_rows(loaded):
@@ -51,14 +53,21 @@ def schema() -> None:
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Write to this file instead of the screen.")
 @click.option("--force", is_flag=True, help="Overwrite the file if it exists.")
 def init(recording: Path, output: Path | None, force: bool) -> None:
-    """Write a commented configuration for RECORDING, guessing which topic is which sensor."""
-    from holdfast.config.starter import starter_yaml
-    from holdfast.recording.kinds import KINDS
+    """Write a commented configuration for RECORDING, guessing which topic is which sensor.
+
+    Its first two minutes are read: rates, latencies, the IMU at its quietest and the claims of the receivers stand
+    beside the keys. So do the clocks of the receivers against the IMU, of up to five minutes.
+    """
+    from holdfast.cli.progress import progress_bar
+    from holdfast.recording.first_config import LOOKED_AT_S, first_config
     from holdfast.recording.source import open_recording
 
     _check_output(output, force)
     with open_recording(recording) as opened:
-        text = starter_yaml(str(recording), opened.topics, KINDS.values())
+        begin_ns = opened.start_ns
+        end_ns = None if begin_ns is None else begin_ns + round(LOOKED_AT_S * 1e9)
+        with progress_bar("reading", begin_ns, end_ns) as progress:
+            text = first_config(opened, progress)
     if output is None:
         click.echo(text, nl=False)
         return

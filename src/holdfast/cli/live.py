@@ -15,8 +15,10 @@ from holdfast.errors import ConfigError, EstimatorError
 
 if TYPE_CHECKING:
     from holdfast.config.live import LiveConfig
+    from holdfast.config.model import Config
     from holdfast.live.dds import Network
     from holdfast.live.feed import Feed
+    from holdfast.realtime.engine import RealtimeEstimator
 
 
 @click.command()
@@ -64,17 +66,23 @@ def live(config_path: str, record_path: str | None, view_target: str | None, dur
         gc.freeze()  # looking through all that the imports have left would hold up the IMU path for tens of ms
         end = None if duration_s is None else monotonic() + duration_s
         node.run(lambda: stopped() is None and (end is None or monotonic() < end))
-        waiting_for = None if node.has_started else engine.waiting_for
-    _end(stopped(), waiting_for)
+        why = None if node.has_started else _why_not(engine, config)
+    _end(stopped(), why)
 
 
-def _end(caught: int | None, waiting_for: str | None) -> None:
+def _why_not(engine: "RealtimeEstimator", config: "Config") -> str:
+    from holdfast.replay.never_started import never_started
+
+    return never_started(engine.waiting_for, engine.counts, config)
+
+
+def _end(caught: int | None, why: str | None) -> None:
     if caught == signal.SIGINT:
         raise KeyboardInterrupt
     if caught is not None:
         raise SystemExit(128 + caught)
-    if waiting_for is not None:
-        raise EstimatorError(f"the estimator never started: {waiting_for}")
+    if why is not None:
+        raise EstimatorError(f"the estimator never started: {why}")
 
 
 def _show(line: str) -> None:

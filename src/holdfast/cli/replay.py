@@ -53,6 +53,7 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     from holdfast.config.load import load_config
     from holdfast.recording.source import open_recording
     from holdfast.recording.subscriptions import subscriptions
+    from holdfast.replay.never_started import never_started
     from holdfast.replay.outputs import Outputs
     from holdfast.replay.runner import Replay
 
@@ -69,14 +70,17 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
                     run.run(messages, rate or (1.0 if realtime else None), progress)
             except (HoldfastError, KeyboardInterrupt) as error:
                 failure = error
-            outputs.write_events(run.estimator.take_events())
-        summary = write_summary(run, recording, opened.warnings, Path(output), failure is None)
-    for warning in opened.warnings:
+            run.write_events()
+        warnings = [*opened.warnings, *run.warnings]
+        summary = write_summary(run, recording, warnings, Path(output), failure is None)
+    for warning in warnings:
         click.echo(f"warning: {warning}", err=True)
     if failure is not None:
         raise failure
     if not run.estimator.initialised:
-        raise EstimatorError(f"{recording}: the estimator never started: {run.estimator.waiting_for}")
+        estimator = run.estimator
+        why = never_started(estimator.waiting_for, estimator.counts, config)
+        raise EstimatorError(f"{recording}: the estimator never started: {why}")
     print_summary(summary, output)
 
 

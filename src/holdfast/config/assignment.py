@@ -1,9 +1,11 @@
 """Guesses which topics of a recording are which sensors: by type, words in the name, number of messages."""
 
 import re
-from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+PLAIN = ("vel", "velocity")  # names that tell nothing of the sensor
 
 
 class Topic(Protocol):
@@ -36,6 +38,8 @@ class Rule:
         spare: they are not used, but a user may want them; such rules choose last.
         on_chassis: the sensor sits below the turn joint, where there is one.
         types: the only message types that are taken; if empty, all of the kind.
+        beside: a topic called `PLAIN` in the namespace of a topic of this type needs no word of `prefer`.
+        given: what else stands in the section of the sensor.
     """
 
     sensor: str
@@ -47,6 +51,8 @@ class Rule:
     spare: bool = False
     on_chassis: bool = False
     types: tuple[str, ...] = ()
+    beside: str = ""
+    given: Mapping[str, Any] = field(default_factory=dict)
 
 
 class TopicKind(Protocol):
@@ -63,6 +69,25 @@ class TopicKind(Protocol):
     @property
     def rules(self) -> tuple[Rule, ...]:
         """Return how its topics are found; those of one kind choose in this order."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What the messages of a topic came to, for its section in a configuration.
+
+    Attributes:
+        notes: lines above the section.
+        remarks: what stands beside a key.
+        values: of keys whose default the measurement contradicts.
+    """
+
+    notes: tuple[str, ...] = ()
+    remarks: Mapping[str, str] = field(default_factory=dict)
+    values: Mapping[str, float] = field(default_factory=dict)
+
+    def joined(self, other: "Measured") -> "Measured":
+        """Return both in one."""
+        return Measured((*self.notes, *other.notes), {**self.remarks, **other.remarks}, {**self.values, **other.values})
 
 
 @dataclass(frozen=True)
@@ -92,13 +117,16 @@ class Assignment:
 def assign(topics: Iterable[Topic], kinds: Iterable[TopicKind]) -> Assignment:
     """Return which topics are which sensors; a topic is given to one sensor only."""
     remaining = {topic.topic: topic for topic in topics}
+    namespaces = {(topic.type, namespace(topic)) for topic in remaining.values()}
     rules = [(kind, rule) for kind in kinds for rule in kind.rules]
     reserved = {topic: rule for kind, rule in rules for topic in _reserved(kind, rule, remaining.values())}
     guesses: list[Guess] = []
     for kind, rule in sorted(rules, key=lambda pair: (pair[1].spare, not pair[1].named)):
         types = rule.types or kind.types
         candidates = [t for t in remaining.values() if t.type in types and reserved.get(t.topic, rule) is rule]
-        for topic, reason in _choose(rule, candidates):
+        plain = {t.topic for t in candidates if t.topic.rpartition("/")[2] in PLAIN}
+        beside = {name for name in plain if (rule.beside, namespace(remaining[name])) in namespaces}
+        for topic, reason in _choose(rule, candidates, beside):
             del remaining[topic.topic]
             sensor = _free_name(rule.sensor, {guess.sensor for guess in guesses})
             guesses.append(Guess(sensor, kind.name, rule, topic, reason))
@@ -108,6 +136,11 @@ def assign(topics: Iterable[Topic], kinds: Iterable[TopicKind]) -> Assignment:
         tuple(sorted(guesses, key=lambda guess: order.index(guess.rule))),
         tuple((topic, names) for topic, names in unused if names),
     )
+
+
+def namespace(topic: Topic) -> str:
+    """Return the name of a topic without its last part."""
+    return topic.topic.rpartition("/")[0]
 
 
 def described(topic: Topic) -> str:
@@ -122,18 +155,18 @@ def _reserved(kind: TopicKind, rule: Rule, topics: Iterable[Topic]) -> list[str]
     return names if rule.last_resort and len(names) == 1 else []
 
 
-def _choose(rule: Rule, candidates: list[Topic]) -> Iterator[tuple[Topic, str]]:
+def _choose(rule: Rule, candidates: list[Topic], beside: Collection[str]) -> Iterator[tuple[Topic, str]]:
     """Yield the best of the candidates with the reason, or where the rule takes every one, all that fit."""
     ranked = sorted(candidates, key=lambda topic: (*_score(rule, topic), topic.topic))
-    fitting = [topic for topic in ranked if _fits(rule, topic)]
+    fitting = [topic for topic in ranked if _fits(rule, topic, topic.topic in beside)]
     for topic in fitting if rule.every else fitting[:1]:
         yield topic, f"{described(topic)}, {_reason(rule, topic, len(ranked) - 1)}"
 
 
-def _fits(rule: Rule, topic: Topic) -> bool:
+def _fits(rule: Rule, topic: Topic, is_beside: bool) -> bool:
     """Return whether neither a topic's name nor its emptiness speaks against it."""
     against = _words(topic.topic, rule.avoid) and not rule.last_resort
-    unnamed = rule.named and not _words(topic.topic, rule.prefer)
+    unnamed = rule.named and not is_beside and not _words(topic.topic, rule.prefer)
     return topic.count != 0 and not against and not unnamed
 
 
@@ -149,6 +182,8 @@ def _reason(rule: Rule, best: Topic, others: int) -> str:
         return f"although {words_against[0]!r} in its name speaks AGAINST it: there is no better one"
     if words_for and (others or rule.named):
         return f"for {words_for[0]!r} in its name"
+    if rule.named:
+        return f"for a {rule.beside} beside it"
     if not others:
         return "the only one"
     return "one of several" if rule.every else "for its number of messages"

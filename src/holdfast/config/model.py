@@ -30,6 +30,7 @@ from holdfast.messages import Array
 
 Kind = TypeVar("Kind", bound=SensorConfig)
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+BELIEVE_BESIDE_ODOMETRY_S, BELIEVE_ALONE_S = 30.0, 1.0
 RESERVED = ("standstill",)  # what counts and events name beside the sensors
 
 
@@ -50,7 +51,7 @@ class InitialisationConfig(Section):
     heading_sigma_deg: float = quantity("deg", 2.0, gt=0, le=180, doc="trust in heading_deg")
     standstill_s: float = quantity("s", 1.0, gt=0.1, le=60, doc="standstill that is averaged")
     max_heading_sigma_deg: float = quantity(
-        "deg", 5.0, gt=0, le=45, doc="starting in motion: heading must be this sure"
+        "deg", 10.0, gt=0, le=45, doc="starting in motion: heading must be this sure"
     )
     window_s: float = quantity("s", 30.0, gt=1, le=300, doc="starting in motion: the longest stretch that is used")
 
@@ -86,6 +87,10 @@ class GateConfig(Section):
         doc="lost fixes that agree with each other for so long are right after all; by default 30 beside an "
         "odometry, which may know better, else 1",
     )
+
+    def patience_s(self, *, has_odometry: bool) -> float:
+        """Return for how long lost fixes must agree with each other to be right after all [s]."""
+        return self.believe_after_s or (BELIEVE_BESIDE_ODOMETRY_S if has_odometry else BELIEVE_ALONE_S)
 
 
 class MotionModelConfig(Section):

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from pydantic import BaseModel
@@ -10,6 +11,7 @@ from holdfast.config.model import Config
 from holdfast.config.schema import Place
 from holdfast.config.sensors import (
     BaseImuConfig,
+    GnssConfig,
     ImuConfig,
     InertialConfig,
     JointConfig,
@@ -17,6 +19,7 @@ from holdfast.config.sensors import (
 )
 
 MAX_USUAL_OFFSET_S = 0.5
+MIN_BASELINE_M = 0.05  # antennas are wider
 
 # field -> (low, high): between a laboratory's best and a phone's worst, in the field's unit
 USUAL_RANGES = {
@@ -44,6 +47,21 @@ def sensor_rows(config: Config) -> list[SensorRow]:
             lever_arm_m = float(np.linalg.norm(config.T_I(frame)[:3, 3]))
         rows.append(SensorRow(name, section.topic or "", frame, lever_arm_m))
     return rows
+
+
+def impossibilities(config: Config) -> list[str]:
+    """Return what a machine cannot be like, one line each; a file that was only begun may say so."""
+    places = {name: config.T_I(config.frame_of(name))[:3, 3] for name in config.sensors_of(GnssConfig)}
+    found = []
+    for (one, at), (other, there) in combinations(places.items(), 2):
+        apart_m = float(np.linalg.norm(at - there))
+        if apart_m < MIN_BASELINE_M:
+            frames = f"{config.frame_of(one)} and {config.frame_of(other)}"
+            found.append(
+                f"extrinsics: the antennas of {one} and {other} are {apart_m:.3f} m apart, must be >= "
+                f"{MIN_BASELINE_M:g} m: measure the translation_m of {frames}"
+            )
+    return found
 
 
 def warnings(config: Config) -> list[str]:

@@ -100,7 +100,8 @@ class GnssConfig(PositionConfig):
     max_sigma_m: float = quantity("m", 1.0, gt=0, doc="fixes with a larger horizontal sigma are refused")
     default_sigma_m: Vector3 | None = Field(
         None,
-        description="east, north, up [m] where the receiver reports no covariance; without it such fixes are refused",
+        description="east, north, up [m] where the receiver reports no covariance; by default by status: "
+        "fix 2.5, 2.5, 4, sbas 0.8, 0.8, 1.5, gbas 0.02, 0.02, 0.04",
     )
     min_sigma_m: float = quantity("m", 0.005, gt=0, doc="floor under the receiver's claim, per axis")
     correlation_s: float = quantity(
@@ -157,6 +158,20 @@ class TwistConfig(JudgedConfig, MountedConfig):
     sigma_m_s: float = quantity("m/s", 0.05, gt=0, le=10, doc="per axis, where none is claimed; floor of a claim")
     slip_ratio: float = quantity("1", 0.02, ge=0, le=1, doc="error in proportion to the speed")
     scale_sigma: float = quantity("1", 0.05, ge=0, le=1, doc="of the scale factor, which is estimated; 0: known")
+
+
+class GnssVelocityConfig(JudgedConfig, MountedConfig):
+    """Velocity of a GNSS antenna by Doppler: east, north, up, as its receiver reports it beside its fixes."""
+
+    kind: Literal["gnss_velocity"]
+    topic: Topic
+    frame: str | None = Field(None, description="that of the antenna in `extrinsics`; by default named as the sensor")
+    axes: tuple[Axis, ...] = Field(
+        ("x", "y", "z"), min_length=1, description="that are measured: east, north, up; NMEA tells no vertical velocity"
+    )
+    sigma_m_s: float = quantity(
+        "m/s", 0.05, gt=0, le=10, doc="per axis, up twice as much; where none is claimed, and floor of a claim"
+    )
 
 
 class NonholonomicConfig(JudgedConfig, MountedConfig):

@@ -3,15 +3,15 @@
 Prose stands behind `# `; a default stands behind a bare `#`, so that deleting the `#` makes it a line of the file.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from holdfast.config.assignment import Assignment, Guess, Topic, TopicKind, assign, described
+from holdfast.config.assignment import Assignment, Guess, Measured, Topic, TopicKind, assign, described, namespace
 from holdfast.config.document import one_line, yaml_text
 from holdfast.config.kinds import KINDS
 from holdfast.config.model import FramesConfig
 from holdfast.config.schema import ROOT, Place, allowed_text, is_optional, type_text
-from holdfast.config.sensors import ImuConfig, MountedConfig, SensorConfig
+from holdfast.config.sensors import GnssVelocityConfig, ImuConfig, MountedConfig, SensorConfig
 from holdfast.errors import RecordingError
 
 HEAD = """\
@@ -26,16 +26,20 @@ PLACEHOLDER = """\
   # the rotation of a GNSS antenna does not matter.
 """
 BASE, CABIN = FramesConfig().base, "cabin"
+UNMEASURED = Measured()
 UNKNOWN_FRAME = {"offset_sigma_m": 1e4, "offset_sigma_deg": 180.0}  # of what is not given in W
 
 
-def starter_yaml(recording: str, topics: Iterable[Topic], kinds: Iterable[TopicKind]) -> str:
+def starter_yaml(
+    recording: str, topics: Iterable[Topic], kinds: Iterable[TopicKind], measured: Mapping[str, Measured] | None = None
+) -> str:
     """Return a commented configuration that loads as it is.
 
     Args:
         recording: name of the recording, for the messages.
         topics: what it holds.
         kinds: how topics of every kind of measurement are found.
+        measured: what the messages of some topics came to, by topic.
 
     Raises:
         RecordingError: no topic can be the IMU.
@@ -49,7 +53,7 @@ def starter_yaml(recording: str, topics: Iterable[Topic], kinds: Iterable[TopicK
     lines = [HEAD.format(recording=one_line(recording))]
     for name, child in ROOT.children():
         if name == "sensors":
-            lines += ["sensors:", *_sensor_lines(found)]
+            lines += ["sensors:", *_sensor_lines(found, measured or {})]
         elif name == "extrinsics":
             lines += _extrinsic_lines(child, _mounts(found.guesses, has_joint))
         elif name == "turn_joint" and has_joint:
@@ -64,15 +68,21 @@ def starter_yaml(recording: str, topics: Iterable[Topic], kinds: Iterable[TopicK
     return "\n".join(lines)
 
 
-def _sensor_lines(found: Assignment) -> Iterator[str]:
+def _sensor_lines(found: Assignment, measured: Mapping[str, Measured]) -> Iterator[str]:
     """Yield the section of every sensor, a line per kind without one, and the topics that were left over."""
-    has_gnss = any(guess.kind == "gnss" for guess in found.guesses)
+    antennas = [guess for guess in found.guesses if guess.kind == "gnss"]
     several_imus = sum(KINDS[guess.kind] is ImuConfig for guess in found.guesses) > 1
     for kind, section in KINDS.items():
         guesses = [guess for guess in found.guesses if guess.kind == kind]
         for guess in guesses:
-            primary = {"primary": True} if section is ImuConfig and several_imus else {}
-            yield from _section_lines(guess, Place(section, None), primary, has_gnss)
+            given = dict(guess.rule.given)
+            if section is ImuConfig and several_imus and not guess.rule.spare:
+                given["primary"] = True
+            if (antenna := antenna_of(guess, antennas)) is not None:
+                given["frame"] = antenna.sensor
+            yield from _section_lines(
+                guess, Place(section, None), given, bool(antennas), measured.get(guess.topic.topic, UNMEASURED)
+            )
         if not guesses:
             has_topic = not is_optional(section.model_fields["topic"])
             yield f"  # {kind}: {'none found' if has_topic else 'has no topic, see docs/configuration.md'}"
@@ -80,8 +90,18 @@ def _sensor_lines(found: Assignment) -> Iterator[str]:
         yield f"  # not used: {one_line(described(topic))}; could be {', '.join(kinds)}"
 
 
-def _section_lines(guess: Guess, section: Place, primary: dict[str, Any], has_gnss: bool) -> Iterator[str]:
-    given = {"kind": guess.kind, "topic": guess.topic.topic}
+def antenna_of(guess: Guess, antennas: Sequence[Guess]) -> Guess | None:
+    """Return the antenna whose velocity a topic tells: that of the same receiver, else the only one."""
+    if KINDS[guess.kind] is not GnssVelocityConfig:
+        return None
+    same = [antenna for antenna in antennas if namespace(antenna.topic) == namespace(guess.topic)]
+    return next(iter(same), antennas[0] if len(antennas) == 1 else None)
+
+
+def _section_lines(
+    guess: Guess, section: Place, more: dict[str, Any], has_gnss: bool, measured: Measured
+) -> Iterator[str]:
+    given = {"kind": guess.kind, "topic": guess.topic.topic} | more
     needs_datum = has_gnss and KINDS[guess.kind].model_validate(given).is_in_world()
     offsets = {key: value for key, value in UNKNOWN_FRAME.items() if needs_datum and section.child(key)}
     if guess.rule.spare or (needs_datum and not offsets):
@@ -91,17 +111,20 @@ def _section_lines(guess: Guess, section: Place, primary: dict[str, Any], has_gn
         yield from (f"  #   {key}: {yaml_text(value)}" for key, value in given.items())
         return
     yield f"  # {guess.sensor}: {one_line(guess.reason)}"
+    yield from (f"  # {one_line(note)}" for note in measured.notes)
     yield f"  {guess.sensor}:{_comment(section.about)}"
-    yield from _filled(section, given | primary | offsets, 2, ("mounting_yaw_deg",))
+    given |= offsets | {key: value for key, value in measured.values.items() if section.child(key)}
+    yield from _filled(section, given, 2, ("mounting_yaw_deg",), measured.remarks)
 
 
 def _mounts(guesses: Sequence[Guess], has_joint: bool) -> list[tuple[str, str]]:
     """Return the transforms that must be measured, from parent to child; sensors are in frames of their own name."""
     origin = next(guess.sensor for guess in guesses if guess.kind == "imu")
     mounts = [(origin, CABIN)] if has_joint else []
+    antennas = [guess for guess in guesses if guess.kind == "gnss"]
     for guess in guesses:
         section: type[SensorConfig] = KINDS[guess.kind]
-        if issubclass(section, MountedConfig) and section is not ImuConfig:
+        if issubclass(section, MountedConfig) and section is not ImuConfig and antenna_of(guess, antennas) is None:
             below = guess.kind == "base_imu" or (guess.rule.on_chassis and has_joint)
             mounts.append((BASE if below else origin, guess.sensor))
     return mounts
@@ -126,16 +149,24 @@ def _extrinsic_lines(extrinsics: Place, mounts: Sequence[tuple[str, str]]) -> It
                 yield f"    #{key}: {_default_text(field)}{_comment(_meaning(field))}"
 
 
-def _filled(section: Place, given: dict[str, Any], depth: int, todo: Sequence[str] = ()) -> Iterator[str]:
+def _filled(
+    section: Place,
+    given: dict[str, Any],
+    depth: int,
+    todo: Sequence[str] = (),
+    remarks: Mapping[str, str] | None = None,
+) -> Iterator[str]:
     """Yield the keys of a section: those that are given, those that must be measured, the others commented out."""
     for key, field in section.children():
+        remark = (remarks or {}).get(key, "")
+        remark = f"; {one_line(remark)}" if remark else ""
         if key in given:
             comment = "" if key == "kind" else _comment(_meaning(field))
-            yield f"{'  ' * depth}{key}: {yaml_text(given[key])}{comment}"
+            yield f"{'  ' * depth}{key}: {yaml_text(given[key])}{comment}{remark}"
         elif key in todo:
             yield f"{'  ' * depth}{key}: {_default_text(field)}  # TODO measure: {_meaning(field)}"
         else:
-            yield from _defaults(section, depth, key)
+            yield from (line + remark for line in _defaults(section, depth, key))
 
 
 def _defaults(section: Place, depth: int, only: str | None = None) -> Iterator[str]:

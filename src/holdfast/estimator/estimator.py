@@ -5,10 +5,12 @@ are called in turn; `holdfast.realtime` puts them into two processes.
 """
 
 from collections import Counter
+from dataclasses import replace
 
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
 from holdfast.estimator.imu_path import ImuPath
+from holdfast.estimator.intake import Intake
 from holdfast.estimator.optimiser import Optimiser
 from holdfast.event_log import EventLog
 from holdfast.geometry.earth import Geodetic, LocalFrame
@@ -17,7 +19,7 @@ from holdfast.sensors.imu import ImuBuffer
 from holdfast.state import NOTHING, BaseState, Estimate, Event, EventKind, Health, HealthReport, Outcome, Output
 
 
-class Estimator:
+class Estimator(Intake):
     """Fuses the sensors of one machine; deterministic, and it does not die of bad data.
 
     Args:
@@ -75,15 +77,20 @@ class Estimator:
     @property
     def events(self) -> list[Event]:
         """The events that have not been taken."""
-        return self._log.events
+        return self._path.clock.events(self._log.events)
 
     def health_report(self) -> HealthReport:
         """Return the health now with what it rests on."""
-        return self._optimiser.monitor.report(self._buffer.latest_ns, self.health)
+        stamp_ns = self._path.clock.stamp(self._buffer.latest_ns)
+        return replace(self._optimiser.monitor.report(self._buffer.latest_ns, self.health), stamp_ns=stamp_ns)
+
+    def noise(self, sensor: str) -> float:
+        """Return how many times larger the noise of a sensor is than it claims, as its innovations show."""
+        return self._optimiser.monitor.noise(sensor)
 
     def take_events(self) -> list[Event]:
         """Return the events since the last call."""
-        return self._log.take_events()
+        return self._path.clock.events(self._log.take_events())
 
     def process(self, message: Message) -> Output:
         """Take in one message, in the order of arrival.
@@ -92,9 +99,14 @@ class Estimator:
             ConfigError: the sensor is not in the configuration.
         """
         if isinstance(message, ImuSample) and message.sensor == self._imu:
-            return self._process_imu(message)
-        if message.sensor not in self.config.sensors:
+            output = self._process_imu(message)
+        elif message.sensor in self.config.sensors:
+            output = self._process_other(self._path.clock.read(message))
+        else:
             raise ConfigError(f"sensors.{message.sensor}: not in the configuration, but a message of it came")
+        return self._path.clock.output(output)
+
+    def _process_other(self, message: Message) -> Output:
         if isinstance(message, ImuSample | JointAngle) and self._path.serves_chassis(message.sensor):
             self._path.add_to_chassis(message)
         if self._optimiser.wants(message):
@@ -120,6 +132,9 @@ class Estimator:
         self._optimiser.receive(received)
         estimate = self._path.propagate(received)
         if estimate is None:
+            return NOTHING
+        if not self._path.is_sound(estimate):
+            self.reset()
             return NOTHING
         base = self._path.chassis(estimate)
         return self._update(estimate, base) if self._optimiser.is_due else Output(estimate, base=base)

@@ -10,6 +10,7 @@ FUSED_NS = 1_000_000_000  # what entered so recently counts as being fused
 RESET_NS = 1_000_000_000  # a reset is reported for so long
 RECOVERY_NS = 2_000_000_000  # after GNSS is regained the world may still move for so long
 NEVER_NS = -1
+NOISE_STEPS = 1000
 
 
 class HealthMonitor:
@@ -22,6 +23,7 @@ class HealthMonitor:
         self._receivers = frozenset(config.sensors_of(PositionConfig))
         self._silence_ns = {name: round(one.silence_s * 1e9) for name, one in config.sensors_of(OdometryConfig).items()}
         self._entered_ns: dict[str, int] = {}
+        self._noise: dict[str, float] = {}
         self._started_ns: int | None = None
         self._reset_ns = self._recovered_ns = -RESET_NS - RECOVERY_NS
 
@@ -38,6 +40,14 @@ class HealthMonitor:
         """A measurement entered the graph."""
         self._entered_ns[sensor] = max(stamp_ns, self._entered_ns.get(sensor, stamp_ns))
 
+    def note_noise(self, sensor: str, ratio: float) -> None:
+        """The noise of a sensor is so many times what it claims."""
+        self._noise[sensor] = ratio
+
+    def noise(self, sensor: str) -> float:
+        """Return how many times larger the noise of a sensor is than it claims."""
+        return self._noise.get(sensor, 1.0)
+
     def reset(self, stamp_ns: int) -> None:
         """The optimiser failed and the graph was anchored anew."""
         self._reset_ns = stamp_ns
@@ -47,14 +57,17 @@ class HealthMonitor:
         self._recovered_ns = stamp_ns
 
     def snapshot(self) -> tuple[int, ...]:
-        """Return what there is to know, for the monitor of another process: 3 stamps, and one per sensor in `names`."""
+        """Return what there is to know, for the monitor of another process: 3 stamps, and two numbers per sensor."""
         started_ns = NEVER_NS if self._started_ns is None else self._started_ns
         entered_ns = (self._entered_ns.get(name, NEVER_NS) for name in self.names)
-        return (started_ns, self._reset_ns, self._recovered_ns, *entered_ns)
+        noise = (round(self.noise(name) * NOISE_STEPS) for name in self.names)
+        return (started_ns, self._reset_ns, self._recovered_ns, *entered_ns, *noise)
 
     def restore(self, snapshot: tuple[int, ...]) -> None:
         """Know what another monitor knew."""
-        started_ns, self._reset_ns, self._recovered_ns, *entered_ns = snapshot
+        started_ns, self._reset_ns, self._recovered_ns, *rest = snapshot
+        entered_ns, noise = rest[: len(self.names)], rest[len(self.names) :]
+        self._noise = {name: number / NOISE_STEPS for name, number in zip(self.names, noise, strict=True)}
         self._started_ns = None if started_ns == NEVER_NS else started_ns
         known = zip(self.names, entered_ns, strict=True)
         self._entered_ns = {name: stamp_ns for name, stamp_ns in known if stamp_ns != NEVER_NS}
@@ -86,7 +99,9 @@ class HealthMonitor:
         """Return the health with what it rests on."""
         ages_ns = {name: now_ns - self._entered_ns[name] for name in self.names if name in self._entered_ns}
         fused = tuple(name for name, age_ns in ages_ns.items() if age_ns < FUSED_NS)
-        return HealthReport(now_ns, health, (self._imu, *fused), {name: age * 1e-9 for name, age in ages_ns.items()})
+        ages_s = {name: age_ns * 1e-9 for name, age_ns in ages_ns.items()}
+        noise = {name: ratio for name, ratio in self._noise.items() if ratio != 1.0}
+        return HealthReport(now_ns, health, (self._imu, *fused), ages_s, noise)
 
     def _is_silent(self, odometry: str, now_ns: int) -> bool:
         if self._started_ns is None:

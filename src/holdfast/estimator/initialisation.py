@@ -6,37 +6,46 @@ the configuration. Without a heading the machine has to move: then a batch of po
 """
 
 from collections import deque
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from itertools import pairwise
 from math import radians
-from typing import Any
+from typing import Any, TypeVar
 
 import gtsam
 import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig, RobustLoss
+from holdfast.estimator.course import Course, course_of
 from holdfast.estimator.first_heading import Antennas, baseline_heading, pose_heading
-from holdfast.graph.alignment import BatchAligner, level_attitude
-from holdfast.messages import Array
+from holdfast.graph.alignment import BatchAligner, BiasPrior, Evidence, level_attitude, thin
+from holdfast.messages import Array, Message
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.odometry import OdometryNoise
 from holdfast.sensors.position import position_factor
 from holdfast.sensors.preintegration import ImuNoise
-from holdfast.sensors.sensor import Measurement, Position, Role, Sensor, of_role
+from holdfast.sensors.sensor import Measurement, Position, Role, Sensor, Velocity, of_role
 from holdfast.sensors.standstill import (
     ENGINE,
     fixes_stand,
     gyro_bias_sigma_rad_s,
     quiet_window,
     standstill_covariance,
+    velocities_stand,
 )
-from holdfast.state import OptimisedState
+from holdfast.state import OptimisedState, Outcome
 
 PLAUSIBLE_FORCE_M_S2 = (7.0, 13.0)  # mean specific force of a machine on the ground
 MIN_TRAVEL_M = 2.0
 RETRY_NS = 1_000_000_000
 POSE_CORRELATION_S = 1.0
+MIN_POSITIONS = 3
+SAME_BIAS_RAD_S = 5e-3  # two standstills differ by no more
+BIAS_DRIFT_RAD_S = 1e-3  # from a standstill to the motion after it, with temperature and vibration
+MOST_STANDSTILLS = 30
+STANDING_S = 5.0, 15.0  # over which positions tell whether the machine stands, longer ones if the first cannot
+Point = TypeVar("Point", Position, Velocity)
+NO_POSITION = "no usable position has come"
 
 
 class Initialising:
@@ -63,29 +72,47 @@ class Initialising:
         self._antennas: Antennas | None = (antennas[0], antennas[1]) if len(antennas) == 2 else None
         self._triggers = {one.role for one in of_role(sensors, Role.POSITION, Role.POSE).values()}
         self._positions: deque[Position] = deque()
+        self._velocities: deque[Velocity] = deque()
         self._others: dict[str, deque[Any]] = {}  # headings, poses and tracks, by sensor
         self._bias = gtsam.imuBias.ConstantBias()
+        self._standstills = 0  # that have this bias, less those that have another
         self._bias_sigmas = np.repeat([imu.accelerometer_bias_sigma, imu.gyroscope_bias_sigma], 3)
-        self._last_try_ns = 0
-        self._noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
-        self.reason = "no usable position has come" if self._points else "no IMU sample has come"
+        self._last_try_ns = self._newest_ns = 0
+        self._window_ns = round(config.initialisation.window_s * 1e9)
+        noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
+        self._aligner = BatchAligner(buffer, noise, self._points, of_role(sensors, Role.VELOCITY))
+        self.reason = NO_POSITION if self._points else "no IMU sample has come"
 
     def add(self, measurement: Measurement) -> bool:
         """Take in a checked measurement; say whether it is one with which a start can be attempted."""
         role = self._sensors[measurement.sensor].role
         if role is Role.POSITION and isinstance(measurement, Position):
             self._positions.append(measurement)
+        elif role is Role.VELOCITY and isinstance(measurement, Velocity):
+            self._velocities.append(measurement)
         elif role is not Role.STATE:
             self._others.setdefault(measurement.sensor, deque()).append(measurement)
         if role is Role.POSE and measurement.sensor in self._points:
             self._positions.append(_as_position(measurement))
-        is_trigger = role in self._triggers or not self._triggers
-        if is_trigger:
-            self._forget_before(measurement.stamp_ns - round(self._config.initialisation.window_s * 1e9))
-        return is_trigger
+        self._newest_ns = max(self._newest_ns, measurement.stamp_ns)
+        self._forget_before(self._newest_ns - self._window_ns)
+        return role in self._triggers or not self._triggers
+
+    @property
+    def oldest_ns(self) -> int:
+        """Samples of the IMU before this time are of no use."""
+        return max(self._newest_ns, self._buffer.latest_ns - self._window_ns) - self._window_ns
+
+    def refuse(self, message: Message, outcome: Outcome) -> None:
+        """Note a message that cannot be used: as long as no position could be, it is the reason."""
+        if message.sensor in self._points and not self._positions and self.reason.startswith(NO_POSITION):
+            covariance = getattr(message, "covariance", None)
+            claim = "" if covariance is None else f", it claims {np.sqrt(covariance.diagonal()[:2].max()):.3g} m"
+            self.reason = f"{NO_POSITION}; the last of {message.sensor} was refused: {outcome}{claim}"
 
     def _forget_before(self, horizon_ns: int) -> None:
-        for series in (self._positions, *self._others.values()):
+        collected: list[deque[Any]] = [self._positions, self._velocities, *self._others.values()]
+        for series in collected:
             while series and series[0].stamp_ns < horizon_ns:
                 series.popleft()
 
@@ -115,11 +142,32 @@ class Initialising:
         """The positions must agree that the machine stands: an even motion is as quiet as standstill."""
         if not self._points:
             return True
-        since = now_ns - round(max(3.0, 2 * self._config.initialisation.standstill_s) * 1e9)
-        stand = fixes_stand(self._of_first_receiver(since))
+        stand = self.stands(now_ns, self._config.initialisation.standstill_s)
         if stand is None:
-            self.reason = "waiting for two positions at standstill"
+            self.reason = "waiting for positions that tell whether the machine stands"
         return bool(stand)
+
+    def stands(self, end_ns: int, duration_s: float) -> bool | None:
+        """Whether velocities and positions say that the machine stood for so long; None while they cannot tell."""
+        since_ns = end_ns - round(duration_s * 1e9)
+        by_velocity = velocities_stand(_between(self._velocities, since_ns, end_ns))
+        by_position = None
+        for longer_s in STANDING_S:
+            longer_ns = end_ns - round(max(longer_s, 2.0 * duration_s) * 1e9)
+            if by_position is None:
+                fixes = self._of_first_receiver(longer_ns)
+                by_position = fixes_stand([one for one in fixes if one.stamp_ns <= end_ns])
+        if by_velocity is None or by_position is None:
+            return by_velocity if by_position is None else by_position
+        return by_velocity and by_position
+
+    def course(self, stamp_ns: int, duration_s: float) -> Course | None:
+        """Return where the newest positions of the first receiver, no older than that, lead at a time."""
+        since_ns = stamp_ns - round(duration_s * 1e9)
+        positions = sorted(self._of_first_receiver(since_ns), key=lambda one: one.stamp_ns)
+        velocities = _between(self._velocities, since_ns, max(stamp_ns, self._buffer.latest_ns))
+        arm = self._points[positions[-1].sensor].p_I_P if positions else np.zeros(3)
+        return course_of(positions, velocities, stamp_ns, arm)
 
     def _of_first_receiver(self, since_ns: int = 0) -> list[Position]:
         """Return the positions of the first receiver that has any."""
@@ -134,8 +182,7 @@ class Initialising:
         level = level_attitude(force)
         excess = (np.linalg.norm(force) - self._gravity) * force / np.linalg.norm(force)
         bias = gtsam.imuBias.ConstantBias(excess, rate)
-        gyro_sigma = gyro_bias_sigma_rad_s(imu, standstill_s)
-        self._bias, self._bias_sigmas = bias, np.repeat([imu.accelerometer_bias_sigma, gyro_sigma], 3)
+        self._note_bias(bias)
         self.reason = "standing still without a heading: give initialisation.heading_deg, a heading topic, or move"
         heading = self._heading(now_ns, level)
         if heading is None:
@@ -148,6 +195,19 @@ class Initialising:
         self.reason = "standstill"
         nav = gtsam.NavState(R_W_I, position, np.zeros(3))
         return OptimisedState(now_ns, nav, bias, covariance, np.zeros(3))
+
+    def _note_bias(self, bias: gtsam.imuBias.ConstantBias) -> None:
+        """Keep the mean over standstills for a start in motion; what most others contradict was an even motion."""
+        imu = self._config.imu
+        change: Array = (bias - self._bias).vector()
+        if self._standstills and np.linalg.norm(change[3:]) > SAME_BIAS_RAD_S:
+            self._standstills -= 1
+            return
+        self._standstills = min(self._standstills + 1, MOST_STANDSTILLS)
+        mean: Array = self._bias.vector() + change / self._standstills
+        self._bias = gtsam.imuBias.ConstantBias(mean[:3], mean[3:])
+        sigma = gyro_bias_sigma_rad_s(imu, self._config.initialisation.standstill_s) + BIAS_DRIFT_RAD_S
+        self._bias_sigmas = np.repeat([imu.accelerometer_bias_sigma, sigma], 3)
 
     def _position(self, now_ns: int, R_W_I: gtsam.Rot3) -> tuple[Array, Array, Array]:
         """Return p_W_I, its covariance in W, and the lever arm through which it was found."""
@@ -193,9 +253,12 @@ class Initialising:
         if not self._points:
             self.reason = "moving, and no source of positions is configured: start at standstill"
             return None
-        fixes = self._covered(now_ns)
-        if len(fixes) < 3:
-            self.reason = f"{len(fixes)} usable positions since the IMU measures without a gap; 3 are needed"
+        since_ns = self._measuring_since_ns(now_ns)
+        fixes = thin(_between(self._positions, since_ns, now_ns))
+        if len(fixes) < MIN_POSITIONS:
+            self.reason = (
+                f"{len(fixes)} usable positions since the IMU measures without a gap; {MIN_POSITIONS} are needed"
+            )
             return None
         travel = max(_travel_m([fix for fix in fixes if fix.sensor == name]) for name in self._points)
         needed = max(MIN_TRAVEL_M, 20.0 * float(np.sqrt(fixes[-1].covariance[:2, :2].max())))
@@ -205,23 +268,24 @@ class Initialising:
         if fixes[-1].stamp_ns - self._last_try_ns < RETRY_NS:
             return None
         self._last_try_ns = fixes[-1].stamp_ns
-        aligner = BatchAligner(self._buffer, self._noise, self._points, self._bias_sigmas)
-        limit = np.radians(self._config.initialisation.max_heading_sigma_deg)
-        alignment = aligner.solve(fixes, self._bias, self._odometry_factors(fixes), float(limit))
+        velocities = thin(_between(self._velocities, fixes[0].stamp_ns, fixes[-1].stamp_ns))
+        evidence = Evidence(fixes, velocities)
+        evidence = evidence._replace(motions=self._odometry_factors(evidence.stamps))
+        limit_rad = radians(self._config.initialisation.max_heading_sigma_deg)
+        alignment = self._aligner.solve(evidence, BiasPrior(self._bias, self._bias_sigmas), limit_rad)
         self.reason = alignment.reason
         return alignment.state
 
-    def _covered(self, now_ns: int) -> list[Position]:
-        """Positions since the last IMU gap, at times that the IMU has reached."""
+    def _measuring_since_ns(self, now_ns: int) -> int:
+        """Return the end of the last gap of the IMU."""
         start = self._buffer.oldest_ns
         for piece in self._buffer.pieces(start, now_ns):
             if piece.is_gap:
                 start = piece.end_ns
-        return sorted((p for p in self._positions if start < p.stamp_ns <= now_ns), key=lambda p: p.stamp_ns)
+        return start
 
-    def _odometry_factors(self, fixes: list[Position]) -> list[gtsam.NonlinearFactor]:
-        """Relative factors between the times of the fixes, from each odometry's track interpolated to them."""
-        stamps = sorted({fix.stamp_ns for fix in fixes})
+    def _odometry_factors(self, stamps: list[int]) -> list[gtsam.NonlinearFactor]:
+        """Relative factors between times, from each odometry's track interpolated to them."""
         factors = []
         for name, track in self._others.items():
             if name not in self._odometries or len(track) < 2:
@@ -260,6 +324,11 @@ def _track_at(track: deque[Any], stamp_ns: int) -> gtsam.Pose3 | None:
             pose: gtsam.Pose3 = before.T_I0_I.slerp(fraction, after.T_I0_I)
             return pose
     return None
+
+
+def _between(measurements: Iterable[Point], start_ns: int, end_ns: int) -> list[Point]:
+    """Return measurements after a time, until another, by stamp."""
+    return sorted((one for one in measurements if start_ns < one.stamp_ns <= end_ns), key=lambda one: one.stamp_ns)
 
 
 def _travel_m(fixes: list[Position]) -> float:

@@ -12,14 +12,17 @@ from holdfast.config.model import Config
 from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import Received
 from holdfast.estimator.initialisation import Initialising
+from holdfast.estimator.successor import Successor
 from holdfast.estimator.tracking import Tracking, Update
 from holdfast.event_log import EventLog
 from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, gravity
 from holdfast.geometry.world import World
-from holdfast.messages import JointAngle, Message
+from holdfast.integrity.noise_scale import NoiseScale
+from holdfast.messages import GnssFix, JointAngle, Message
+from holdfast.sensors.gnss import GnssModel
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.registry import inputs_of, sensors_of
-from holdfast.sensors.sensor import Joint, Measurement, StampFilter
+from holdfast.sensors.sensor import Joint, Measurement, Role, StampFilter
 from holdfast.state import EventKind, Health, OptimisedState, Outcome
 
 LATE_NS = 10_000_000_000  # by which a measurement that starts the estimator may be late
@@ -42,6 +45,7 @@ class Optimiser:
         self._joint = None if config.joint is None else JointTrack(JointModel(config.joint[1]))
         self._has_imu = True
         self._reported = Health.INITIALISING
+        self._assumed: set[tuple[str, str]] = set()
         self.monitor = HealthMonitor(config)
         self.world = World()
         self.gravity = config.frames.gravity or STANDARD_GRAVITY_M_S2
@@ -54,6 +58,8 @@ class Optimiser:
         """Begin anew, before a start."""
         self.monitor.stop()
         self._stamps = StampFilter()
+        self._scales = {name: NoiseScale() for name in self._sensors}
+        self._astray: Counter[str] = Counter()  # stamps in a row that contradict the IMU's clock, by sensor
         self._phase: Initialising | Tracking = Initialising(self._config, self._buffer, self._sensors, self.gravity)
 
     @property
@@ -102,8 +108,10 @@ class Optimiser:
     def receive(self, received: Received) -> None:
         """Take note of a sample of the IMU that has just entered the buffer."""
         stamp_ns = self._buffer.latest_ns
-        if received.has_stepped_back:
-            reason = "the clock has gone back: starting over"
+        if received.begins_anew:
+            ahead_s = (stamp_ns - received.before_ns) * 1e-9
+            seen = "the clock has gone back" if ahead_s < 0.0 else f"the clock went ahead by {ahead_s:.3f} s or stood"
+            reason = f"{seen}: starting over"
             self._log.report(EventKind.CLOCK_STEP, stamp_ns - self._buffer.offset_ns, self._config.imu_name, reason)
             self._begin()
         if not isinstance(self._phase, Tracking):
@@ -129,18 +137,45 @@ class Optimiser:
         if isinstance(measurement, Outcome) or outcome is not Outcome.USED:
             if isinstance(self._phase, Tracking):
                 self._phase.refuse(name, outcome)
+            else:
+                self._phase.refuse(message, outcome)
             self._log.count(name, outcome)
-            self._log.report(EventKind.REJECTED, message.stamp_ns, name, outcome)
+            if self._astray[name] <= 1 or outcome not in (Outcome.CLOCK_JUMP, Outcome.LATE):
+                self._log.report(EventKind.REJECTED, message.stamp_ns, name, outcome)
             return None
+        self._tell_assumption(message)
         if isinstance(self._phase, Tracking):
             self._phase.enqueue(measurement, message.arrival_ns)
             return None
         self._log.count(name, Outcome.BEFORE_START)
         return self._try_to_start(self._phase, measurement)
 
+    def _tell_assumption(self, message: Message) -> None:
+        """Report once what is assumed of the fixes of a receiver."""
+        sensor = self._sensors[message.sensor]
+        if isinstance(sensor, GnssModel) and isinstance(message, GnssFix):
+            assumed = sensor.assumption(message)
+            if assumed and (message.sensor, assumed) not in self._assumed:
+                self._assumed.add((message.sensor, assumed))
+                self._log.report(EventKind.COVARIANCE_ASSUMED, message.stamp_ns, message.sensor, assumed)
+
     def _check_stamp(self, measurement: Measurement, message: Message) -> Outcome:
-        reached = self._buffer.latest_ns, self._buffer.arrival_ns
-        return self._stamps.check(message.sensor, measurement.stamp_ns, message.arrival_ns, *reached)
+        name, stamp_ns = message.sensor, measurement.stamp_ns
+        reached_ns, reached_arrival_ns = self._buffer.latest_ns, self._buffer.arrival_ns
+        behind_ns = reached_ns + max(0, message.arrival_ns - reached_arrival_ns) - stamp_ns
+        outcome = self._stamps.check(name, stamp_ns, message.arrival_ns, reached_ns, reached_arrival_ns)
+        if outcome is Outcome.USED and reached_ns and behind_ns > self._start_window_ns:
+            outcome = Outcome.LATE
+        if outcome is Outcome.USED:
+            if self._astray.pop(name, 0) > 1:
+                self._log.report(EventKind.CLOCK_STEP, reached_ns, name, "stamps agree with the IMU's again")
+        elif outcome is not Outcome.DUPLICATE:
+            self._astray[name] += 1
+            if self._astray[name] == 2:
+                where = "ahead of" if behind_ns < 0 else "behind"
+                reason = f"stamps are {abs(behind_ns) * 1e-9:.3f} s {where} the IMU's: refused until they agree"
+                self._log.report(EventKind.CLOCK_STEP, reached_ns, name, reason)
+        return outcome
 
     # --- starting ----------------------------------------------------------------------------------------------------
 
@@ -170,8 +205,13 @@ class Optimiser:
             return None
         before = phase.reason
         state = phase.attempt()
+        if state is not None and not state.is_finite():
+            reason = "the first state is not finite: starting over"
+            self._log.report(EventKind.OPTIMISER_FAULT, self._buffer.latest_ns, "", reason)
+            self._begin()
+            return None
         if state is not None:
-            self._start(state)
+            self._start(state, Successor(phase))
             self._log.report(EventKind.INITIALISED, state.stamp_ns, "", phase.reason)
         elif phase.reason != before:
             self._log.report(EventKind.WAITING, self._buffer.latest_ns, "", phase.reason)
@@ -182,16 +222,19 @@ class Optimiser:
 
         What was in its window and came after the state is lost; the covariance of the state tells the rest.
         """
-        self._start(state).distrust(lost)
+        successor = Successor(Initialising(self._config, self._buffer, self._sensors, self.gravity))
+        self._start(state, successor).distrust(lost)
         self.monitor.reset(self._buffer.latest_ns)
 
-    def _start(self, state: OptimisedState) -> Tracking:
+    def _start(self, state: OptimisedState, successor: Successor) -> Tracking:
         tracking = Tracking(
             self._config,
             self._buffer,
             self._sensors,
             self.gravity,
             state,
+            scales=self._scales,
+            successor=successor,
             joint_at=self._joint_at,
             monitor=self.monitor,
             log=self._log,
@@ -209,10 +252,24 @@ class Optimiser:
         """Add every measurement whose time the IMU has reached, and optimise once; it must have started."""
         assert isinstance(self._phase, Tracking)
         update = self._phase.update()
+        if update.begins_anew:
+            self._begin_anew(self._phase, update.state)
         if (health := self.health) is not self._reported:
             self._reported = health
             self._log.report(EventKind.HEALTH, self._buffer.latest_ns, "", health)
         return update
+
+    def _begin_anew(self, before: Tracking, state: OptimisedState) -> None:
+        """Let other graphs begin at a state, in which every sensor is trusted again."""
+        now_ns, reason = self._buffer.latest_ns, "the estimate begins anew"
+        if before.is_lost:
+            self._log.report(EventKind.GNSS_REGAINED, now_ns, "", reason)
+        for name in before.lost():
+            is_receiver = self._sensors[name].role is Role.POSITION
+            kind = EventKind.RECEIVER_REGAINED if is_receiver else EventKind.SENSOR_REGAINED
+            self._log.report(kind, now_ns, name, reason)
+        self._start(state, before.successor).queue = before.queue
+        self.monitor.recovered(now_ns)
 
     def drop_samples(self) -> None:
         """Drop the samples that no window needs any more."""

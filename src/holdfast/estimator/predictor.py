@@ -153,7 +153,8 @@ class Propagation:
         self.stamp_ns = stamp_ns
         self._bias_accel, self._bias_gyro = bias.accelerometer(), bias.gyroscope()
         force = self._buffer.latest_force() - self._bias_accel
-        self._start = Start(nav, bias, covariance, self._noise.params(force, self.rate, nav.attitude()))
+        seen = self._buffer.density(stamp_ns, stamp_ns)
+        self._start = Start(nav, bias, covariance, self._noise.params(force, self.rate, nav.attitude(), seen))
         self._pim, self._steps = gtsam.PreintegratedImuMeasurements(self._start.params, bias), []
 
     def _fold(self, pim: gtsam.PreintegratedImuMeasurements) -> None:

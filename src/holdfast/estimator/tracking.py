@@ -6,14 +6,17 @@ from typing import Any, NamedTuple
 import gtsam
 
 from holdfast.config.model import Config
+from holdfast.estimator.clock import MAX_SILENCE_NS
 from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import Received
 from holdfast.estimator.queue import MeasurementQueue
-from holdfast.estimator.standstill import StandstillUpdates
+from holdfast.estimator.standstill import STANDSTILL, StandstillUpdates
+from holdfast.estimator.successor import Successor
 from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import OptimiserError, Smoother
 from holdfast.integrity.headings import Headings
+from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.odometries import Odometries
 from holdfast.integrity.positions import Positions
 from holdfast.integrity.recovery import Recovery
@@ -26,15 +29,20 @@ Channel = Callable[[DualGraph, Any, int], Outcome]
 """Takes the graphs, a measurement and the time that the IMU has reached; says what became of the measurement."""
 
 
+WITNESSES = Role.POSITION, Role.VELOCITY  # of motion, where the machine was believed to stand
+
+
 class Update(NamedTuple):
     """What one optimisation led to.
 
-    `smoothed` are nodes that will not change any more; `is_recovery` says that GNSS was regained by it.
+    `smoothed` are nodes that will not change any more; `is_recovery` says that GNSS was regained by it, `begins_anew`
+    that the state is none of the graphs, but that from which others are to begin.
     """
 
     state: OptimisedState
     smoothed: Sequence[tuple[int, gtsam.NavState]]
     is_recovery: bool
+    begins_anew: bool = False
 
 
 class Tracking:
@@ -46,6 +54,8 @@ class Tracking:
         sensors: all models, by name.
         gravity: [m/s^2].
         state: the first one.
+        scales: of the noise of the sensors, by name.
+        successor: what the estimator would begin anew from.
         joint_at: tells the turn joint.
         monitor: of the health.
         log: where counts and events go.
@@ -59,6 +69,8 @@ class Tracking:
         gravity: float,
         state: OptimisedState,
         *,
+        scales: Mapping[str, NoiseScale],
+        successor: Successor,
         joint_at: JointAt,
         monitor: HealthMonitor,
         log: EventLog,
@@ -66,22 +78,26 @@ class Tracking:
         self._buffer, self._log, self._monitor = buffer, log, monitor
         self._roles = {name: sensor.role for name, sensor in sensors.items()}
         self._constraints = [sensor for sensor in sensors.values() if isinstance(sensor, ConstraintSensor)]
-        self._positions = Positions(config.gate, of_role(sensors, Role.POSITION), log)
-        self._headings = Headings(of_role(sensors, Role.HEADING), log)
+        believe_after_s = config.gate.patience_s(has_odometry=bool(of_role(sensors, Role.ODOMETRY)))
+        self._positions = Positions(config.gate, of_role(sensors, Role.POSITION), scales, believe_after_s, log)
+        self._headings = Headings(of_role(sensors, Role.HEADING), scales, log)
         self._odometries = Odometries(config, of_role(sensors, Role.ODOMETRY), log)
-        self._states = States(of_role(sensors, Role.STATE, Role.POSE), joint_at, log)
-        self._recovery = Recovery(config.gate, self._positions, self._headings, self._odometries, log)
+        self._states = States(of_role(sensors, Role.STATE, Role.VELOCITY, Role.POSE), scales, joint_at, log)
+        self._recovery = Recovery(config.gate, self._positions, self._headings, self._odometries, believe_after_s, log)
         self._channels: dict[Role, Channel] = {
             Role.POSITION: self._positions.add,
             Role.HEADING: self._headings.add,
             Role.ODOMETRY: self._odometries.add,
             Role.STATE: self._states.add,
+            Role.VELOCITY: self._states.add,
             Role.POSE: self._states.add,
         }
-        self._standstill = StandstillUpdates(config.standstill, buffer)
+        self.successor, self._scales = successor, scales
+        self._standstill = StandstillUpdates(config.standstill, buffer, gravity, successor.start.stands)
         self._node_interval_ns = round(config.graph.max_node_interval_s * 1e9)
         self._due_ns: int | None = None
         self._constrained_ns = state.stamp_ns
+        self._late: set[str] = set()  # sensors whose last measurement was too late
         self.queue = MeasurementQueue()
         self.graph = DualGraph(config, buffer, gravity, self._odometries.new_tracks(), state)
 
@@ -130,12 +146,19 @@ class Tracking:
 
     def enqueue(self, measurement: Measurement, arrival_ns: int) -> None:
         """Let a measurement wait until the IMU has reached its time, unless it is too late."""
+        self.successor.add(measurement)
         stamp_ns, published = measurement.stamp_ns, self.graph.published
+        name = measurement.sensor
         if stamp_ns < published.oldest_ns:
-            behind_s = (published.newest_ns - stamp_ns) * 1e-9
-            self._log.count(measurement.sensor, Outcome.LATE)
-            reason = f"{behind_s:.3f} s behind the newest state"
-            self._log.report(EventKind.LATE, stamp_ns, measurement.sensor, reason)
+            self._log.count(name, Outcome.LATE)
+            if name not in self._late:
+                behind_s = (published.newest_ns - stamp_ns) * 1e-9
+                self._log.report(EventKind.LATE, stamp_ns, name, f"{behind_s:.3f} s behind the newest state")
+                self._late.add(name)
+            return
+        self._late.discard(name)
+        if stamp_ns - published.newest_ns > MAX_SILENCE_NS:
+            self._log.count(name, Outcome.CLOCK_JUMP)  # nothing leads there until the IMU begins anew
             return
         self.queue.push(measurement)
         # as a rule the next sample of the IMU takes it in, with what else has come until then
@@ -154,22 +177,29 @@ class Tracking:
                 smoother.node(now_ns // self._node_interval_ns * self._node_interval_ns)
         standing = self._standstill.add_to(self.graph.smoothers())
         if standing:
-            self._log.count("standstill", Outcome.USED, standing)
+            self._log.count(STANDSTILL, Outcome.USED, standing)
         for smoother in self.graph.smoothers():
             self._optimise(smoother)
         is_recovery = self._recovery.review(self.graph, now_ns)
         for channel in self._headings, self._states:
             channel.review(self.graph, now_ns)
         self._odometries.review(now_ns)
+        published = self.graph.published
+        contradicting = None if self._odometries.has_agreed() else self._positions.contradicted_by()
+        beginning = self.successor.settle_doubt()
+        if beginning is None and contradicting is not None:
+            beginning = self.successor.begin(published.newest)
+        if beginning is not None:
+            self._log.report(EventKind.BEGUN_ANEW, now_ns, contradicting or "", beginning.reason)
+            return Update(beginning.state, (), is_recovery=True, begins_anew=True)
         if is_recovery:
             self._monitor.recovered(now_ns)
-        published = self.graph.published
         return Update(published.newest, published.settled(), is_recovery)
 
     def drop_samples(self) -> None:
         """Drop the samples that no window needs any more."""
         oldest_ns = min(smoother.oldest_ns for smoother in self.graph.smoothers())
-        self._buffer.forget_before(oldest_ns - self._node_interval_ns)
+        self._buffer.forget_before(min(oldest_ns - self._node_interval_ns, self.successor.oldest_ns))
 
     def _push_constraints(self, now_ns: int) -> None:
         since_ns, self._constrained_ns = max(self._constrained_ns, self.graph.published.oldest_ns), now_ns
@@ -184,8 +214,13 @@ class Tracking:
         name = measurement.sensor
         outcome = self._channels[self._roles[name]](self.graph, measurement, self._buffer.latest_ns)
         self._log.count(name, outcome)
+        self._monitor.note_noise(name, self._scales[name].ratio)
         if outcome is Outcome.USED:
             self._monitor.entered(name, measurement.stamp_ns)
+        elif outcome is Outcome.INNOVATION and self._roles[name] in WITNESSES:
+            taken = self._standstill.take_back(self.graph.smoothers())
+            self._log.count(STANDSTILL, Outcome.USED, -taken)
+            self._log.count(STANDSTILL, Outcome.CONTRADICTED, taken)
         if outcome is Outcome.LATE:
             self._log.report(EventKind.LATE, measurement.stamp_ns, name, "left the window while it waited")
 

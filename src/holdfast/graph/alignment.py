@@ -1,10 +1,14 @@
 """Starting in motion: attitude, heading, velocity and biases from a stretch of GNSS and IMU, solved as one batch.
 
-Heading has many local minima, so the batch is solved from several headings and the best solution must stand out.
+The first guess turns the increments of velocity that the IMU measured into those that GNSS saw (Wahba's problem).
+Heading may have other minima, so the batch is solved from other headings as well, and the best must stand out.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from math import inf
+from typing import NamedTuple, TypeVar
 
 import gtsam
 import numpy as np
@@ -12,13 +16,19 @@ import numpy as np
 from holdfast.graph.nodes import to_grid
 from holdfast.messages import Array
 from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.noise import correlation_inflation, shared_inflation
 from holdfast.sensors.preintegration import ImuNoise, preintegrate
-from holdfast.sensors.sensor import Position, PositionSensor
+from holdfast.sensors.sensor import Position, PositionSensor, Velocity, VelocitySensor
 from holdfast.state import OptimisedState
 
-HEADINGS = 8
+HEADINGS = 3  # the first guess, and others evenly beside it
+ITERATIONS = 15
 DISTINCT = 9.0  # difference of the objective (half a chi-square) by which the best heading must win
 VELOCITY_SIGMA_M_S = 30.0  # no machine is faster
+MAX_EXCESS = 25.0  # of the squared residuals over their expectation; below it the covariance grows by it
+BUCKET_NS = 1_000_000_000  # of each sensor one measurement in so long: errors of neighbours are alike
+FREE = 1e6
+Point = TypeVar("Point", Position, Velocity)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,135 +39,239 @@ class Alignment:
         state: at the last fix, or None where the heading is not yet certain.
         reason: what was found, in words.
         heading_sigma_rad: standard deviation of the heading, if a single best solution was found.
+        excess: squared residuals over their expectation.
     """
 
     state: OptimisedState | None
     reason: str
     heading_sigma_rad: float | None = None
+    excess: float = inf
+
+
+class BiasPrior(NamedTuple):
+    """What is known of the biases: their mean, and (6,) sigmas of accelerometer [m/s^2] and gyroscope [rad/s]."""
+
+    bias: gtsam.imuBias.ConstantBias
+    sigmas: Array
+
+
+class Evidence(NamedTuple):
+    """What a batch is made of.
+
+    Attributes:
+        positions: thinned, sorted by stamp.
+        velocities: of antennas, thinned, within the span of the positions.
+        motions: relative factors of odometries between keys x(0), x(1), ... of the stamps of the others.
+    """
+
+    positions: Sequence[Position]
+    velocities: Sequence[Velocity]
+    motions: Sequence[gtsam.NonlinearFactor] = ()
+
+    @property
+    def stamps(self) -> list[int]:
+        """The stamps of the nodes."""
+        return sorted({to_grid(one.stamp_ns) for series in (self.positions, self.velocities) for one in series})
+
+    @property
+    def freedom(self) -> int:
+        """How many numbers there are more than unknowns."""
+        return 3 * (len(self.positions) + len(self.velocities)) + 6 * len(self.motions) - 9
 
 
 class BatchAligner:
-    """Solves the batch; one instance per estimator."""
+    """Solves the batch again and again while its window moves on; one instance per start.
+
+    Args:
+        buffer: of the IMU's samples.
+        noise: of the IMU.
+        positions: their sensors, by name.
+        velocities: their sensors, by name.
+    """
 
     def __init__(
         self,
         buffer: ImuBuffer,
         noise: ImuNoise,
-        sensors: Mapping[str, PositionSensor],
-        bias_sigmas: Array,
+        positions: Mapping[str, PositionSensor],
+        velocities: Mapping[str, VelocitySensor],
     ) -> None:
         self._buffer = buffer
         self._noise = noise
-        self._sensors = sensors
-        self._bias_sigmas = bias_sigmas  # (6,) accelerometer [m/s^2], gyroscope [rad/s]
+        self._positions, self._velocities = positions, velocities
+        self._deltas: dict[tuple[int, int], gtsam.PreintegratedImuMeasurements] = {}
 
-    def solve(
-        self,
-        positions: Sequence[Position],
-        bias: gtsam.imuBias.ConstantBias,
-        motions: Sequence[gtsam.NonlinearFactor],
-        max_heading_sigma_rad: float,
-    ) -> Alignment:
-        """Align the window that `positions` (sorted by stamp, within IMU coverage) span.
+    def solve(self, evidence: Evidence, prior: BiasPrior, max_heading_sigma_rad: float) -> Alignment:
+        """Align the window that measurements span.
 
-        `motions` are relative factors of odometries, if there are any, between keys x(0), x(1), ... of the stamps.
+        Args:
+            evidence: measurements while the IMU measured, of at least two positions.
+            prior: of the biases.
+            max_heading_sigma_rad: what is wanted.
         """
-        stamps = sorted({to_grid(position.stamp_ns) for position in positions})
-        graph, deltas = self._graph(stamps, positions, bias)
-        for factor in motions:
-            graph.add(factor)
-        solutions: list[tuple[float, gtsam.Values]] = []
-        for k in range(HEADINGS):
-            initial = self._initial(stamps, positions, deltas, bias, 2.0 * np.pi * k / HEADINGS)
-            try:
-                values = gtsam.LevenbergMarquardtOptimizer(graph, initial).optimize()
-            except RuntimeError:
-                continue
-            solutions.append((graph.error(values), values))
+        deltas = self._preintegrate(evidence.stamps, prior.bias)
+        graph = self._graph(evidence, deltas)
+        b0 = gtsam.symbol("b", 0)
+        graph.add(gtsam.PriorFactorConstantBias(b0, prior.bias, gtsam.noiseModel.Diagonal.Sigmas(prior.sigmas)))
+        solutions = sorted(self._solutions(graph, evidence, deltas, prior.bias), key=lambda one: one[0])
         if not solutions:
             return Alignment(None, "the batch of GNSS and IMU has no solution")
-        return self._judge(graph, stamps, sorted(solutions, key=lambda s: s[0]), max_heading_sigma_rad)
+        return self._judge(graph, evidence, solutions, max_heading_sigma_rad)
+
+    def _solutions(
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        evidence: Evidence,
+        deltas: Sequence[gtsam.PreintegratedImuMeasurements],
+        bias: gtsam.imuBias.ConstantBias,
+    ) -> Iterator[tuple[float, gtsam.Values]]:
+        """Yield the objective and the values that are found from each heading."""
+        parameters = gtsam.LevenbergMarquardtParams()
+        parameters.setMaxIterations(ITERATIONS)
+        track, speeds = _course(evidence)
+        first, attitudes = _first_attitude(evidence.stamps, deltas, speeds, self._noise.gravity)
+        arm = self._positions[evidence.positions[0].sensor].p_I_P
+        for k in range(HEADINGS):
+            turned = gtsam.Rot3.Yaw(2.0 * np.pi * k / HEADINGS).compose(first)
+            values = gtsam.Values()
+            values.insert(gtsam.symbol("b", 0), bias)
+            for i, attitude in enumerate(attitudes):
+                R_W_I = turned.compose(attitude)
+                values.insert(gtsam.symbol("x", i), gtsam.NavState(R_W_I, track[i] - R_W_I.rotate(arm), speeds[i]))
+            try:
+                solved = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+            except RuntimeError:
+                continue
+            yield graph.error(solved), solved
 
     def _judge(
         self,
         graph: gtsam.NonlinearFactorGraph,
-        stamps: list[int],
-        solutions: list[tuple[float, gtsam.Values]],
+        evidence: Evidence,
+        solutions: Sequence[tuple[float, gtsam.Values]],
         max_heading_sigma_rad: float,
     ) -> Alignment:
+        stamps = evidence.stamps
         last = gtsam.symbol("x", len(stamps) - 1)
         error, best = solutions[0]
         nav = best.atNavState(last)
+        excess = 2.0 * error / max(evidence.freedom, 1)
+        scale = max(1.0, excess)
+        if excess > MAX_EXCESS:
+            return Alignment(None, f"GNSS and IMU disagree: squared residuals are {excess:.0f} times what they claim")
         for other_error, other in solutions[1:]:
             apart = abs(nav.attitude().between(other.atNavState(last).attitude()).rpy()[2])
-            if apart > 3.0 * max_heading_sigma_rad and other_error - error < DISTINCT:
+            if apart > 3.0 * max_heading_sigma_rad and other_error - error < DISTINCT * scale:
                 return Alignment(None, "the motion so far fits more than one heading")
-        per_fix = 2.0 * error / (3.0 * len(stamps))
-        if per_fix > 25.0:
-            return Alignment(None, f"GNSS and IMU disagree: squared residuals are {per_fix:.0f} times what they claim")
         try:
             joint = gtsam.Marginals(graph, best).jointMarginalCovariance([last, gtsam.symbol("b", 0)])
         except RuntimeError:
             return Alignment(None, "the motion so far does not determine the heading")
-        covariance: Array = joint.fullMatrix()
+        covariance: Array = joint.fullMatrix() * scale
         R = nav.attitude().matrix()
         sigma = float(np.sqrt((R @ covariance[:3, :3] @ R.T)[2, 2]))
         if sigma > max_heading_sigma_rad:
             known, needed = np.degrees(sigma), np.degrees(max_heading_sigma_rad)
             reason = f"heading is known to {known:.1f} deg, {needed:.1f} deg are needed"
-            return Alignment(None, reason, sigma)
+            return Alignment(None, reason, sigma, excess)
         bias = best.atConstantBias(gtsam.symbol("b", 0))
         rate = self._buffer.angular_velocity(stamps[-1]) - bias.gyroscope()
-        return Alignment(OptimisedState(stamps[-1], nav, bias, covariance, rate), "heading from motion", sigma)
+        state = OptimisedState(stamps[-1], nav, bias, covariance, rate)
+        return Alignment(state, f"heading from motion, {np.degrees(sigma):.1f} deg", sigma, excess)
+
+    def _preintegrate(
+        self, stamps: Sequence[int], bias: gtsam.imuBias.ConstantBias
+    ) -> list[gtsam.PreintegratedImuMeasurements]:
+        """Return what leads from each stamp to the next; most of it is known from the attempt before."""
+        known, self._deltas = self._deltas, {}
+        for start, end in pairwise(stamps):
+            pim = known.get((start, end))
+            if pim is None:
+                steps, seen = self._buffer.steps(start, end), self._buffer.density(start, end)
+                pim = preintegrate(steps, self._noise, level_attitude(steps[0].specific_force), bias, seen)
+            self._deltas[start, end] = pim
+        return list(self._deltas.values())
 
     def _graph(
-        self, stamps: list[int], positions: Sequence[Position], bias: gtsam.imuBias.ConstantBias
-    ) -> tuple[gtsam.NonlinearFactorGraph, list[gtsam.PreintegratedImuMeasurements]]:
-        graph = gtsam.NonlinearFactorGraph()
-        b0 = gtsam.symbol("b", 0)
-        graph.add(gtsam.PriorFactorConstantBias(b0, bias, gtsam.noiseModel.Diagonal.Sigmas(self._bias_sigmas)))
-        deltas = []
-        for k in range(len(stamps) - 1):
-            steps = self._buffer.steps(stamps[k], stamps[k + 1])
-            pim = preintegrate(steps, self._noise, level_attitude(steps[0].specific_force), bias)
-            graph.add(gtsam.ImuFactor2(gtsam.symbol("x", k), gtsam.symbol("x", k + 1), b0, pim))
-            deltas.append(pim)
-        index = {stamp: k for k, stamp in enumerate(stamps)}
-        for position in positions:
-            key = gtsam.symbol("x", index[to_grid(position.stamp_ns)])
-            graph.add(self._sensors[position.sensor].factor(key, position, 1.0))
-        weak = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([10.0, 1e6, VELOCITY_SIGMA_M_S], 3))
-        graph.add(gtsam.PriorFactorNavState(gtsam.symbol("x", 0), gtsam.NavState(), weak))
-        return graph, deltas
+        self, evidence: Evidence, deltas: Sequence[gtsam.PreintegratedImuMeasurements]
+    ) -> gtsam.NonlinearFactorGraph:
+        graph, stamps = gtsam.NonlinearFactorGraph(), evidence.stamps
+        keys = {stamp: gtsam.symbol("x", k) for k, stamp in enumerate(stamps)}
+        for (start, end), pim in zip(pairwise(stamps), deltas, strict=True):
+            graph.add(gtsam.ImuFactor2(keys[start], keys[end], gtsam.symbol("b", 0), pim))
+        for name, sensor in self._positions.items():
+            own = [one for one in evidence.positions if one.sensor == name]
+            gaps_s = [(b.stamp_ns - a.stamp_ns) * 1e-9 for a, b in pairwise(own)]
+            for one in own:
+                inflation = shared_inflation(max(p.correlation_s for p in own), [inf, *gaps_s])
+                graph.add(sensor.factor(keys[to_grid(one.stamp_ns)], one, inflation))
+        for velocity in evidence.velocities:
+            graph.add(self._velocity_factor(keys[to_grid(velocity.stamp_ns)], velocity))
+        for motion in evidence.motions:
+            graph.add(motion)
+        weak = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([10.0, FREE, VELOCITY_SIGMA_M_S], 3))
+        graph.add(gtsam.PriorFactorNavState(keys[stamps[0]], gtsam.NavState(), weak))
+        return graph
 
-    def _initial(
-        self,
-        stamps: list[int],
-        positions: Sequence[Position],
-        deltas: list[gtsam.PreintegratedImuMeasurements],
-        bias: gtsam.imuBias.ConstantBias,
-        heading_rad: float,
-    ) -> gtsam.Values:
-        """Gravity gives roll and pitch, GNSS position and velocity, the gyroscope the rotations between."""
-        attitudes = [gtsam.Rot3()]
-        up = np.zeros(3)
-        for pim in deltas:
-            up += attitudes[-1].rotate(pim.deltaVij())  # mean specific force over the window is gravity
-            attitudes.append(attitudes[-1].compose(pim.deltaRij()))
-        level = level_attitude(up)
-        first = gtsam.Rot3.Yaw(heading_rad).compose(level)
-        t = np.array(stamps) * 1e-9 - stamps[0] * 1e-9
-        t_fix = np.array([to_grid(p.stamp_ns) for p in positions]) * 1e-9 - stamps[0] * 1e-9
-        p_fix = np.array([p.p_W_P for p in positions])
-        track = np.column_stack([np.interp(t, t_fix, p_fix[:, axis]) for axis in range(3)])
-        velocity = np.gradient(track, t, axis=0)
-        values = gtsam.Values()
-        values.insert(gtsam.symbol("b", 0), bias)
-        for k, attitude in enumerate(attitudes):
-            R_W_I = first.compose(attitude)
-            arm = R_W_I.rotate(self._sensors[positions[0].sensor].p_I_P)
-            values.insert(gtsam.symbol("x", k), gtsam.NavState(R_W_I, track[k] - arm, velocity[k]))
-        return values
+    def _velocity_factor(self, key: int, velocity: Velocity) -> gtsam.NonlinearFactor:
+        """Return a prior on the velocity of I; while the heading is unknown, the lever arm adds to the noise."""
+        sensor = self._velocities[velocity.sensor]
+        turning = np.cross(self._buffer.angular_velocity(velocity.stamp_ns), sensor.p_I_P)
+        variance = np.diag(velocity.covariance) * correlation_inflation(sensor.settings.correlation_s, BUCKET_NS * 1e-9)
+        sigmas = np.sqrt(np.minimum(variance + turning @ turning, FREE**2))
+        model = gtsam.noiseModel.Diagonal.Sigmas(np.concatenate([np.full(6, FREE), sigmas]))
+        return gtsam.PriorFactorNavState(key, gtsam.NavState(gtsam.Pose3(), velocity.v_W_P), model)
+
+
+def thin(measurements: Sequence[Point]) -> list[Point]:
+    """Return, of measurements that are sorted by stamp, each sensor's first in every second, and the newest."""
+    kept: list[Point] = []
+    known: set[tuple[str, int]] = set()
+    for one in measurements:
+        bucket = one.sensor, one.stamp_ns // BUCKET_NS
+        if bucket not in known or one is measurements[-1]:
+            known.add(bucket)
+            kept.append(one)
+    return kept
+
+
+def _course(evidence: Evidence) -> tuple[Array, Array]:
+    """Return position and velocity (N, 3) at the nodes, interpolated; velocities from positions if there are none."""
+    stamps, positions = evidence.stamps, evidence.positions
+    t = _seconds(stamps, stamps[0])
+    track = _interpolate(t, _seconds([one.stamp_ns for one in positions], stamps[0]), [one.p_W_P for one in positions])
+    measured = [one for one in evidence.velocities if one.covariance.diagonal().max() < VELOCITY_SIGMA_M_S**2]
+    if len(measured) < 2:
+        return track, np.gradient(track, t, axis=0)
+    at = _seconds([one.stamp_ns for one in measured], stamps[0])
+    return track, _interpolate(t, at, [one.v_W_P for one in measured])
+
+
+def _seconds(stamps: Sequence[int], origin_ns: int) -> Array:
+    return np.array([stamp - origin_ns for stamp in stamps]) * 1e-9
+
+
+def _interpolate(at: Array, times: Array, values: Sequence[Array]) -> Array:
+    rows = np.array(values)
+    return np.column_stack([np.interp(at, times, rows[:, axis]) for axis in range(3)])
+
+
+def _first_attitude(
+    stamps: Sequence[int], deltas: Sequence[gtsam.PreintegratedImuMeasurements], speeds: Array, gravity: float
+) -> tuple[gtsam.Rot3, list[gtsam.Rot3]]:
+    """Return R_W_I at the first node, and the attitudes at all nodes relative to it, by the gyroscope.
+
+    The specific force that was integrated between nodes, turned into I at the first, must be the change of velocity
+    without gravity: the rotation between these two sets of vectors.
+    """
+    attitudes = [gtsam.Rot3()]
+    sensed = []
+    for pim in deltas:
+        sensed.append(attitudes[-1].rotate(pim.deltaVij()))
+        attitudes.append(attitudes[-1].compose(pim.deltaRij()))
+    expected = np.diff(speeds, axis=0)
+    expected[:, 2] += gravity * np.diff(_seconds(stamps, stamps[0]))
+    return gtsam.Rot3.ClosestTo(expected.T @ np.array(sensed)), attitudes
 
 
 def level_attitude(specific_force: Array) -> gtsam.Rot3:

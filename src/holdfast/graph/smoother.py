@@ -21,7 +21,7 @@ from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.noise import FREE_VARIANCE
 from holdfast.sensors.preintegration import ImuNoise, MotionModel, preintegrate
 from holdfast.sensors.sensor import Joint, Measurement, Parameter, State
-from holdfast.state import OptimisedState
+from holdfast.state import OptimisedState, is_finite
 
 BIAS_EPOCH_NS = 1_000_000_000
 SETTLE_MARGIN_NS = 1_000_000_000  # a node is read this long before it leaves the window; updates are not further apart
@@ -188,12 +188,13 @@ class Smoother:
         """Keep a frame in the window as long as the time of a factor that uses it."""
         self._window.keep(key, to_grid(stamp_ns))
 
-    def add_zero_velocity(self, stamp_ns: int, sigma_m_s: float) -> None:
-        """Add the zero-velocity factor to the node at a time: a prior on `NavState` with free pose."""
-        nav = self._nav(stamp_ns)
-        still = gtsam.NavState(nav.pose(), np.zeros(3))
-        model = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([FREE, FREE, sigma_m_s], 3))
-        self.add(gtsam.PriorFactorNavState(self._nodes.key(stamp_ns), still, model))
+    def enter_zero_velocity(self, standing: Measurement, sigma_m_s: float) -> None:
+        """Add a zero-velocity factor at a time, on a node that is made: a prior on `NavState` with free pose."""
+        key = self.node(standing.stamp_ns)
+        if key is not None:
+            still = gtsam.NavState(self._nav(to_grid(standing.stamp_ns)).pose(), np.zeros(3))
+            model = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([FREE, FREE, sigma_m_s], 3))
+            self.enter(standing, gtsam.PriorFactorNavState(key, still, model))
 
     def nav(self, stamp_ns: int) -> gtsam.NavState:
         """Return the current estimate of the node at a time, which must exist."""
@@ -242,7 +243,7 @@ class Smoother:
         stamps = [stamp for stamp in self._nodes.until(horizon) if stamp > self._settled_ns]
         if stamps:
             self._settled_ns = stamps[-1]
-        return [(stamp, self._nav(stamp)) for stamp in stamps]
+        return [(stamp, nav) for stamp in stamps if is_finite(nav := self._nav(stamp))]
 
     def last_before(self, stamp_ns: int) -> int | None:
         """Return the stamp of the last node at or before a time, or None if the window starts later."""
@@ -275,9 +276,10 @@ class Smoother:
         bias_key = gtsam.symbol(BIAS, self._bias_epoch)
         nav, bias = self._window.nav(key), self._window.bias(bias_key)
         covariance = self._window.covariance(key, bias_key)
-        if not (np.isfinite(covariance).all() and np.isfinite(nav.position()).all()):
+        state = OptimisedState(stamp, nav, bias, covariance, self._angular_velocity(stamp, nav, bias))
+        if not state.is_finite():
             raise ValueError("the optimised state is not finite")
-        return OptimisedState(stamp, nav, bias, covariance, self._angular_velocity(stamp, nav, bias))
+        return state
 
     def _angular_velocity(self, stamp_ns: int, nav: gtsam.NavState, bias: gtsam.imuBias.ConstantBias) -> Array:
         """Angular velocity at a node: from the gyroscope, or where it is silent from the last two nodes."""
@@ -346,7 +348,8 @@ class Smoother:
             rate = self._angular_velocity(start_ns, nav, bias)
             pim = self._motion_model.preintegrate((end_ns - start_ns) * 1e-9, nav, rate, bias)
         else:
-            pim = preintegrate(self.imu.steps(start_ns, end_ns), self._noise, nav.attitude(), self._bias_hat)
+            seen = self.imu.density(start_ns, end_ns)
+            pim = preintegrate(self.imu.steps(start_ns, end_ns), self._noise, nav.attitude(), self._bias_hat, seen)
         factor = gtsam.ImuFactor2(self._nodes.key(start_ns), self._nodes.key(end_ns), bias_key, pim)
         self._links[start_ns] = Link(start_ns, end_ns, bias_key, is_gap, self.add(factor))
         self._window.keep(bias_key, end_ns)

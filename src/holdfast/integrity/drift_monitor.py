@@ -37,6 +37,9 @@ class _Observation(NamedTuple):
     estimate_variance: float
 
 
+AGREED_SCALE = 3.0  # of its configured drift
+
+
 class Contradiction(NamedTuple):
     """What the odometry says against the estimate.
 
@@ -84,6 +87,11 @@ class DriftMonitor:
         if not self._is_learnt() or not observed or self._worst_ratio > VOUCHING_SIGMA:
             return False
         return observed[0] <= since_ns and now_ns - observed[-1] <= FRESH_NS
+
+    @property
+    def has_agreed(self) -> bool:
+        """Whether the odometry has moved as GNSS did for long enough to tell later who of them has begun to err."""
+        return bool(self._observations) and self._is_learnt() and self._scale() <= AGREED_SCALE
 
     def observe(self, pose: TrackPose, T_W_I: gtsam.Pose3, covariance: Array) -> Contradiction | None:
         """Take in where a pose that is due was optimised to, and compare it with what was observed before.

@@ -5,10 +5,12 @@ recovery enter together with the fixes, and the heading of the world is correcte
 """
 
 from collections import deque
+from collections.abc import Mapping
 
 from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import Smoother
+from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.states import JudgedSensor
 from holdfast.sensors.sensor import Measurement, StateSensor
 from holdfast.state import Outcome
@@ -19,11 +21,14 @@ class Headings:
 
     Args:
         sensors: the models, by name.
+        scales: of their noise, by name.
         log: where counts and events go.
     """
 
-    def __init__(self, sensors: dict[str, StateSensor], log: EventLog) -> None:
-        self._judged = {name: JudgedSensor(sensor, lambda _: None, log) for name, sensor in sensors.items()}
+    def __init__(self, sensors: dict[str, StateSensor], scales: Mapping[str, NoiseScale], log: EventLog) -> None:
+        self._judged = {
+            name: JudgedSensor(sensor, scales[name], lambda _: None, log) for name, sensor in sensors.items()
+        }
         self._quarantine: deque[Measurement] = deque()
         self._log = log
 

@@ -119,6 +119,10 @@ class Odometries:
             graph.begin_tracks_anew(graph.main, name)
         return None
 
+    def has_agreed(self) -> bool:
+        """Whether one that is still there has agreed with GNSS since the start: then the estimate was right, once."""
+        return any(one.monitor.has_agreed for one in self._odometries.values() if not one.is_lost)
+
     def forget_frames(self) -> None:
         """The estimate has jumped, or the graph lost its window."""
         for one in self._odometries.values():

@@ -1,6 +1,7 @@
 """Positions of receivers on their way into the main graph: tested, weighed, and taken out again."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from math import inf
 
@@ -9,7 +10,9 @@ from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.baseline import BaselineTest
+from holdfast.integrity.consensus import Consensus
 from holdfast.integrity.innovation import in_words
+from holdfast.integrity.noise_scale import LOWEST, NoiseScale
 from holdfast.integrity.receiver import Held, ReceiverGate, Trust, predict
 from holdfast.integrity.review import UsedPositions
 from holdfast.sensors.noise import correlation_inflation, shared_inflation
@@ -17,6 +20,8 @@ from holdfast.sensors.sensor import Position, PositionSensor
 from holdfast.state import EventKind, Outcome
 
 REVIEW_NS = 250_000_000  # used positions are reviewed this often
+SLOW_S, LOWEST_SLOW = 1.0, 0.01  # most of such a claim is a slow error, by which neighbours are alike
+LEARNT_FROM = Outcome.USED, Outcome.INNOVATION
 BENIGN = {Outcome.LOW_STATUS, Outcome.LARGE_COVARIANCE, Outcome.NO_COVARIANCE, Outcome.NOT_FINITE}
 
 
@@ -26,10 +31,19 @@ class Positions:
     Args:
         config: of the gates.
         sensors: the models, by name.
+        scales: of their noise, by name.
+        believe_after_s: for so long positions must agree among themselves to be right against the estimate.
         log: where counts and events go.
     """
 
-    def __init__(self, config: GateConfig, sensors: dict[str, PositionSensor], log: EventLog) -> None:
+    def __init__(
+        self,
+        config: GateConfig,
+        sensors: dict[str, PositionSensor],
+        scales: Mapping[str, NoiseScale],
+        believe_after_s: float,
+        log: EventLog,
+    ) -> None:
         self.gates = {name: ReceiverGate(config, sensor.limit) for name, sensor in sensors.items()}
         self.used = UsedPositions(sensors)
         self._config = config
@@ -37,6 +51,10 @@ class Positions:
         self._baseline = BaselineTest(sensors)
         self._log = log
         self._reviewed_ns = 0
+        self._scales = scales
+        self._consensus = {
+            name: Consensus(config.max_speed_m_s, config.regain_after, believe_after_s) for name in sensors
+        }
 
     @property
     def is_trusted(self) -> bool:
@@ -62,14 +80,21 @@ class Positions:
         smoother, name = graph.published, position.sensor
         if smoother.node(position.stamp_ns) is None:
             return Outcome.LATE
-        gate = self.gates[name]
-        prediction = predict(self._sensors[name], position, smoother.state_at(position.stamp_ns))
+        gate, scale, claimed = self.gates[name], self._scales[name], position.covariance
+        position = replace(position, covariance=claimed * scale.above)
+        state = smoother.state_at(position.stamp_ns)
+        prediction = predict(self._sensors[name], position, state)
         worse = self._baseline.contradicted(position, prediction.nis) if self._config.baseline else None
         if worse is not None and worse is not position:
             self.gates[worse.sensor].refuse(Outcome.BASELINE)
             if worse in self.used.of(worse.sensor):
                 self.take_out(graph.main, worse, Outcome.BASELINE)
         outcome = gate.judge(position, prediction, now_ns=now_ns, baseline_agrees=worse is not position)
+        self._consensus[name].add(position, is_refused=outcome not in (Outcome.USED, Outcome.QUARANTINED))
+        if gate.trust is Trust.TRUSTED and outcome in LEARNT_FROM:
+            innovation = self._sensors[name].innovation(position, state)
+            lowest = LOWEST_SLOW if position.correlation_s >= SLOW_S else LOWEST
+            scale.learn(innovation._replace(R=claimed), state, position, self._log, lowest)
         if outcome is Outcome.USED:
             correlated = correlation_inflation(position.correlation_s, self.used.since_last_s(position))
             if self._enter(graph.main, position, gate.inflation(prediction) * correlated):
@@ -115,7 +140,14 @@ class Positions:
             self._reviewed_ns = self.used.newest_ns
             worst = self.used.worst(smoother, {name: self._quarantine_ns(name) for name in self.gates})
             if worst is not None:
+                self._consensus[worst.sensor].contradict(worst)
                 self.take_out(smoother, worst, Outcome.CONTRADICTED)
+
+    def contradicted_by(self) -> str | None:
+        """Return a receiver whose positions agree among themselves, not with the estimate; None if one is trusted."""
+        against = [name for name, run in self._consensus.items() if run.is_against()]
+        others = (gate for name, gate in self.gates.items() if name not in against)
+        return against[0] if against and all(gate.trust is Trust.LOST for gate in others) else None
 
     def lose_due(self, smoother: Smoother, now_ns: int) -> None:
         """Lose the receivers that are silent or had too many bad positions in a row."""
@@ -126,6 +158,8 @@ class Positions:
     def forget_window(self) -> None:
         """The graph lost its window, and with it every factor."""
         self.used = UsedPositions(self._sensors)
+        for run in self._consensus.values():
+            run.clear()
 
     def _lose(self, smoother: Smoother, name: str, gate: ReceiverGate, now_ns: int) -> None:
         is_faulty = bool(set(gate.reasons) - BENIGN)
@@ -144,5 +178,7 @@ class Positions:
     def _enter(self, smoother: Smoother, position: Position, inflation: float) -> bool:
         key = smoother.node(position.stamp_ns)
         if key is not None:
-            smoother.enter(position, self._sensors[position.sensor].factor(key, position, inflation))
+            scale = self._scales[position.sensor]
+            below = scale.value / scale.above
+            smoother.enter(position, self._sensors[position.sensor].factor(key, position, inflation * below))
         return key is not None

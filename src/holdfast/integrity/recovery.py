@@ -16,7 +16,6 @@ from holdfast.state import EventKind, Outcome
 
 WALK_FACTOR = 2.0  # fixes that walked must be consistent for longer: at first they still look right
 GATE_NIS = 4.0
-BELIEVE_BESIDE_ODOMETRY_S, BELIEVE_ALONE_S = 30.0, 1.0
 
 
 class Recovery:
@@ -27,17 +26,23 @@ class Recovery:
         positions: the receivers.
         headings: that depend on them.
         odometries: that monitor them.
+        believe_after_s: for so long positions must agree with each other to be right against the estimate.
         log: where counts and events go.
     """
 
-    def __init__(
-        self, config: GateConfig, positions: Positions, headings: Headings, odometries: Odometries, log: EventLog
+    def __init__(  # noqa: PLR0917 (the channels that it rules)
+        self,
+        config: GateConfig,
+        positions: Positions,
+        headings: Headings,
+        odometries: Odometries,
+        believe_after_s: float,
+        log: EventLog,
     ) -> None:
         self._config = config
         self._positions, self._headings, self._odometries = positions, headings, odometries
         self._log = log
-        usual_s = BELIEVE_BESIDE_ODOMETRY_S if len(odometries) else BELIEVE_ALONE_S
-        self._believe_after_s = config.believe_after_s or usual_s
+        self._believe_after_s = believe_after_s
 
     def review(self, graph: DualGraph, now_ns: int) -> bool:
         """After an optimisation: take out what later positions contradict, lose and regain receivers, switch graphs.

@@ -1,15 +1,18 @@
 """Measurements that one state explains, on their way into the graphs: tested one by one, with hysteresis."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 
 from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.innovation import Change, InnovationGate
+from holdfast.integrity.noise_scale import LOWEST, NoiseScale
 from holdfast.sensors.noise import correlation_inflation, shared_inflation
-from holdfast.sensors.sensor import ConstraintSensor, Innovation, Joint, Measurement, State, StateSensor
+from holdfast.sensors.sensor import ConstraintSensor, Innovation, Joint, Measurement, Role, State, StateSensor
 from holdfast.state import EventKind, Outcome
+
+LOWEST_VELOCITY = 0.25  # of the variance that a receiver claims of its Doppler velocity
 
 JointAt = Callable[[int], Joint | None]
 """Returns the turn joint at a time [ns], None where its angle is not known."""
@@ -20,16 +23,18 @@ class JudgedSensor:
 
     Args:
         sensor: its model.
+        scale: of its noise.
         joint_at: tells the turn joint.
         log: where counts and events go.
     """
 
-    def __init__(self, sensor: StateSensor, joint_at: JointAt, log: EventLog) -> None:
+    def __init__(self, sensor: StateSensor, scale: NoiseScale, joint_at: JointAt, log: EventLog) -> None:
         self.gate = InnovationGate(sensor.settings, can_fall_silent=not isinstance(sensor, ConstraintSensor))
         self._sensor = sensor
         self._joint_at = joint_at
         self._log = log
         self._used_ns = 0
+        self._scale = scale
 
     def judge(
         self,
@@ -48,7 +53,13 @@ class JudgedSensor:
             now_ns: time that the IMU has reached.
             inflation: factor on its covariance; without it, that of one measurement after the last.
         """
-        outcome = self.gate.judge(measurement, self._nis(judge, measurement), now_ns)
+        found = self._compare(judge, measurement)
+        nis = found if isinstance(found, Outcome) else found[0].nis(found[1])
+        outcome = self.gate.judge(measurement, nis, now_ns)
+        if not (isinstance(found, Outcome) or self.gate.is_lost):
+            claimed = found[0]._replace(R=found[0].R / self._scale.above)
+            lowest = LOWEST_VELOCITY if self._sensor.role is Role.VELOCITY else LOWEST
+            self._scale.learn(claimed, found[1], measurement, self._log, lowest)
         if outcome is Outcome.USED:
             if inflation is None:
                 since_s = abs(measurement.stamp_ns - self._used_ns) * 1e-9
@@ -79,15 +90,17 @@ class JudgedSensor:
                     self._log.recount(name, Outcome.QUARANTINED, Outcome.USED)
             self._log.report(EventKind.SENSOR_REGAINED, now_ns, name, f"{len(held)} good measurements in a row")
 
-    def _nis(self, smoother: Smoother, measurement: Measurement) -> float | Outcome:
+    def _compare(self, smoother: Smoother, measurement: Measurement) -> tuple[Innovation, State] | Outcome:
         if smoother.node(measurement.stamp_ns) is None:
             return Outcome.LATE
         _, state = self._state(smoother, measurement)
         innovation = self._sensor.innovation(measurement, state)
-        return innovation.nis(state) if isinstance(innovation, Innovation) else innovation
+        if isinstance(innovation, Outcome):
+            return innovation
+        return innovation._replace(R=innovation.R * self._scale.above), state
 
     def _enter(self, measurement: Measurement, smoothers: Iterable[Smoother], inflation: float) -> bool:
-        has_entered = False
+        has_entered, inflation = False, inflation * self._scale.value
         for smoother in smoothers:
             key = smoother.node(measurement.stamp_ns)
             if key is None:
@@ -115,12 +128,15 @@ class States:
 
     Args:
         sensors: the models, by name.
+        scales: of their noise, by name.
         joint_at: tells the turn joint.
         log: where counts and events go.
     """
 
-    def __init__(self, sensors: dict[str, StateSensor], joint_at: JointAt, log: EventLog) -> None:
-        self._judged = {name: JudgedSensor(sensor, joint_at, log) for name, sensor in sensors.items()}
+    def __init__(
+        self, sensors: dict[str, StateSensor], scales: Mapping[str, NoiseScale], joint_at: JointAt, log: EventLog
+    ) -> None:
+        self._judged = {name: JudgedSensor(sensor, scales[name], joint_at, log) for name, sensor in sensors.items()}
 
     def lost(self) -> list[str]:
         """Return the sensors that are not trusted."""

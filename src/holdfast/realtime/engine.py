@@ -5,21 +5,19 @@ The IMU path takes no lock, waits for nothing, and goes on whatever becomes of t
 
 from collections import Counter
 from collections.abc import Callable
-from time import monotonic, sleep, time_ns
+from dataclasses import replace
+from time import monotonic, sleep
 from types import TracebackType
 from typing import Self
 
-import numpy as np
-from numpy.typing import ArrayLike
-
 from holdfast.config.model import Config
-from holdfast.config.sensors import BaseImuConfig, GnssConfig, HeadingConfig, JointConfig, OdometryConfig
 from holdfast.errors import ConfigError, EstimatorError
 from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import ImuPath
+from holdfast.estimator.intake import Intake
 from holdfast.event_log import EventLog
 from holdfast.geometry.earth import Geodetic, LocalFrame
-from holdfast.messages import Array, FixStatus, GnssFix, Heading, ImuSample, JointAngle, Message, SensorPose
+from holdfast.messages import ImuSample, JointAngle, Message
 from holdfast.realtime.event_log import EngineLog
 from holdfast.realtime.follower import StateFollower
 from holdfast.realtime.layout import Board
@@ -39,7 +37,7 @@ SPARE_ROWS = 64  # of the ring of measurements, kept for requests
 WAITING_NS = 30_000_000_000  # of samples before the start
 
 
-class RealtimeEstimator:
+class RealtimeEstimator(Intake):
     """Fuses the sensors of one machine while it works; a context manager.
 
     Args:
@@ -139,13 +137,13 @@ class RealtimeEstimator:
     @property
     def events(self) -> list[Event]:
         """The events that have not been taken."""
-        return self._log_now().events
+        return self._path.clock.events(self._log_now().events)
 
     @property
     def newest_state(self) -> OptimisedState | None:
         """The optimised state from which the IMU path goes on."""
         newest = self._states.newest
-        return None if newest is None else newest.state
+        return None if newest is None else self._path.clock.optimised(newest.state)
 
     @property
     def optimiser_pid(self) -> int | None:
@@ -159,11 +157,16 @@ class RealtimeEstimator:
 
     def health_report(self) -> HealthReport:
         """Return the health now with what it rests on."""
-        return self._monitor.report(self._buffer.latest_ns, self.health)
+        stamp_ns = self._path.clock.stamp(self._buffer.latest_ns)
+        return replace(self._monitor.report(self._buffer.latest_ns, self.health), stamp_ns=stamp_ns)
+
+    def noise(self, sensor: str) -> float:
+        """Return how many times larger the noise of a sensor is than it claims, as its innovations show."""
+        return self._monitor.noise(sensor)
 
     def take_events(self) -> list[Event]:
         """Return the events since the last call."""
-        return self._log_now().take_events()
+        return self._path.clock.events(self._log_now().take_events())
 
     def take_update_times(self) -> list[int]:
         """Return how long each update since the last call took [ns]."""
@@ -183,6 +186,9 @@ class RealtimeEstimator:
         Raises:
             EstimatorError: it does not answer.
         """
+        return self._path.clock.output(self._flush(timeout_s))
+
+    def _flush(self, timeout_s: float = FLUSH_S) -> Output:
         words, samples, requests = self._board.words, self._samples, self._requests
         self._supervisor.wake()
         self._wait(
@@ -219,16 +225,20 @@ class RealtimeEstimator:
             raise EstimatorError("the estimator is closed")
         name = message.sensor
         if isinstance(message, ImuSample) and name == self._imu:
-            return self._process_imu(message)
+            return self._path.clock.output(self._process_imu(message))
         if name not in self.config.sensors:
             raise ConfigError(f"sensors.{name}: not in the configuration, but a message of it came")
+        return self._path.clock.output(self._process_other(self._path.clock.read(message)))
+
+    def _process_other(self, message: Message) -> Output:
+        name = message.sensor
         if isinstance(message, ImuSample | JointAngle) and self._path.serves_chassis(name):
             self._path.add_to_chassis(message)
             if self._warm_up is not None:
                 self._warm_up.add_to_chassis(message)
         if name in self._inputs:
             self._ask(message)
-            return self.flush() if self._in_step else self._take_new()
+            return self._flush() if self._in_step else self._take_new()
         if not self._path.serves_chassis(name):
             self._log.count(name, Outcome.IGNORED)
         return self._take_new()
@@ -249,82 +259,12 @@ class RealtimeEstimator:
         output = self._take_new()
         if self._warm_up is not None:
             self._warm_up.run(self._states.newest)
-        return output
+        return self._path.clock.output(output)
 
     def _take_new(self) -> Output:
         if not self._states.has_new:
             return NOTHING
         return Output(None, self._take(), self._log_now().take_smoothed())
-
-    def add_imu(
-        self, stamp_ns: int, angular_velocity: ArrayLike, specific_force: ArrayLike, arrival_ns: int | None = None
-    ) -> Output:
-        """Take in a sample of the primary IMU: (3,) [rad/s] and (3,) [m/s^2], as in `ImuSample`.
-
-        Here as in what follows, `arrival_ns` is the time at which it came; now, if it is left out. `sensor` is the name
-        in the configuration; it may be left out where there is one of the kind. Other kinds go through `process`.
-        """
-        readings = _array(angular_velocity), _array(specific_force)
-        return self.process(ImuSample(stamp_ns, arrival_ns or time_ns(), self._imu, *readings))
-
-    def add_gnss(
-        self,
-        stamp_ns: int,
-        latitude_deg: float,
-        longitude_deg: float,
-        altitude_m: float,
-        *,
-        covariance: ArrayLike | None = None,
-        status: FixStatus = FixStatus.GBAS,
-        sensor: str | None = None,
-        arrival_ns: int | None = None,
-    ) -> Output:
-        """Take in a fix of an antenna, with its covariance (3, 3) [m^2], as in `GnssFix`."""
-        name, point = self.config.only(GnssConfig, sensor), (latitude_deg, longitude_deg, altitude_m)
-        known = None if covariance is None else _array(covariance).reshape(3, 3)
-        return self.process(GnssFix(stamp_ns, arrival_ns or time_ns(), name, *point, known, status))
-
-    def add_heading(
-        self,
-        stamp_ns: int,
-        yaw_rad: float,
-        sigma_rad: float | None = None,
-        *,
-        sensor: str | None = None,
-        arrival_ns: int | None = None,
-    ) -> Output:
-        """Take in a heading: 0 is east, counter-clockwise, as in `Heading`."""
-        name = self.config.only(HeadingConfig, sensor)
-        return self.process(Heading(stamp_ns, arrival_ns or time_ns(), name, yaw_rad, sigma_rad))
-
-    def add_odometry(
-        self,
-        stamp_ns: int,
-        position: ArrayLike,
-        quaternion: ArrayLike,
-        *,
-        covariance: ArrayLike | None = None,
-        sensor: str | None = None,
-        arrival_ns: int | None = None,
-    ) -> Output:
-        """Take in a pose of an odometry: (3,) [m], (4,) x, y, z, w, covariance (6, 6), as in `SensorPose`."""
-        name = self.config.only(OdometryConfig, sensor)
-        pose = _array(position), _array(quaternion)
-        known = None if covariance is None else _array(covariance).reshape(6, 6)
-        return self.process(SensorPose(stamp_ns, arrival_ns or time_ns(), name, *pose, known))
-
-    def add_joint(self, stamp_ns: int, angle_rad: float, arrival_ns: int | None = None) -> Output:
-        """Take in the angle of the turn joint, as in `JointAngle`."""
-        return self.process(
-            JointAngle(stamp_ns, arrival_ns or time_ns(), self.config.only(JointConfig, None), angle_rad)
-        )
-
-    def add_base_imu(
-        self, stamp_ns: int, angular_velocity: ArrayLike, specific_force: ArrayLike, arrival_ns: int | None = None
-    ) -> Output:
-        """Take in a sample of the IMU on the chassis, as `add_imu`."""
-        name, readings = self.config.only(BaseImuConfig, None), (_array(angular_velocity), _array(specific_force))
-        return self.process(ImuSample(stamp_ns, arrival_ns or time_ns(), name, *readings))
 
     def reset(self) -> None:
         """Forget the state and begin anew, as at power-on; W stays where it is."""
@@ -342,14 +282,17 @@ class RealtimeEstimator:
         received = self._path.receive(sample)
         if received is None:
             return NOTHING if optimised is None else Output(None, optimised)
-        if received.has_stepped_back:
+        if received.begins_anew:
             self._states.begin_anew()
         estimate = self._path.propagate(received)
+        self._samples.push(self._records.pack_sample(self._states.epoch, received.sample))
+        if estimate is not None and not self._path.is_sound(estimate):
+            self.reset()
+            return NOTHING
         base = None if estimate is None else self._path.chassis(estimate)
-        self._samples.push(self._records.pack_sample(self._states.epoch, sample))
         if self._warm_up is None:
-            return self.flush()._replace(estimate=estimate, base=base)
-        self._warm_up.note(sample)
+            return self._flush()._replace(estimate=estimate, base=base)
+        self._warm_up.note(received.sample)
         if estimate is None:
             self._buffer.forget_before(self._buffer.latest_ns - WAITING_NS)
         else:
@@ -374,7 +317,7 @@ class RealtimeEstimator:
         self._states.begin_anew()
         self._ask(datum)
         if self._in_step:
-            self.flush()
+            self._flush()
 
     def _take(self) -> OptimisedState | None:
         self._left = 0
@@ -392,7 +335,3 @@ class RealtimeEstimator:
         lost = words[Word.WAITING] + words[Word.BEGUN] - words[Word.REQUESTS]
         self._reports.receive_fault(self._buffer.latest_ns, why, lost)
         self._fault_version = self._states.version
-
-
-def _array(values: ArrayLike) -> Array:
-    return np.asarray(values, dtype=np.float64)

@@ -16,6 +16,7 @@ from time import perf_counter_ns, process_time
 from typing import NamedTuple
 
 from holdfast.config.model import Config
+from holdfast.estimator.clock import MAX_SILENCE_NS
 from holdfast.estimator.imu_path import receive
 from holdfast.estimator.optimiser import Optimiser
 from holdfast.estimator.tracking import Update
@@ -124,8 +125,10 @@ class Worker:
         return True
 
     def _receive(self, epoch: int, sample: ImuSample) -> None:
-        received = receive(self._buffer, sample)
-        if epoch != self._epoch and not received.has_stepped_back:
+        is_new = epoch != self._epoch
+        silence_ns = sample.stamp_ns + self._buffer.offset_ns - self._buffer.latest_ns
+        received = receive(self._buffer, sample, begins_anew=is_new and silence_ns > MAX_SILENCE_NS)
+        if is_new and not received.begins_anew:
             self._optimiser.restart()  # a request that a predecessor has read but not answered
         self._epoch = epoch
         self._optimiser.receive(received)

@@ -22,6 +22,8 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 POINT = "geometry_msgs/msg/PointStamped"
 POSE = "geometry_msgs/msg/PoseStamped"
 POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+TWIST = "geometry_msgs/msg/TwistStamped"
+TWIST_COVARIANCE = "geometry_msgs/msg/TwistWithCovarianceStamped"
 
 QUATERNION_NORM_TOLERANCE = 0.01
 ROTATION_FIRST = np.array([3, 4, 5, 0, 1, 2])

@@ -21,12 +21,14 @@ def list_problems(inspection: Inspection) -> list[str]:
         )
     for topic in inspection.topics:
         if topic.kind is not None and topic.count:
-            problems += [f"{topic.topic}: {problem}" for problem in _topic_problems(topic, KINDS[topic.kind])]
+            problems += [f"{topic.topic}: {problem}" for problem in topic_problems(topic)]
     return problems
 
 
-def _topic_problems(topic: TopicFindings, kind: Kind) -> Iterator[str]:
-    yield from _gap_problems(topic, kind)
+def topic_problems(topic: TopicFindings) -> Iterator[str]:
+    """Yield the problems of a topic that Holdfast can use."""
+    if topic.kind is not None:
+        yield from _gap_problems(topic, KINDS[topic.kind])
     yield from _clock_problems(topic)
     yield from _publisher_problems(topic)
     if topic.values is not None:

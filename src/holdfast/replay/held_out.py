@@ -6,7 +6,7 @@ silent the newest optimised states.
 """
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple, cast
 
@@ -147,9 +147,15 @@ class Judgement(NamedTuple):
 
 
 class HeldOutJudge:
-    """Compares held-out positions with one track as both stream by."""
+    """Compares held-out positions with one track as both stream by.
 
-    def __init__(self, config: Config) -> None:
+    Args:
+        config: of the estimator.
+        noise: tells how many times larger the noise of a sensor is than it claims, as the estimator has found.
+    """
+
+    def __init__(self, config: Config, noise: Callable[[str], float] = lambda _: 1.0) -> None:
+        self._noise = noise
         self._sensors = _position_sensors(config)
         self._track: deque[TrackPoint] = deque()
         self._waiting: deque[tuple[Message, bool]] = deque()
@@ -200,7 +206,7 @@ class HeldOutJudge:
         nav = gtsam.NavState(before.pose.slerp(fraction, after.pose), np.zeros(3))
         state = State(nav, after.covariance)
         innovation = self._sensors[position.sensor].innovation(position, state)
-        nees = innovation.nis(state)
+        nees = innovation._replace(R=innovation.R * self._noise(position.sensor) ** 2).nis(state)
         silent = not (before.from_imu and after.from_imu)
         self.judgements.append(
             Judgement(position.stamp_ns, position.sensor, in_outage, -innovation.y, nees, position.p_W_P, silent)

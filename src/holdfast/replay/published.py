@@ -26,7 +26,6 @@ TRUST = {
     EventKind.GNSS_LOST: False,
     EventKind.GNSS_REGAINED: True,
     EventKind.ESTIMATE_SUSPECT: True,  # fixes that were not trusted are accepted after all
-    EventKind.CLOCK_STEP: False,
 }
 
 
@@ -103,7 +102,7 @@ class PublishedRecorder:
         self._max_gap_ns = round(config.imu.max_gap_s * 1e9)
         self._is_trusted = False
         self._trusted: list[bool] = []
-        self._begun: list[int] = []  # rows at which the estimator started, or started over
+        self._begun: list[int] = []  # rows at which the estimator started, or started over, or its clock stepped
         self._estimates: list[Estimate] = []
         self._force: Array = np.zeros(3)
         self._forces: list[Array] = []
@@ -144,6 +143,8 @@ class PublishedRecorder:
                 self._is_trusted = TRUST.get(event.kind, self._is_trusted)
                 if event.kind is EventKind.INITIALISED:
                     self._begun.append(len(self._estimates))
+                elif event.kind is EventKind.CLOCK_STEP and event.sensor == self._imu_name:
+                    self._begun.append(len(self._estimates) - (output.estimate is not None))
 
     def outcomes(self) -> dict[str, dict[str, int]]:
         """Return the number of each sensor's measurements by outcome."""
@@ -155,7 +156,7 @@ class PublishedRecorder:
         return tuple(((e.stamp_ns - start_ns) * 1e-9, str(e.kind), e.sensor, e.reason) for e in events)
 
     def lives(self) -> list[Published]:
-        """Return what was published from each start of the estimator to the next; O is another one in each."""
+        """Return what was published from each start of the estimator, or step of its clock, to the next."""
         edges = [*self._begun, len(self._estimates)]
         return [self._published(range(begin, end)) for begin, end in pairwise(edges) if begin < end]
 

@@ -17,7 +17,7 @@ from holdfast.replay.held_out import HeldOutJudge, HoldOut, HoldOutFilter
 from holdfast.replay.interrupts import Uninterrupted
 from holdfast.replay.outputs import Outputs
 from holdfast.report.track import JudgedTrack
-from holdfast.state import Estimate, Health, Output
+from holdfast.state import Estimate, EventKind, Health, Output
 
 if TYPE_CHECKING:  # starting processes is left to whoever wants them
     from holdfast.realtime.engine import RealtimeEstimator
@@ -61,8 +61,9 @@ class Replay:
         self._realtime = realtime
         self.timing = Timing()
         self.health: Counter[Health] = Counter()  # estimates by health
-        self.causal = HeldOutJudge(config)
-        self.smoothed = HeldOutJudge(config)
+        self.warnings: list[str] = []  # what the estimator had to assume; known once events are written
+        self.causal = HeldOutJudge(config, self.estimator.noise)
+        self.smoothed = HeldOutJudge(config, self.estimator.noise)
         self._filter = HoldOutFilter(hold_out, config)
         self._outputs = outputs
         self._imu_name = config.imu_name
@@ -129,11 +130,18 @@ class Replay:
         if self._outputs is not None:
             self._outputs.write(output)
             self._outputs.diagnose(self.estimator, now_ns)
-            if self.estimator.events:
-                self._outputs.write_events(self.estimator.take_events())
+            self.write_events()
         if output.estimate is not None:
             self.health[self.estimator.health] += 1
         self._judge(output)
+
+    def write_events(self) -> None:
+        """Write the events since the last call."""
+        if self._outputs is not None and self.estimator.events:
+            events = self.estimator.take_events()
+            assumed = [event for event in events if event.kind is EventKind.COVARIANCE_ASSUMED]
+            self.warnings += [f"{event.sensor}: {event.reason}" for event in assumed]
+            self._outputs.write_events(events)
 
     def _judge(self, output: Output) -> None:
         while self._filter.held:

@@ -8,9 +8,12 @@ ROUTINE = frozenset({"rejected", "late", "waiting"})
 
 SENTENCES = {
     "initialised": "The estimator started ({reason}).",
+    "covariance_assumed": "Of {sensor}, {reason}.",
     "imu_gap": "The IMU drops out: {reason}. No IMU factor spans it; the motion model and the other sensors do.",
     "clock_step": "The clock of {sensor} went back for good: {reason}.",
     "estimate_suspect": "The estimate itself is doubted: {sensor} finds it {reason}. Its measurements are accepted.",
+    "begun_anew": "The estimate was wrong and is begun anew from what agrees without it: {reason}.",
+    "noise": "{sensor} measures otherwise than it claims: {reason}.",
     "gnss_lost": "GNSS is lost: {reason}. The fallback graph takes over in the same IMU tick.",
     "gnss_regained": "GNSS is back: {reason}. The main graph takes over; the odometry frame takes the jump.",
     "receiver_lost": "{sensor} is no longer trusted: {reason}. Its measurements wait in quarantine.",

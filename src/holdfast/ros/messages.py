@@ -108,6 +108,7 @@ def estimator_status(estimator: Observed) -> Status:
     report = estimator.health_report()
     values = [("fused", " ".join(report.fused))]
     values += [(f"{sensor} age_s", f"{age_s:.3f}") for sensor, age_s in report.ages_s.items()]
+    values += [(f"{sensor} noise_ratio", f"{ratio:.2f}") for sensor, ratio in report.noise.items()]
     values += [(f"{sensor} {outcome}", str(count)) for (sensor, outcome), count in sorted(estimator.counts.items())]
     level = OK if report.health is Health.NOMINAL else WARN
     message = report.health if estimator.initialised else f"{report.health}: {estimator.waiting_for}"

@@ -14,6 +14,11 @@ from holdfast.sensors.sensor import Innovation, Position, Role, State, is_claim,
 from holdfast.state import Outcome
 
 MAX_ALTITUDE_M = 1e5
+STATUS_SIGMA_M = {  # east, north, up, from datasheets: RTK fixed, corrected by satellite, alone
+    FixStatus.GBAS: (0.02, 0.02, 0.04),
+    FixStatus.SBAS: (0.8, 0.8, 1.5),
+    FixStatus.FIX: (2.5, 2.5, 4.0),
+}
 MIN_STATUS = {"fix": FixStatus.FIX, "sbas": FixStatus.SBAS, "gbas": FixStatus.GBAS}
 
 
@@ -50,15 +55,30 @@ class GnssModel:
         if abs(fix.latitude_deg) > 90.0 or abs(fix.longitude_deg) > 360.0 or abs(fix.altitude_m) > MAX_ALTITUDE_M:
             return Outcome.OUT_OF_RANGE
         if not is_claim(fix.covariance):
-            return Outcome.NO_COVARIANCE if self._config.default_sigma_m is None else Outcome.USED
+            return Outcome.NO_COVARIANCE if self._assumed_sigma_m(fix) is None else Outcome.USED
         is_large = np.diag(fix.covariance)[:2].max() > self._config.max_sigma_m**2
         return Outcome.LARGE_COVARIANCE if is_large else Outcome.USED
 
+    def assumption(self, fix: GnssFix) -> str:
+        """Return what is assumed of a usable fix; empty if it claims a covariance or the configuration gives one."""
+        if is_claim(fix.covariance) or self._config.default_sigma_m is not None:
+            return ""
+        east, north, up = STATUS_SIGMA_M[fix.status]
+        return (
+            f"fixes of status {fix.status.name.lower()} come without a covariance: sigmas of {east:g}, {north:g}, "
+            f"{up:g} m are assumed; sensors.{self.name}.default_sigma_m sets them"
+        )
+
+    def _assumed_sigma_m(self, fix: GnssFix) -> tuple[float, float, float] | None:
+        """Return what stands in for a claim: the configured sigmas, or those of the status; None for a broken claim."""
+        is_unknown = fix.covariance is None or not fix.covariance.any()
+        return self._config.default_sigma_m or (STATUS_SIGMA_M[fix.status] if is_unknown else None)
+
     def _covariance(self, fix: GnssFix) -> Array:
-        """Return the covariance (3, 3) [m^2] of a checked fix: the receiver's claim above a floor, or the default."""
+        """Return the covariance (3, 3) [m^2] of a checked fix: the receiver's claim above a floor, or its stand-in."""
         claim = fix.covariance
         if not is_claim(claim):
-            claim = np.diag(np.square(self._config.default_sigma_m or (0.0, 0.0, 0.0)))  # `check` refuses it otherwise
+            claim = np.diag(np.square(self._assumed_sigma_m(fix) or (0.0, 0.0, 0.0)))  # `check` refuses it otherwise
         symmetric = 0.5 * (claim + claim.T)
         shortfall = self._config.min_sigma_m**2 - float(np.linalg.eigvalsh(symmetric)[0])
         floored: Array = symmetric + max(0.0, shortfall) * np.eye(3)

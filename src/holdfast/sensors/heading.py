@@ -10,6 +10,7 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig, HeadingConfig
+from holdfast.errors import ConfigError
 from holdfast.geometry.world import World
 from holdfast.messages import Array, Heading, Message
 from holdfast.sensors.noise import FREE_TILT_RAD, FREE_VARIANCE
@@ -38,6 +39,9 @@ class HeadingModel(StateSensor):
         config: of the sensor.
         baseline: (3,) from one antenna to the other in the IMU's frame [m], or None where there are not two; it is the
             measured axis unless `mounting_yaw_deg` says otherwise.
+
+    Raises:
+        ConfigError: the baseline has no length.
     """
 
     role: ClassVar[Role] = Role.HEADING
@@ -49,7 +53,10 @@ class HeadingModel(StateSensor):
         yaw = radians(config.mounting_yaw_deg or 0.0)
         self.axis: Array = np.array([cos(yaw), sin(yaw), 0.0])
         if config.mounting_yaw_deg is None and baseline is not None:
-            self.axis = baseline / np.linalg.norm(baseline)
+            length_m = float(np.linalg.norm(baseline))
+            if length_m == 0.0:
+                raise ConfigError(f"sensors.{name}: the two antennas of its baseline sit at one place")
+            self.axis = baseline / length_m
         self.offset_ns = round(config.time_offset_s * 1e9)
         self.settings = config
 

@@ -6,23 +6,25 @@ Between two samples the readings are taken as linear in time, so that an interva
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
-from math import isfinite
+from math import isfinite, sqrt
 from statistics import median
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from holdfast.config.sensors import InertialConfig
 from holdfast.messages import Array, ImuSample
-from holdfast.sensors.preintegration import Step
+from holdfast.sensors.preintegration import CALM, Density, Step
+from holdfast.sensors.vibration import BLOCK, block_density
 from holdfast.state import Outcome
 
 SUSPECT_LINE = 3  # so many steps on one line happen by chance once in a long while
 FROZEN_FACTOR = 10  # a reading that does not change at all for this many gap lengths is a dead sensor
 PERIOD_WINDOW = 64
 LINE_TOLERANCE = 1e-3  # of the change per sample; six channels of a living sensor never agree that well
-CLOCK_JUMP_NS = 1_000_000_000  # a stamp may run ahead of the arrival by this much at once
-SUSPECTS_ACCEPTED = 5
+CLOCK_JUMP_NS = 250_000_000  # a stamp that differs from its arrival by this much more than those before is suspect
+SUSPECTS_ACCEPTED = 3
+DELAY_WINDOW = 64  # samples over whose shortest delay the next are judged; twice as many at most
 
 
 class Added(NamedTuple):
@@ -59,6 +61,8 @@ class ImuBuffer:
         self._rates: list[Array] = []
         self._mean_steps: list[Step | None] = []  # to each sample from the one before, None over a silence
         self._readings: list[_Reading] = []  # the same as floats, ten times faster to compare
+        self._dropped = 0  # samples since the last `clear` that are held no more
+        self._densities: dict[int, Density] = {}  # by block
         self._is_gap: list[bool] = []  # of the interval that ends at the sample of the same index
         self._gaps = 0  # intervals with is_gap set: lets `pieces` skip the search in the usual case
         self._periods_ns: list[int] = []
@@ -66,8 +70,9 @@ class ImuBuffer:
         self._ranges = config.accelerometer_range, config.gyroscope_range
         self._line_start = 0
         self._arrival_ns = 0
-        self._suspect_ns = 0
-        self._suspects = 0
+        self._suspect_ns = self._suspect_arrival_ns = self._suspect_delay_ns = self._suspects = 0
+        self._repeats = self._repeats_since_ns = 0
+        self._delay_ns = self._older_delay_ns = self._delays = 0
 
     @property
     def arrival_ns(self) -> int:
@@ -109,35 +114,77 @@ class ImuBuffer:
         if not self._stamps:
             return Outcome.USED
         ahead_ns = sample.stamp_ns + self.offset_ns - self._stamps[-1]
+        if 0 < ahead_ns <= self._max_gap_ns:
+            self._suspects = self._repeats = 0
+            return Outcome.USED
+        return self._judge(sample, ahead_ns)
+
+    def _judge(self, sample: ImuSample, ahead_ns: int) -> Outcome:
+        """One stamp that contradicts its arrival is an error; several that follow each other are a new clock.
+
+        A forward jump contradicts it if the sample were under way for less time than any before.
+        """
+        stamp_ns = sample.stamp_ns + self.offset_ns
+        delay_ns = sample.arrival_ns - stamp_ns
+        if ahead_ns > 0 and delay_ns >= self.delay_ns - CLOCK_JUMP_NS:
+            self._suspects = self._repeats = 0
+            return Outcome.USED  # a silence
+        before_ns, self._suspect_ns, self._suspect_arrival_ns = self._suspect_ns, stamp_ns, sample.arrival_ns
+        if stamp_ns not in (before_ns, self._stamps[-1]):
+            self._repeats = 0
+        elif self._repeats == 0:
+            self._repeats_since_ns = self._arrival_ns
+        self._repeats += stamp_ns in (before_ns, self._stamps[-1])
+        follows = self._suspects > 0 and 0 < stamp_ns - before_ns <= self._max_gap_ns
+        self._suspects = self._suspects + 1 if follows else 1
+        self._suspect_delay_ns = min(delay_ns, self._suspect_delay_ns) if follows else delay_ns
+        if abs(ahead_ns) <= CLOCK_JUMP_NS and sample.arrival_ns - self._arrival_ns <= self._max_gap_ns:
+            self._suspects = 0  # samples in the wrong order
+        if self._suspects >= SUSPECTS_ACCEPTED:
+            return Outcome.USED
         if ahead_ns == 0:
             return Outcome.DUPLICATE
-        if ahead_ns - (sample.arrival_ns - self._arrival_ns) > CLOCK_JUMP_NS:
-            return self._judge_jump(sample.stamp_ns, Outcome.CLOCK_JUMP)
-        if ahead_ns < -CLOCK_JUMP_NS:
-            return self._judge_jump(sample.stamp_ns, Outcome.BACKWARD)
-        if ahead_ns < 0:
-            return Outcome.BACKWARD
-        self._suspects = 0
-        return Outcome.USED
+        return Outcome.CLOCK_JUMP if ahead_ns > 0 else Outcome.BACKWARD
 
-    def _judge_jump(self, stamp_ns: int, outcome: Outcome) -> Outcome:
-        """One stamp far from its arrival is an error; several that follow each other are a new clock."""
-        follows = 0 < stamp_ns - self._suspect_ns <= self._max_gap_ns
-        self._suspects = self._suspects + 1 if follows else 1
-        self._suspect_ns = stamp_ns
-        return Outcome.USED if self._suspects >= SUSPECTS_ACCEPTED else outcome
+    @property
+    def delay_ns(self) -> int:
+        """The shortest time from stamp to arrival of the last samples, whatever their clocks are."""
+        return min(self._delay_ns, self._older_delay_ns)
+
+    @property
+    def has_new_clock(self) -> bool:
+        """Whether the sample that `check` has just let pass is of another clock than those before."""
+        return self._suspects >= SUSPECTS_ACCEPTED
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether the samples that `check` refused last all had one stamp while time passed: their clock stands."""
+        passed_ns = self._suspect_arrival_ns - self._repeats_since_ns
+        return self._repeats >= SUSPECTS_ACCEPTED and 2 * passed_ns > self._max_gap_ns
+
+    @property
+    def new_clock_behind_ns(self) -> int:
+        """By how much a new clock is behind that of the samples before, as the arrivals tell."""
+        return self._suspect_delay_ns - self.delay_ns
 
     def clear(self) -> None:
-        """Forget every sample: the clock has gone back."""
-        for series in (self._stamps, self._forces, self._rates, self._mean_steps, self._readings, self._is_gap):
+        """Forget every sample: they are of another clock, or of long ago."""
+        for series in self._series():
             series.clear()
-        self._gaps = self._line_start = self._suspects = 0
+        self._dropped = 0
+        self._densities.clear()
+        self._gaps = self._line_start = self._suspects = self._repeats = self._delays = 0
+
+    def _series(self) -> tuple[list[Any], ...]:
+        readings = self._forces, self._rates, self._mean_steps, self._readings
+        return self._stamps, *readings, self._is_gap
 
     def add(self, sample: ImuSample) -> Added:
         """Append a checked sample."""
         stamp, force, rate = sample.stamp_ns + self.offset_ns, sample.specific_force, sample.angular_velocity
         reading: _Reading = (*force.tolist(), *rate.tolist())
-        self._arrival_ns = sample.arrival_ns
+        self._arrival_ns, self._suspects = sample.arrival_ns, 0
+        self._learn_delay(sample.arrival_ns - stamp)
         step, is_gap = None, False
         if self._stamps:
             dt_ns = stamp - self._stamps[-1]
@@ -155,11 +202,40 @@ class ImuBuffer:
         is_line, line_since_ns = self._on_straight_line(is_gap)
         return Added(None if is_line else step, line_since_ns)
 
+    def _learn_delay(self, delay_ns: int) -> None:
+        if self._delays % DELAY_WINDOW == 0:
+            self._older_delay_ns = self._delay_ns if self._delays else delay_ns
+            self._delay_ns = delay_ns
+        elif delay_ns < self._delay_ns:
+            self._delay_ns = delay_ns
+        self._delays += 1
+
     def _learn_period(self, dt_ns: int) -> None:
         self._periods_ns.append(dt_ns)
         if len(self._periods_ns) == PERIOD_WINDOW:
             self._max_gap_ns = max(round(self._config.max_gap_s * 1e9), round(2.5 * median(self._periods_ns)))
             self._periods_ns.clear()
+
+    def density(self, start_ns: int, end_ns: int) -> Density:
+        """Return the white noise that the samples in a time show, or those just before it if it is short.
+
+        Only samples until the end of that time count, in blocks: the answer does not depend on when it is asked for.
+        """
+        first = (self._dropped + bisect_left(self._stamps, start_ns)) // BLOCK
+        last = (self._dropped + bisect_right(self._stamps, end_ns)) // BLOCK - 1
+        found = [density for block in range(min(first, last), last + 1) if (density := self._block(block)) is not None]
+        if not found:
+            return CALM
+        return Density(*(sqrt(sum(one * one for one in each) / len(found)) for each in zip(*found, strict=True)))
+
+    def _block(self, block: int) -> Density | None:
+        """Return what a block shows; None where the IMU was silent in it, or its samples are gone."""
+        if block not in self._densities:
+            k = block * BLOCK - self._dropped
+            if k < 0 or any(self._is_gap[k : k + BLOCK]):
+                return None
+            self._densities[block] = block_density(self._stamps[k : k + BLOCK], self._readings[k : k + BLOCK])
+        return self._densities[block]
 
     def _on_straight_line(self, after_gap: bool) -> tuple[bool, int | None]:
         """Follow the run of samples that lie on one line in all six channels, and mark it as a gap once it is certain.
@@ -197,8 +273,11 @@ class ImuBuffer:
         if k > 1000 or (k > 0 and self._stamps[k] - self._stamps[0] > 10_000_000_000):
             self._gaps -= sum(self._is_gap[:k])
             self._line_start = max(0, self._line_start - k)
-            del self._stamps[:k], self._forces[:k], self._rates[:k]
-            del self._mean_steps[:k], self._readings[:k], self._is_gap[:k]
+            for series in self._series():
+                del series[:k]
+            self._dropped += k
+            oldest = self._dropped // BLOCK
+            self._densities = {block: one for block, one in self._densities.items() if block >= oldest}
 
     def stamps_between(self, start_ns: int, end_ns: int) -> list[int]:
         """Return the stamps in (start, end)."""

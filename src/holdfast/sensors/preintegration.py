@@ -14,6 +14,7 @@ from holdfast.config.sensors import InertialConfig
 from holdfast.messages import Array
 
 MOTION_STEP_S = 0.02
+MAX_MOTION_STEPS = 100  # of a longer silence, which are longer then: constant twist is followed to second order
 MOTION_CORRELATION_S = 1.0  # of the error that is proportional to the motion
 EYE = np.eye(3)
 
@@ -32,22 +33,35 @@ def preintegration_params(
     return params
 
 
-class ImuNoise:
-    """The noise of preintegrated measurements: the datasheet's densities, and an error that grows with the motion.
+class Density(NamedTuple):
+    """White noise of an IMU: accelerometer [m/s^2/sqrt(Hz)] and gyroscope [rad/s/sqrt(Hz)]."""
 
-    Scale factor, misalignment and sampling make a reading wrong in proportion to itself; over `MOTION_CORRELATION_S`
-    that is like white noise: (10) in docs/math.md. At rest the densities alone remain.
+    accelerometer: float
+    gyroscope: float
+
+
+CALM = Density(0.0, 0.0)
+
+
+class ImuNoise:
+    """The noise of preintegrated measurements: its density, and an error that grows with the motion.
+
+    The density is the datasheet's, or that which the samples show if it is larger: vibration beyond half the sampling
+    rate is folded into the band. Scale factor and misalignment make a reading wrong in proportion to itself; over
+    `MOTION_CORRELATION_S` that is like white noise: (10) in docs/math.md.
     """
 
     def __init__(self, config: InertialConfig, integration_sigma: float, gravity: float) -> None:
         self._config = config
         self._integration_sigma = integration_sigma
         self._up = np.array([0.0, 0.0, gravity])
-        self._gravity = gravity
+        self.gravity = gravity
         self._force_error = config.accelerometer_error_ratio * sqrt(MOTION_CORRELATION_S)
         self._rate_error = config.gyroscope_error_ratio * sqrt(MOTION_CORRELATION_S)
 
-    def params(self, specific_force: Array, rate: Array, attitude: gtsam.Rot3) -> gtsam.PreintegrationParams:
+    def params(
+        self, specific_force: Array, rate: Array, attitude: gtsam.Rot3, seen: Density
+    ) -> gtsam.PreintegrationParams:
         """Return the parameters while the machine, at attitude R_W_I, senses (3,) [m/s^2] and (3,) [rad/s]."""
         config = self._config
         fx, fy, fz = specific_force.tolist()
@@ -55,10 +69,16 @@ class ImuNoise:
         ax, ay, az = fx - ux, fy - uy, fz - uz
         wx, wy, wz = rate.tolist()
         return preintegration_params(
-            hypot(config.accelerometer_noise_density, self._force_error * sqrt(ax * ax + ay * ay + az * az)),
-            hypot(config.gyroscope_noise_density, self._rate_error * sqrt(wx * wx + wy * wy + wz * wz)),
+            hypot(
+                max(config.accelerometer_noise_density, seen.accelerometer),
+                self._force_error * sqrt(ax * ax + ay * ay + az * az),
+            ),
+            hypot(
+                max(config.gyroscope_noise_density, seen.gyroscope),
+                self._rate_error * sqrt(wx * wx + wy * wy + wz * wz),
+            ),
             self._integration_sigma,
-            self._gravity,
+            self.gravity,
         )
 
 
@@ -104,12 +124,16 @@ def _rodrigues(angle_rad: float) -> tuple[float, float]:
 
 
 def preintegrate(
-    steps: list[Step], noise: ImuNoise, attitude: gtsam.Rot3, bias: gtsam.imuBias.ConstantBias
+    steps: list[Step],
+    noise: ImuNoise,
+    attitude: gtsam.Rot3,
+    bias: gtsam.imuBias.ConstantBias,
+    seen: Density = CALM,
 ) -> gtsam.PreintegratedImuMeasurements:
     """Preintegrate consecutive steps (Forster et al. 2017, Eqs. 35-38 and 63); `attitude` is R_W_I at their start."""
     bias_accel, bias_gyro = bias.accelerometer(), bias.gyroscope()
     middle = steps[len(steps) // 2]
-    params = noise.params(middle.specific_force - bias_accel, middle.angular_velocity - bias_gyro, attitude)
+    params = noise.params(middle.specific_force - bias_accel, middle.angular_velocity - bias_gyro, attitude, seen)
     return preintegrate_with(params, steps, bias)
 
 
@@ -140,7 +164,7 @@ class MotionModel:
     ) -> gtsam.PreintegratedImuMeasurements:
         """Return the pseudo-measurement from state `nav` on, with angular velocity `rate` (3,) [rad/s] of I."""
         pim = gtsam.PreintegratedImuMeasurements(self._params, bias)
-        n = max(1, round(duration_s / MOTION_STEP_S))
+        n = min(max(1, round(duration_s / MOTION_STEP_S)), MAX_MOTION_STEPS)
         dt_s = duration_s / n
         centripetal = np.cross(rate, nav.bodyVelocity())
         up = np.array([0.0, 0.0, self._gravity])

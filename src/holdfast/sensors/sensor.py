@@ -22,6 +22,8 @@ from holdfast.state import Outcome
 
 RECENT = 64  # stamps per sensor among which a duplicate is looked for
 FUTURE_NS = 1_000_000_000  # further ahead of the IMU's clock a stamp is an error
+LEAD_NS = 500_000_000  # further ahead than its sensor's stamps use to be, too
+LEAD_STEP_NS = 10_000_000  # by which what they use to be falls with each message
 MAX_DISTANCE_M = 1e6  # of a pose from the origin of its frame
 
 
@@ -32,6 +34,7 @@ class Role(StrEnum):
     HEADING = "heading"  # of the receiver whose fixes are positions, and doubted with them
     ODOMETRY = "odometry"  # poses that drift, joined to a track of their own
     POSE = "pose"  # a state that the estimator can start from, too
+    VELOCITY = "velocity"  # of a point in W; a state like those of STATE, and a start may ask for it
     STATE = "state"  # whatever one state explains, tested one by one
 
 
@@ -119,6 +122,19 @@ class Position:
     correlation_s: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Velocity:
+    """A checked velocity of a point of the machine: v_W_P (3,) [m/s] with covariance (3, 3), offset applied.
+
+    An axis that was not measured has a variance of `FREE_VARIANCE`.
+    """
+
+    stamp_ns: int
+    sensor: str
+    v_W_P: Array
+    covariance: Array
+
+
 class Sensor(Protocol):
     """One sensor of the machine; `role` says which protocol below it has, `message` what it converts, if anything."""
 
@@ -148,7 +164,7 @@ class PositionSensor(Sensor, Protocol):
 
 
 class StateSensor(Sensor, Protocol):
-    """A sensor of role STATE, POSE or HEADING: one state explains its measurement, beside a constant perhaps."""
+    """A sensor of role STATE, VELOCITY, POSE or HEADING: one state explains it, beside a constant perhaps."""
 
     settings: JudgedConfig
     parameter: Parameter | None
@@ -173,6 +189,12 @@ class StateSensor(Sensor, Protocol):
             inflation: factor on the covariance.
         """
         return innovation_factor(self, keys, measurement, state, innovation.R * inflation)
+
+
+class VelocitySensor(StateSensor, Protocol):
+    """A sensor of role VELOCITY: `p_I_P` (3,) [m] is its lever arm."""
+
+    p_I_P: Array
 
 
 @runtime_checkable
@@ -265,19 +287,23 @@ class StampFilter:
     def __init__(self) -> None:
         self._recent: dict[str, deque[int]] = {}
         self._newest: dict[str, int] = {}
+        self._leads: dict[str, int] = {}  # by how much stamps of a sensor use to be ahead at most
 
     def check(self, sensor: str, stamp_ns: int, arrival_ns: int, reached_ns: int, reached_arrival_ns: int) -> Outcome:
         """Say whether a stamp, time offset applied, can be right; the IMU has reached a time, and when it arrived.
 
-        A stamp is in the future if it is further ahead than silence of the IMU explains.
+        A stamp is in the future if it is further ahead than silence of the IMU and the habit of its sensor explain.
         """
         recent = self._recent.setdefault(sensor, deque(maxlen=RECENT))
         newest_ns = self._newest.get(sensor, stamp_ns - 1)
         if stamp_ns <= newest_ns and stamp_ns in recent:
             return Outcome.DUPLICATE
-        silence_ns = max(0, arrival_ns - reached_arrival_ns)
-        if reached_ns > 0 and stamp_ns - reached_ns > silence_ns + FUTURE_NS:
-            return Outcome.CLOCK_JUMP
+        if reached_ns > 0:
+            lead_ns = stamp_ns - reached_ns - max(0, arrival_ns - reached_arrival_ns)
+            usual_ns = max(0, self._leads.get(sensor, FUTURE_NS))
+            if lead_ns > min(FUTURE_NS, usual_ns + LEAD_NS):
+                return Outcome.CLOCK_JUMP
+            self._leads[sensor] = max(lead_ns, usual_ns - LEAD_STEP_NS) if sensor in self._leads else lead_ns
         recent.append(stamp_ns)
         self._newest[sensor] = max(stamp_ns, newest_ns)
         return Outcome.USED

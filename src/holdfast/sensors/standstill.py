@@ -9,14 +9,15 @@ from holdfast.config.model import StandstillConfig
 from holdfast.config.sensors import InertialConfig
 from holdfast.messages import Array
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.sensors.sensor import Position
+from holdfast.sensors.sensor import Position, Velocity
 
 MAX_MEAN_RATE_RAD_S = 0.05  # turning evenly is not standing; a bias is smaller
 CHANGE_FRACTION = 0.1  # of the allowed deviation, by which the mean may change within the window
 BATCHES = 10  # parts of the window whose means are compared: an engine averages out in each, a motion does not
 ENGINE = 10.0  # it may shake the machine so much more than a zero-velocity update allows, where GNSS is asked as well
 STANDING_SPEED_M_S = 0.1
-MIN_SPAN_NS = 200_000_000  # between fixes that tell whether the machine moves
+TELLING_SIGMA_M_S = 0.3  # of a speed that tells whether the machine moves
+MAX_CLAIM_M_S = 0.35  # of a Doppler velocity that does
 STANDSTILL_VELOCITY_SIGMA_M_S = 0.05
 GRAVITY_SIGMA_M_S2 = 1e-3  # between WGS84's normal gravity and the real one
 
@@ -39,10 +40,15 @@ def quiet_window(
         half = len(readings) // 2
         change = abs(readings[half:].mean(axis=0) - readings[:half].mean(axis=0))
         batches = np.array([part.mean(axis=0) for part in np.array_split(readings, min(BATCHES, len(readings)))])
-        deviation = batches.std(axis=0, ddof=1)
+        # by neighbours: the deviation about the mean would grow with the change that is looked for
+        noise = np.sqrt(np.mean(np.diff(batches, axis=0) ** 2, axis=0) / 2.0)
         # the means of two halves differ by so much where nothing but noise and vibration differs
-        allowed = bound * CHANGE_FRACTION + 3.0 * deviation * np.sqrt(4.0 / len(batches))
-        if deviation.max() > bound or readings.std(axis=0).max() > vibration * bound or (change > allowed).any():
+        allowed = bound * CHANGE_FRACTION + 3.0 * noise * np.sqrt(4.0 / len(batches))
+        if (
+            batches.std(axis=0, ddof=1).max() > bound
+            or readings.std(axis=0).max() > vibration * bound
+            or (change > allowed).any()
+        ):
             return None
         means.append(readings.mean(axis=0))
     if float(np.linalg.norm(means[1])) > MAX_MEAN_RATE_RAD_S:
@@ -51,15 +57,32 @@ def quiet_window(
 
 
 def fixes_stand(fixes: Sequence[Position]) -> bool | None:
-    """Whether the fixes of one antenna stand, within their noise; None while there are too few to tell.
+    """Whether the fixes of one antenna stand, within their noise; None while they cannot tell.
 
     An even motion is as quiet as standstill: the IMU alone does not know.
     """
-    if len(fixes) < 2 or fixes[-1].stamp_ns - fixes[0].stamp_ns < MIN_SPAN_NS:
+    if len(fixes) < 2:
         return None
-    moved = float(np.linalg.norm(fixes[-1].p_W_P[:2] - fixes[0].p_W_P[:2]))
-    noise = 3.0 * np.sqrt(fixes[0].covariance[:2, :2].trace() + fixes[-1].covariance[:2, :2].trace())
-    return bool(moved < noise + STANDING_SPEED_M_S * (fixes[-1].stamp_ns - fixes[0].stamp_ns) * 1e-9)
+    t = np.array([one.stamp_ns - fixes[0].stamp_ns for one in fixes]) * 1e-9
+    t -= t.mean()
+    sigma = float(np.sqrt(np.mean([one.covariance[:2, :2].trace() for one in fixes]) / max(t @ t, 1e-9)))
+    if sigma > TELLING_SIGMA_M_S:
+        return None
+    slope = t @ np.array([one.p_W_P[:2] for one in fixes]) / (t @ t)
+    return bool(np.linalg.norm(slope) < STANDING_SPEED_M_S + 2.0 * sigma)
+
+
+def velocities_stand(velocities: Sequence[Velocity]) -> bool | None:
+    """Whether measured velocities are zero within their noise; None while they cannot tell.
+
+    Their errors last as long as the stretch that is asked about: the mean is no better than each.
+    """
+    known = [one for one in velocities if one.covariance[:2, :2].max() < MAX_CLAIM_M_S**2]
+    if not known:
+        return None
+    sigma = float(np.sqrt(np.mean([one.covariance[:2, :2].trace() for one in known]) / 2.0))
+    mean = np.mean([one.v_W_P[:2] for one in known], axis=0)
+    return bool(np.linalg.norm(mean) < STANDING_SPEED_M_S + sigma)
 
 
 def gyro_bias_sigma_rad_s(imu: InertialConfig, duration_s: float) -> float:

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from holdfast.config.assignment import Rule
+from holdfast.config.assignment import Measured, Rule
 from holdfast.errors import RecordingError
 from holdfast.messages import Array, Message
 from holdfast.recording.columns import Columns
@@ -24,6 +24,7 @@ from holdfast.recording.source import Subscription
 CHASSIS = ("base", "chassis", "undercarriage", "track")
 COMMAND = ("cmd", "command", "goal", "target")
 DERIVED = ("filtered", "fused", "ekf", "ukf", "truth", "reference", "holdfast")
+INERTIAL = ("/ins", "twist_ins")  # what an inertial navigation system made of GNSS and an IMU
 SATELLITE = ("gnss", "gps")
 WHEEL = ("wheel", "track")
 
@@ -36,6 +37,9 @@ class Findings(Protocol):
 
     def problems(self, count: int) -> Iterator[str]:
         """Yield what is wrong, one sentence per problem, of a topic with so many messages."""
+
+    def measured(self) -> Measured:
+        """Return what `holdfast config init` writes of them."""
 
 
 Check = Callable[[NDArray[np.int64], Array, int], Findings | None]

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from holdfast.config.assignment import Rule
+from holdfast.config.assignment import Measured, Rule
+from holdfast.config.sensors import GnssConfig
 from holdfast.messages import Array, FixStatus, GnssFix
 from holdfast.recording.columns import Columns, diagonal
 from holdfast.recording.decode import decoder, known_covariance
@@ -18,6 +19,7 @@ from holdfast.recording.kinds import DERIVED, Kind, register
 FIX = "sensor_msgs/msg/NavSatFix"
 LEFT = ("left", "main", "master", "primary", "front", "l")
 RIGHT = ("right", "aux", "slave", "secondary", "rover", "rear", "r")
+LARGEST_SIGMA_M = 10.0  # a receiver that usually claims more is not believed
 STATUSES = {int(status): status for status in FixStatus}
 
 
@@ -39,12 +41,16 @@ def _of_line(stamp_ns: int, arrival_ns: int, sensor: str, v: list[float]) -> Gns
 
 @dataclass(frozen=True, slots=True)
 class GnssFindings:
-    """Quality that the receiver claims; sigmas are horizontal, the worse of east and north [m], None if all unknown."""
+    """Quality that the receiver claims; sigmas are horizontal, the worse of east and north [m], None if all unknown.
+
+    `usual_sigma_m` is what 95 % of the fixes stay within.
+    """
 
     statuses: dict[str, int]
     not_finite: int
     unknown_covariances: int
     smallest_sigma_m: float | None
+    usual_sigma_m: float | None
     largest_sigma_m: float | None
 
     def summary(self) -> str:
@@ -60,13 +66,21 @@ class GnssFindings:
         if self.unknown_covariances:
             yield (
                 f"{self.unknown_covariances} of {count} fixes have no covariance; "
-                "they need default_sigma_m or are refused"
+                "they are weighed by their status unless default_sigma_m is given"
             )
         if self.not_finite:
             yield f"{self.not_finite} of {count} fixes have no finite position; they are counted and not used"
         if "gbas" not in self.statuses:
             statuses = ", ".join(self.statuses)
             yield f"no fix has the status gbas (only {statuses}); RTK was never fixed, or the driver does not report it"
+
+    def measured(self) -> Measured:
+        """Return what a configuration can say of the receiver; see `Findings`."""
+        usual, limit = self.usual_sigma_m, GnssConfig.model_fields["max_sigma_m"].default
+        if usual is None or usual <= limit:
+            return Measured((self.summary(),))
+        largest = float(f"{min(2.0 * usual, LARGEST_SIGMA_M):.2g}")
+        return Measured((self.summary(),), {"max_sigma_m": f"95 % claim up to {usual:.2g}"}, {"max_sigma_m": largest})
 
 
 def check(stamps_ns: NDArray[np.int64], values: Array, start_ns: int) -> GnssFindings | None:  # noqa: ARG001
@@ -80,6 +94,7 @@ def check(stamps_ns: NDArray[np.int64], values: Array, start_ns: int) -> GnssFin
         not_finite=int((~np.isfinite(values[:, :3]).all(axis=1)).sum()),
         unknown_covariances=len(fixes) - len(variances),
         smallest_sigma_m=float(np.sqrt(min(variances))) if variances else None,
+        usual_sigma_m=float(np.sqrt(np.percentile(variances, 95.0))) if variances else None,
         largest_sigma_m=float(np.sqrt(max(variances))) if variances else None,
     )
 

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from holdfast.config.assignment import Rule
+from holdfast.config.assignment import Measured, Rule
+from holdfast.config.sensors import InertialConfig
 from holdfast.messages import Array, ImuSample
 from holdfast.recording.columns import Columns, axes
 from holdfast.recording.decode import IMU, Decoder
+from holdfast.recording.imu_at_rest import ImuAtRest, imu_at_rest
 from holdfast.recording.kinds import CHASSIS, DERIVED, Kind, register
 from holdfast.recording.source import Subscription
 
@@ -21,6 +23,7 @@ the stamps leaves of a line drawn over time (on the KITTI drive all tolerances f
 """
 MAX_REPEATS = 0.01
 NS_PER_S = 1e9
+REST_NEEDED = "record some seconds of standstill"
 
 
 def imu_decoder(subscription: Subscription) -> Decoder:
@@ -44,7 +47,10 @@ def imu_decoder(subscription: Subscription) -> Decoder:
 
 @dataclass(frozen=True, slots=True)
 class ImuFindings:
-    """Samples that an IMU cannot have measured; lines are runs of 4 or more samples on a line in all six channels."""
+    """Samples that an IMU cannot have measured; lines are runs of 4 or more samples on a line in all six channels.
+
+    `at_rest` is what it is like at its quietest, None if it never is quiet.
+    """
 
     repeats: int
     not_finite: int
@@ -52,10 +58,12 @@ class ImuFindings:
     line_samples: int
     longest_line_s: float
     longest_line_at_s: float
+    at_rest: ImuAtRest | None
 
     def summary(self) -> str:
         """Return it in one line."""
-        return f"{self.repeats} repeated samples, {self.lines} straight lines, {self.not_finite} not finite"
+        text = f"{self.repeats} repeated samples, {self.lines} straight lines, {self.not_finite} not finite"
+        return text if self.at_rest is None else f"{text}; {self.at_rest.summary()}"
 
     def problems(self, count: int) -> Iterator[str]:
         """Yield what is wrong; see `Findings`."""
@@ -72,6 +80,26 @@ class ImuFindings:
             )
         if self.not_finite:
             yield f"{self.not_finite} sample(s) are not finite; they are counted and not used"
+        if self.at_rest is not None and self.at_rest.is_in_g():
+            yield (
+                f"the mean specific force is {self.at_rest.mean_force_m_s2:.2f} at rest: the accelerometer seems to "
+                "measure in g; its driver must give m/s^2"
+            )
+
+    def measured(self) -> Measured:
+        """Return what a configuration can say of the IMU; see `Findings`."""
+        if self.at_rest is None:
+            return Measured((f"never quiet: its noise cannot be measured ({REST_NEEDED})",))
+        found = {
+            "gyroscope_noise_density": self.at_rest.gyroscope_noise_density,
+            "accelerometer_noise_density": self.at_rest.accelerometer_noise_density,
+        }
+        found = {key: float(f"{density:.2g}") for key, density in found.items()}
+        return Measured(
+            self.at_rest.notes(),
+            {key: f"measured {density:g}" for key, density in found.items()},
+            {key: value for key, value in found.items() if InertialConfig.model_fields[key].default < value <= 1.0},
+        )
 
 
 def check(stamps_ns: NDArray[np.int64], values: Array, start_ns: int) -> ImuFindings | None:
@@ -87,6 +115,7 @@ def check(stamps_ns: NDArray[np.int64], values: Array, start_ns: int) -> ImuFind
         line_samples=sum(end - begin for begin, end in lines),
         longest_line_s=float(stamps_ns[end - 1] - stamps_ns[begin]) / NS_PER_S if lines else 0.0,
         longest_line_at_s=float(stamps_ns[begin] - start_ns) / NS_PER_S if lines else 0.0,
+        at_rest=imu_at_rest(stamps_ns, values, start_ns),
     )
 
 

@@ -7,11 +7,8 @@ import numpy as np
 from holdfast.config.assignment import Rule
 from holdfast.messages import Twist
 from holdfast.recording.columns import Columns, axes, diagonal
-from holdfast.recording.decode import ODOMETRY, decoder, rotation_first, with_covariance, xyz
-from holdfast.recording.kinds import COMMAND, DERIVED, SATELLITE, WHEEL, Kind, register
-
-TWIST = "geometry_msgs/msg/TwistStamped"
-TWIST_COVARIANCE = "geometry_msgs/msg/TwistWithCovarianceStamped"
+from holdfast.recording.decode import ODOMETRY, TWIST, TWIST_COVARIANCE, decoder, rotation_first, with_covariance, xyz
+from holdfast.recording.kinds import COMMAND, DERIVED, INERTIAL, SATELLITE, WHEEL, Kind, register
 
 
 @decoder
@@ -42,7 +39,7 @@ register(
             Rule(
                 "twist",
                 (*WHEEL, "speed", "vel"),
-                (*DERIVED, *COMMAND, *SATELLITE),
+                (*DERIVED, *COMMAND, *SATELLITE, *INERTIAL),
                 every=True,
                 on_chassis=True,
                 types=(TWIST, TWIST_COVARIANCE),  # of an Odometry the pose is proposed

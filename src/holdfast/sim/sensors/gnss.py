@@ -39,8 +39,8 @@ class OfReceiver(SimulatedSensor):
     """What the GNSS receiver measures, at the epochs of its fastest antenna."""
 
     def first_s(self, name: str, sheets: Mapping[str, Sheet], generators: Generators) -> float:  # noqa: ARG002
-        """Return the first epoch, which antennas and headings share."""
-        fastest_hz = max(antenna.rate_hz for antenna in antennas_of(sheets).values())
+        """Return the first epoch, which antennas, headings and velocities share."""
+        fastest_hz = max((antenna.rate_hz for antenna in antennas_of(sheets).values()), default=self.rate_hz)
         return float(generators("receiver", "phase").uniform(0.0, 1.0 / fastest_hz))
 
 

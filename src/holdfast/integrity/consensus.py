@@ -1,0 +1,86 @@
+"""Positions of one receiver that agree among themselves, whatever the estimate says.
+
+An estimate that is wrong cannot judge the positions that could mend it. What they say of each other can: none is
+further from the one before than a machine can go, and the speed from one to the next is no other than it can become.
+"""
+
+from collections import deque
+from itertools import dropwhile
+from math import sqrt
+
+import numpy as np
+
+from holdfast.messages import Array
+from holdfast.sensors.sensor import Position
+
+MAX_ACCELERATION_M_S2 = 10.0  # what tyres and tracks hold
+SIGMA = 4.0
+OUTLIERS = 3  # so many in a row that disagree end a run
+COMPARED = 3  # of the newest make two speeds
+REFUSED_FRACTION = 0.8  # of the positions in a run: a wrong estimate explains one now and then
+
+
+class Consensus:
+    """The run of positions of one receiver that agree with each other, and which of them the estimate refused.
+
+    Args:
+        max_speed_m_s: faster no machine goes.
+        count: so many positions are looked at, or more if there are more in
+        duration_s: [s].
+    """
+
+    def __init__(self, max_speed_m_s: float, count: int, duration_s: float) -> None:
+        self._count = count
+        self._max_speed_m_s = max_speed_m_s
+        self._duration_ns = round(duration_s * 1e9)
+        self._newest: deque[Position] = deque(maxlen=COMPARED)
+        self._run: deque[tuple[int, bool]] = deque()  # stamp, and whether the estimate refused it
+        self._outliers = 0
+
+    def add(self, position: Position, *, is_refused: bool) -> None:
+        """Take in a position, in the order of stamps."""
+        if self._newest and not self._follows(position):
+            self._outliers += 1
+            if self._outliers >= OUTLIERS:
+                self.clear()
+            return
+        self._outliers = 0
+        self._newest.append(position)
+        self._run.append((position.stamp_ns, is_refused))
+        while len(self._run) > self._count and self._run[1][0] <= position.stamp_ns - self._duration_ns:
+            self._run.popleft()
+
+    def contradict(self, position: Position) -> None:
+        """Note that a position which was accepted has been taken out again."""
+        for k, (stamp_ns, _) in enumerate(self._run):
+            if stamp_ns == position.stamp_ns:
+                self._run[k] = stamp_ns, True
+
+    def clear(self) -> None:
+        """End the run."""
+        self._newest.clear()
+        self._run.clear()
+        self._outliers = 0
+
+    def is_against(self) -> bool:
+        """Whether the estimate refused most of a run that is long enough."""
+        run = list(dropwhile(lambda one: not one[1], self._run))
+        if len(run) < self._count or run[-1][0] - run[0][0] < self._duration_ns:
+            return False
+        return sum(is_refused for _, is_refused in run) >= REFUSED_FRACTION * len(run)
+
+    def _follows(self, position: Position) -> bool:
+        last = self._newest[-1]
+        dt_s = (position.stamp_ns - last.stamp_ns) * 1e-9
+        if dt_s <= 0.0:
+            return False
+        moved: Array = position.p_W_P - last.p_W_P
+        noise_m = SIGMA * sqrt(float(np.trace(position.covariance + last.covariance)))
+        if np.linalg.norm(moved) > self._max_speed_m_s * dt_s + noise_m:
+            return False
+        if len(self._newest) < COMPARED:
+            return True
+        before_s = (last.stamp_ns - self._newest[-2].stamp_ns) * 1e-9
+        expected = (last.p_W_P - self._newest[-2].p_W_P) / before_s * dt_s
+        reach_m = MAX_ACCELERATION_M_S2 * dt_s * 0.5 * (dt_s + before_s)
+        return bool(np.linalg.norm(moved - expected) <= reach_m + noise_m * (1.0 + dt_s / before_s))

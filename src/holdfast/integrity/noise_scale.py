@@ -1,0 +1,78 @@
+"""How much larger or smaller the noise of a sensor is than it claims, as its innovations show over the last minute."""
+
+from math import exp, log, sqrt
+
+import numpy as np
+
+from holdfast.event_log import EventLog
+from holdfast.sensors.noise import FREE_VARIANCE
+from holdfast.sensors.sensor import Innovation, Measurement, State
+from holdfast.state import EventKind
+
+MEMORY_S = 20.0
+MAX_WEIGHT_S = 1.0  # of one measurement
+MAX_RATIO = 9.0  # one measurement tells no more, whatever its innovation
+LOWEST, HIGHEST = 1.0, 100.0  # of the factor on the covariance
+DEAD_BAND = log(2.0)
+LEVEL = log(4.0)  # twice or half the sigma
+NEWS = 0.75  # levels from the one that was told last
+
+
+class NoiseScale:
+    """The factor on the covariance of one sensor: (48) in docs/math.md."""
+
+    def __init__(self) -> None:
+        self._log = 0.0
+        self._last_ns: int | None = None
+        self._told = 0
+
+    @property
+    def value(self) -> float:
+        """The factor; 1 as long as the evidence is within what chance and correlated errors make."""
+        return exp(max(self._log - DEAD_BAND, min(self._log + DEAD_BAND, 0.0)))
+
+    @property
+    def ratio(self) -> float:
+        """How many times larger its noise is than claimed: the root of the factor, rounded to what is worth telling."""
+        return round(sqrt(self.value), 3)
+
+    @property
+    def above(self) -> float:
+        """The factor where it is above 1: what is tested is not tested more strictly than it claims."""
+        return max(1.0, self.value)
+
+    def learn(
+        self,
+        innovation: Innovation,
+        state: State,
+        measurement: Measurement,
+        event_log: EventLog,
+        lowest: float = LOWEST,
+    ) -> None:
+        """Learn from a measurement of a trusted sensor, and report what is news.
+
+        Args:
+            innovation: of the measurement, its `R` as claimed.
+            state: with which it was compared.
+            measurement: in the order of stamps.
+            event_log: where news goes.
+            lowest: bound of the factor; below 1 where a claim holds a slow error that innovations do not show.
+        """
+        stamp_ns = measurement.stamp_ns
+        since_s = MAX_WEIGHT_S if self._last_ns is None else abs(stamp_ns - self._last_ns) * 1e-9
+        self._last_ns = stamp_ns
+        is_measured = innovation.R.diagonal() < 0.1 * FREE_VARIANCE
+        R = innovation.R[np.ix_(is_measured, is_measured)] * self.value
+        y, H = innovation.y[is_measured], innovation.H[is_measured]
+        S = H @ state.covariance @ H.T + R
+        ratio = min(float(y @ np.linalg.solve(S, y)) / len(y), MAX_RATIO)
+        share = float(np.trace(np.linalg.solve(S, R))) / len(y)  # what is not the noise of the state
+        # an excess may be the state's; of a slow error the state has as much as the measurement, and it cancels
+        weight = share if ratio > 1.0 else 1.0
+        step = weight * (ratio - 1.0) * min(since_s, MAX_WEIGHT_S) / MEMORY_S
+        self._log = min(max(self._log + step, log(lowest) - DEAD_BAND), log(HIGHEST) + DEAD_BAND)
+        level = log(self.value) / LEVEL
+        if abs(level - self._told) > NEWS:
+            self._told = round(level)
+            reason = f"its noise is {self.ratio:.1f} times what it claims"
+            event_log.report(EventKind.NOISE, stamp_ns, measurement.sensor, reason)

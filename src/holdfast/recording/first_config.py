@@ -1,0 +1,46 @@
+"""A first configuration for a recording, with what its first minutes tell of the sensors."""
+
+from collections.abc import Callable, Iterator
+
+from holdfast.config.assignment import Measured, assign
+from holdfast.config.starter import starter_yaml
+from holdfast.recording.inspection import TopicFindings, inspect
+from holdfast.recording.kinds import KINDS
+from holdfast.recording.problems import topic_problems
+from holdfast.recording.receiver_clocks import receiver_clocks
+from holdfast.recording.source import Recording
+
+LOOKED_AT_S = 120.0
+
+
+def first_config(recording: Recording, progress: Callable[[int], None] | None = None) -> str:
+    """Return a commented configuration that loads as it is; reads the first two minutes, for clocks up to five.
+
+    Args:
+        recording: an open recording.
+        progress: is called with the arrival [ns] now and then.
+
+    Raises:
+        RecordingError: no topic can be the IMU, or there is no message at all.
+    """
+    inspection = inspect(recording, duration_s=LOOKED_AT_S, progress=progress)
+    measured = {topic.topic: _measured(topic) for topic in inspection.topics if topic.kind is not None and topic.count}
+    for topic, clock in receiver_clocks(recording, assign(recording.topics, KINDS.values()).guesses).items():
+        measured[topic] = measured.get(topic, Measured()).joined(clock)
+    return starter_yaml(str(recording.path), recording.topics, KINDS.values(), measured)
+
+
+def _measured(topic: TopicFindings) -> Measured:
+    """Return what was found in the messages of a topic and in their values."""
+    values = Measured() if topic.values is None else topic.values.measured()
+    warnings = (f"WARNING: {problem}" for problem in topic_problems(topic))
+    return Measured((*_timing(topic), *values.notes, *warnings), values.remarks, values.values)
+
+
+def _timing(topic: TopicFindings) -> Iterator[str]:
+    if topic.rate_hz is None or topic.longest_gap_s is None:
+        return
+    text = f"measured in the first {LOOKED_AT_S:.0f} s: {topic.rate_hz:.4g} Hz, longest gap {topic.longest_gap_s:.3f} s"
+    if topic.latency_mean_s is not None and topic.latency_sigma_s is not None:
+        text += f", arrives {topic.latency_mean_s * 1e3:.1f} +- {topic.latency_sigma_s * 1e3:.1f} ms after its stamp"
+    yield text

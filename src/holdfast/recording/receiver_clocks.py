@@ -1,0 +1,112 @@
+"""The clocks of GNSS receivers against the IMU's, for the first configuration of a recording."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from holdfast.config.assignment import Guess, Measured, namespace
+from holdfast.config.starter import antenna_of
+from holdfast.errors import RecordingError
+from holdfast.geometry.earth import Geodetic, LocalFrame
+from holdfast.messages import Array, FixStatus, GnssFix, GnssVelocity, ImuSample, Message
+from holdfast.recording.clock_offset import ClockOffset, clock_offset, pooled
+from holdfast.recording.kinds import SATELLITE
+from holdfast.recording.source import Recording, Subscription
+
+WINDOWS_S = ((0.0, 120.0), (120.0, 180.0))  # begin and length; the second where the first tells too little
+WANTED_SIGMA_S = 0.012
+MAX_RATE_HZ = 5.0  # of a receiver; more tell no more of a machine's motion
+ORDERS = {"gnss": 2, "gnss_velocity": 1}
+
+
+def receiver_clocks(recording: Recording, guesses: Sequence[Guess]) -> dict[str, Measured]:
+    """Return by topic what a configuration can say of the clocks of receivers; reads at most five minutes."""
+    used = [guess for guess in guesses if not guess.rule.spare and guess.kind in {"imu", *ORDERS}]
+    kinds = {guess.kind for guess in used}
+    if "imu" not in kinds or kinds == {"imu"}:
+        return {}
+    messages: dict[str, list[Message]] = {guess.topic.topic: [] for guess in used}
+    offsets: dict[str, ClockOffset | None] = {guess.topic.topic: None for guess in used if guess.kind in ORDERS}
+    for start_s, duration_s in WINDOWS_S:
+        news = list(_read(recording, used, start_s, duration_s))
+        if not news:
+            continue
+        for message in news:
+            messages[message.sensor].append(message)
+        imu = next(_imu(messages[guess.topic.topic]) for guess in used if guess.kind == "imu")
+        for guess in used:
+            if guess.kind in ORDERS:
+                receiver = _receiver(messages[guess.topic.topic])
+                offsets[guess.topic.topic] = clock_offset(*imu, *receiver, ORDERS[guess.kind])
+        if all(offset is not None and offset.sigma_s <= WANTED_SIGMA_S for offset in offsets.values()):
+            break
+    return {topic: _measured(offset) for topic, offset in _of_receivers(offsets, guesses).items()}
+
+
+def _read(recording: Recording, guesses: Iterable[Guess], start_s: float, duration_s: float) -> Iterator[Message]:
+    """Yield the messages of a window, up to the end or the damage of the recording."""
+    subscriptions = [Subscription(guess.topic.topic, guess.topic.topic, guess.kind) for guess in guesses]
+    try:
+        yield from recording.read(subscriptions, start_s, duration_s)
+    except RecordingError:
+        return
+
+
+def _imu(messages: Sequence[Message]) -> tuple[Array, Array]:
+    """Return stamps (N,) [s] and readings (N, 6)."""
+    samples = [one for one in messages if isinstance(one, ImuSample)]
+    return _ordered([one.stamp_ns for one in samples], np.array([one.values() for one in samples]).reshape(-1, 6))
+
+
+def _receiver(messages: Sequence[Message]) -> tuple[Array, Array]:
+    """Return stamps (M,) [s] and velocities or positions (M, 3) in a local frame, of at most 5 Hz."""
+    fixes = [one for one in messages if isinstance(one, GnssFix) and one.status is not FixStatus.NO_FIX]
+    velocities = [one for one in messages if isinstance(one, GnssVelocity)]
+    points = [Geodetic(fix.latitude_deg, fix.longitude_deg, fix.altitude_m) for fix in fixes]
+    frame = LocalFrame(next(filter(_is_on_earth, points), Geodetic(0.0, 0.0, 0.0)))
+    rows = [frame.to_enu(point) if _is_on_earth(point) else np.full(3, np.nan) for point in points]
+    rows += [np.append(one.velocity[:2], np.nan_to_num(one.velocity[2])) for one in velocities]
+    stamps = [fix.stamp_ns for fix in fixes] + [velocity.stamp_ns for velocity in velocities]
+    times_s, values = _ordered(stamps, np.array(rows).reshape(-1, 3))
+    step = max(1, round(1.0 / (MAX_RATE_HZ * float(np.median(np.diff(times_s)))))) if len(times_s) > 1 else 1
+    return times_s[::step], values[::step]
+
+
+def _is_on_earth(point: Geodetic) -> bool:
+    return bool(np.isfinite(point).all()) and abs(point.latitude_deg) <= 90.0
+
+
+def _ordered(stamps_ns: Sequence[int], rows: Array) -> tuple[Array, Array]:
+    """Return finite rows by increasing stamps [s]."""
+    stamps, first = np.unique(np.array(stamps_ns, dtype=np.int64), return_index=True)
+    finite = np.isfinite(rows[first]).all(axis=1)
+    return stamps[finite].astype(np.float64) * 1e-9, rows[first][finite]
+
+
+def _of_receivers(offsets: Mapping[str, ClockOffset | None], guesses: Sequence[Guess]) -> dict[str, ClockOffset | None]:
+    """Return the offset of every topic of a receiver: all are of one clock where fixes and velocities do not disagree.
+
+    A velocity that the receiver differences from positions is late by half their period, so they may well.
+    """
+    found = dict(offsets)
+    antennas = [guess for guess in guesses if guess.kind == "gnss"]
+    for guess in guesses:
+        antenna = antenna_of(guess, antennas)
+        if antenna is not None and guess.kind == "gnss_velocity":
+            fix, velocity = offsets[antenna.topic.topic], offsets[guess.topic.topic]
+            found[antenna.topic.topic], found[guess.topic.topic] = pooled(fix, velocity)
+    for guess in guesses:
+        if guess.kind == "heading" and any(word in guess.topic.topic for word in SATELLITE):  # a compass has its own
+            own = (a.topic.topic for a in antennas if a.topic.topic.startswith(f"{namespace(guess.topic)}/"))
+            if (antenna_topic := next(own, None)) is not None:
+                found[guess.topic.topic] = found[antenna_topic]
+    return found
+
+
+def _measured(offset: ClockOffset | None) -> Measured:
+    """Return an offset as a value if it is clear, else as a note."""
+    if offset is None:
+        return Measured(("clock against the IMU: too little motion to measure it",))
+    if not offset.is_clear():
+        return Measured((f"clock against the IMU: {offset}",))
+    return Measured((), {"time_offset_s": f"measured {offset}"}, {"time_offset_s": round(offset.offset_s, 3)})

@@ -1,0 +1,166 @@
+# ruff: noqa: PLR0917 - a story is many small choices with defaults
+"""An estimate that is wrong is found by fixes that agree among themselves, and begun anew from them, in motion too."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from motion import (
+    HEADING_DEG,
+    Drive,
+    estimates,
+    fix_at,
+    fixes,
+    imu,
+    in_order,
+    machine,
+    ns,
+    run,
+    scans,
+    seconds,
+    velocities,
+)
+
+from holdfast.state import EventKind
+
+ROAD = Drive(start_s=4.0, ramp_s=4.0, radius_m=20.0, speed=0.3, tilt=0.0, heave_m=0.0)  # 6 m/s
+RTK, CONSUMER = (0.01, 0.01, 0.02), (0.4, 0.4, 0.8)
+DOPPLER = {"doppler": {"kind": "gnss_velocity", "frame": "gnss"}}
+RECEIVERS = pytest.mark.parametrize(
+    ("sigma", "hz", "doppler"), [(RTK, 10.0, False), (CONSUMER, 10.0, False), (CONSUMER, 1.0, True)]
+)
+
+
+def streams(sigma, hz, doppler, end_s, seed=1, motion=ROAD):
+    rng = np.random.default_rng(seed)
+    found = {
+        "imu": imu(motion, 0.0, end_s, 50.0, rng),
+        "gnss": fixes(motion, 0.0, end_s, hz, rng, sigma, phase_s=0.0137),
+    }
+    return found | ({"doppler": velocities(motion, 0.0, end_s, rng=rng)} if doppler else {})
+
+
+def thrown(sent, lost_s, back_s):
+    """All but the IMU silent between two times, in which it reads 15 m/s^2 too much along x."""
+    push = np.array([15.0, 0.0, 0.0])
+    found = {}
+    for name, messages in sent.items():
+        inside = [ns(lost_s) < one.stamp_ns < ns(back_s) for one in messages]
+        if name == "imu":
+            found[name] = [
+                replace(one, specific_force=one.specific_force + push) if is_in else one
+                for one, is_in in zip(messages, inside, strict=True)
+            ]
+        else:
+            found[name] = [one for one, is_in in zip(messages, inside, strict=True) if not is_in]
+    return found
+
+
+def beginnings_s(estimator):
+    return [seconds(event.stamp_ns) for event in estimator.events if event.kind is EventKind.BEGUN_ANEW]
+
+
+def errors_m(outputs, since_s, motion=ROAD):
+    """Horizontal errors after a time."""
+    return [
+        np.linalg.norm((e.nav.position() - motion.nav(seconds(e.stamp_ns)).position())[:2])
+        for e in estimates(outputs)
+        if e.stamp_ns > ns(since_s)
+    ]
+
+
+def largest_step_m(outputs, since_s=0.0):
+    """By how much T_O_I arrives elsewhere than where the state published before leads it."""
+    worst = 0.0
+    for a, b in itertools.pairwise([e for e in estimates(outputs) if e.stamp_ns > ns(since_s)]):
+        dt_s = (b.stamp_ns - a.stamp_ns) * 1e-9
+        T_O_a, T_O_b = (e.T_W_O.inverse() * e.nav.pose() for e in (a, b))
+        led = T_O_a.translation() + a.T_W_O.rotation().unrotate(a.nav.velocity()) * dt_s
+        worst = max(worst, float(np.linalg.norm(T_O_b.translation() - led)))
+    return worst
+
+
+def assert_found(estimator, outputs, sent, sigma, wrong_s, limit_s):
+    """Found in time, right again within 5 s of the fifth fix after it, and O does not step."""
+    found = beginnings_s(estimator)
+    assert found and found[-1] < wrong_s + limit_s
+    fifth_s = seconds([fix.stamp_ns for fix in sent["gnss"] if fix.stamp_ns > ns(found[-1])][4])
+    assert max(errors_m(outputs, fifth_s + 5.0)) < 3.0 * np.hypot(*sigma[:2])
+    assert largest_step_m(outputs, wrong_s) < 5e-3  # thrown, it moves by 1.8 m from sample to sample
+
+
+@RECEIVERS
+def test_a_heading_that_is_wrong_by_60_deg_is_found_within_a_minute(sigma, hz, doppler):
+    sent = streams(sigma, hz, doppler, 34.0)
+    wrong = {"heading_deg": HEADING_DEG + 60.0, "initialisation": {"heading_sigma_deg": 2.0}}
+    config = machine(lidar=False, more=DOPPLER if doppler else None, **wrong)
+    estimator, outputs = run(config, in_order(*sent.values()))
+    assert_found(estimator, outputs, sent, sigma, ROAD.start_s, 60.0)
+
+
+def test_a_wrong_heading_is_found_beside_a_lidar_that_cannot_know_it():
+    sent = streams(RTK, 5.0, False, 46.0)
+    sent["lidar"] = scans(ROAD, 0.0, 46.0, 5.0, np.random.default_rng(3), (0.001, 0.01), phase_s=0.0071)
+    config = machine(heading_deg=HEADING_DEG + 60.0, initialisation={"heading_sigma_deg": 2.0})
+    estimator, outputs = run(config, in_order(*sent.values()))
+    assert_found(estimator, outputs, sent, RTK, ROAD.start_s, 60.0)
+
+
+@RECEIVERS
+def test_a_state_that_was_thrown_a_kilometre_away_is_found_when_fixes_return(sigma, hz, doppler):
+    """15 m/s^2 in readings that nothing contradicts, for 12 s without GNSS, are more than a kilometre."""
+    back = 27.0
+    sent = thrown(streams(sigma, hz, doppler, 42.0), 15.0, back)
+    config = machine(lidar=False, more=DOPPLER if doppler else None)
+    estimator, outputs = run(config, in_order(*sent.values()))
+    assert max(errors_m(outputs, 15.0)) > 100.0
+    assert_found(estimator, outputs, sent, sigma, back, 10.0)
+
+
+def test_a_state_that_was_thrown_away_is_found_also_beside_a_lidar_that_had_agreed_before():
+    """Lidar and GNSS return together and both contradict the estimate: it was 8 km away a minute later."""
+    back, patience_s = 50.0, 6.0
+    sent = streams(RTK, 5.0, False, 70.0)
+    sent["lidar"] = scans(ROAD, 0.0, 70.0, 5.0, np.random.default_rng(3), (0.001, 0.01), phase_s=0.0071)
+    sent = thrown(sent, 40.0, back)
+    estimator, outputs = run(machine(gate={"believe_after_s": patience_s}), in_order(*sent.values()))
+    assert_found(estimator, outputs, sent, RTK, back, patience_s + 4.0)
+
+
+def far(fix, offset_m):
+    """The same fix, some metres beside."""
+    t = seconds(fix.stamp_ns)
+    return fix_at(ROAD, t, np.array([0.0, offset_m, 0.0]), RTK)
+
+
+def driven(lidar, liar, from_s, end_s, **gate):
+    """Fixes that lie from a time on, `liar(t)` metres aside; events and outputs."""
+    sent = streams(RTK, 5.0, False, end_s)
+    sent["gnss"] = [far(one, liar(seconds(one.stamp_ns))) if one.stamp_ns > ns(from_s) else one for one in sent["gnss"]]
+    if lidar:
+        sent["lidar"] = scans(ROAD, 0.0, end_s, 5.0, np.random.default_rng(3), (0.001, 0.01), phase_s=0.0071)
+    return run(machine(lidar=lidar, gate=gate), in_order(*sent.values()))
+
+
+@pytest.mark.parametrize(
+    ("lidar", "believe_after_s", "patience_s"),
+    [(False, None, 1.0), (False, 6.0, 6.0), (True, 6.0, 6.0), (True, None, 30.0)],
+)
+def test_fixes_that_jump_aside_are_believed_after_the_time_that_is_configured(lidar, believe_after_s, patience_s):
+    """With and without lidar; by default a second, or half a minute beside an odometry."""
+    end_s = 10.0 + patience_s + 4.0
+    estimator, outputs = driven(lidar, lambda _: 8.0, 10.0, end_s, believe_after_s=believe_after_s)
+    (found_s,) = beginnings_s(estimator)
+    assert 10.0 + patience_s <= found_s < 10.0 + patience_s + 2.0
+    assert largest_step_m(outputs) < 2e-3
+    assert np.mean(errors_m(outputs, end_s - 1.0)) == pytest.approx(8.0, abs=0.2)
+
+
+def test_a_liar_that_walks_away_is_not_believed_beside_an_odometry_that_vouches():
+    """0.3 m/s; fixes are refused from 50.4 s on, so that half a minute is over at 80 s at the earliest."""
+    walk_s, end_s = 50.0, 80.0
+    estimator, outputs = driven(True, lambda t: 0.3 * (t - walk_s), walk_s, end_s)
+    assert EventKind.RECEIVER_LOST in {event.kind for event in estimator.events}
+    assert beginnings_s(estimator) == []
+    assert max(errors_m(outputs, walk_s)) < 3.0

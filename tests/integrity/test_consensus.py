@@ -1,0 +1,113 @@
+"""Positions that agree among themselves: which run is long enough, and refused enough, to be against the estimate."""
+
+import numpy as np
+import pytest
+from motion import ns
+
+from holdfast.integrity.consensus import Consensus
+from holdfast.sensors.sensor import Position
+
+
+def at(t, x_m, sigma_m=0.1):
+    return Position(ns(t), "gnss", np.array([x_m, 0.0, 0.0]), np.eye(3) * sigma_m**2, 0.0)
+
+
+def begun(count=5, duration_s=1.0, max_speed_m_s=40.0):
+    return Consensus(max_speed_m_s, count, duration_s)
+
+
+def drive(run, times, *, refused=lambda _: True, x_m=lambda t: 5.0 * t):
+    for t in times:
+        run.add(at(t, x_m(t)), is_refused=refused(t))
+    return run
+
+
+@pytest.mark.parametrize(
+    ("hz", "until_s", "is_against"),
+    [
+        (10.0, 0.95, False),  # too short a time
+        (10.0, 1.05, True),
+        (1.0, 3.5, False),  # too few, though long enough
+        (1.0, 4.5, True),
+    ],
+)
+def test_a_run_must_be_of_so_many_and_of_so_long(hz, until_s, is_against):
+    assert drive(begun(), np.arange(0.0, until_s, 1.0 / hz)).is_against() == is_against
+
+
+def test_a_run_that_the_estimate_mostly_accepts_is_not_against_it():
+    times = np.arange(0.0, 5.0, 0.1)
+    assert not drive(begun(), times, refused=lambda _: False).is_against()
+    assert not drive(begun(), times, refused=lambda t: round(10.0 * t) % 2 == 0).is_against()
+    assert drive(begun(), times, refused=lambda t: round(10.0 * t) % 10 != 0).is_against()  # one by chance
+
+
+def test_only_the_newest_stretch_counts():
+    run = drive(begun(), np.arange(0.0, 60.0, 0.1), refused=lambda _: False)
+    assert not run.is_against()
+    assert drive(run, np.arange(60.0, 61.5, 0.1)).is_against()
+
+
+@pytest.mark.parametrize("duration_s", [1.0, 30.0])
+def test_it_lasts_as_long_as_is_asked_from_the_first_that_was_refused(duration_s):
+    """Positions that were accepted before do not count as time in which they were against the estimate."""
+    run = drive(begun(duration_s=duration_s), np.arange(0.0, 60.0, 0.1), refused=lambda _: False)
+    since = 60.0
+    for t in np.arange(since, since + 2.0 * duration_s, 0.1):
+        run.add(at(t, 5.0 * t), is_refused=True)
+        if run.is_against():
+            break
+    assert t - since == pytest.approx(duration_s, abs=0.15)
+
+
+def test_positions_that_jump_about_never_make_a_run():
+    rng = np.random.default_rng(1)
+    run = begun()
+    for t in np.arange(0.0, 20.0, 0.1):
+        run.add(at(t, rng.uniform(-100.0, 100.0)), is_refused=True)
+        assert not run.is_against()
+
+
+def test_a_speed_that_changes_faster_than_a_machine_can_ends_the_run():
+    """A zigzag of 2 m at 10 Hz: each step is slower than 40 m/s, but no machine does it."""
+    run = begun()
+    for k in range(100):
+        run.add(at(0.1 * k, 2.0 * (k % 2)), is_refused=True)
+        assert not run.is_against()
+
+
+def test_braking_and_turning_do_not_end_it():
+    run = drive(begun(), np.arange(0.0, 4.0, 0.2), x_m=lambda t: 20.0 * t - 2.5 * t**2)  # 5 m/s^2
+    assert run.is_against()
+
+
+def test_one_or_two_outliers_are_left_out_and_a_third_begins_anew():
+    for outliers, is_against in ((1, True), (2, True), (3, False)):
+        run = drive(begun(), np.arange(0.0, 2.0, 0.1))
+        for k in range(outliers):
+            run.add(at(2.0 + 0.1 * k, 1000.0 + 300.0 * k), is_refused=True)
+        run.add(at(2.3, 11.5), is_refused=True)
+        assert run.is_against() == is_against
+
+
+def test_one_that_was_accepted_and_taken_out_again_counts_as_refused():
+    times = np.arange(0.0, 1.55, 0.1)
+    run = drive(begun(), times, refused=lambda t: t > 0.95)
+    assert not run.is_against()
+    for t in times[:10]:
+        run.contradict(at(t, 5.0 * t))
+    assert run.is_against()
+
+
+def test_what_comes_twice_or_in_the_wrong_order_is_not_looked_at():
+    run = drive(begun(), [0.0, *np.arange(0.0, 2.0, 0.1)])
+    assert run.is_against()
+    assert drive(begun(), np.arange(2.0, 0.0, -0.1)).is_against() is False
+
+
+def test_cleared_it_begins_anew():
+    run = drive(begun(), np.arange(0.0, 2.0, 0.1))
+    run.clear()
+    assert not run.is_against()
+    assert not drive(run, np.arange(2.0, 2.5, 0.1)).is_against()
+    assert drive(run, np.arange(2.5, 3.2, 0.1)).is_against()

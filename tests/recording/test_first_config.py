@@ -1,0 +1,171 @@
+"""What `config init` measures of a recording: it stands in the file, and only what contradicts a default is set."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import HUMBLE, START_NS, fix, imu, stamped, twist_with_covariance, write_bag
+from driven import POSITIONS, VELOCITIES, driven, received, turning
+from driven import standing as at_rest
+
+from holdfast.config.load import parse_config
+from holdfast.config.model import Config
+from holdfast.config.sensors import GnssConfig, GnssVelocityConfig, HeadingConfig, ImuConfig
+from holdfast.geometry.earth import Geodetic, LocalFrame
+from holdfast.recording.first_config import first_config
+from holdfast.recording.imu_at_rest import imu_at_rest
+from holdfast.recording.source import open_recording
+
+MS = 1_000_000
+GRAVITY = np.array([0.0, 0.0, 9.81])
+
+
+def standing(seconds: float = 4.0, rate: float = 1e-4, force: float = 1e-3, scale: float = 1.0) -> Iterator[Any]:
+    """An IMU at 100 Hz with white noise of so many rad/s and m/s^2, which moves in its second half."""
+    rng, count = np.random.default_rng(1), round(seconds * 100)
+    for k in range(count):
+        moves = k >= count / 2
+        turn = rng.normal(size=3) * rate + moves * np.array([0.5 * np.sin(k / 5.0), 0.0, 0.2])
+        specific = (GRAVITY + rng.normal(size=3) * force + moves * np.array([3.0 * np.sin(k / 7.0), 0.0, 0.0])) * scale
+        stamp = START_NS + k * 10 * MS
+        yield "/imu", stamp + 2 * MS, imu(HUMBLE, stamp, rate=turn, force=specific)
+
+
+def fixes(sigma_m: Callable[[int], float], seconds: float = 4.0, covariance_type: int = 2) -> Iterator[Any]:
+    for k in range(round(seconds * 5)):
+        covariance = np.diag([sigma_m(k) ** 2] * 3).ravel()
+        stamp = START_NS + k * 200 * MS
+        yield "/gnss/fix", stamp + 60 * MS, fix(HUMBLE, stamp, cov=covariance, cov_type=covariance_type)
+
+
+def configured(folder: Path, *rows: Iterator[Any]) -> tuple[str, Config]:
+    ordered = sorted((row for part in rows for row in part), key=lambda row: row[1])
+    with open_recording(write_bag(folder / "b", "mcap", ordered)) as recording:
+        text = first_config(recording)
+    return text, parse_config(text)
+
+
+def test_five_lines_say_what_the_imu_is_like(tmp_path: Path) -> None:
+    lines = configured(tmp_path, standing())[0].splitlines()
+    head = lines.index(next(line for line in lines if line.startswith("  imu:")))
+    about = lines[head - 4 : head]
+    assert (
+        about[0]
+        == "  # measured in the first 120 s: 100 Hz, longest gap 0.010 s, arrives 2.0 +- 0.0 ms after its stamp"
+    )
+    assert about[1].startswith("  # quietest 2 s, from 0.0 s: spread 0.0001 ")
+    assert about[2].startswith("  # mean specific force there 9.810 m/s^2; mean rate")
+    assert about[3].startswith("  # resolution ")
+
+
+def test_a_quiet_imu_keeps_the_default_noise_and_its_own_stands_beside_it(tmp_path: Path) -> None:
+    text, config = configured(tmp_path, standing(rate=1e-4, force=1e-3))
+    assert config.imu == ImuConfig(kind="imu", topic="/imu")
+    (line,) = [line for line in text.splitlines() if line.startswith("    #gyroscope_noise_density: 0.0002")]
+    assert line.endswith(("; measured 1e-05", "; measured 1.1e-05"))  # 1e-4 rad/s at 100 Hz
+
+
+def test_a_noisy_imu_gets_the_density_of_its_standstill(tmp_path: Path) -> None:
+    _, config = configured(tmp_path, standing(rate=0.01, force=0.1))
+    assert config.imu.gyroscope_noise_density == pytest.approx(1e-3, rel=0.2)
+    assert config.imu.accelerometer_noise_density == pytest.approx(1e-2, rel=0.2)
+
+
+def test_noise_is_never_set_below_the_default(tmp_path: Path) -> None:
+    _, config = configured(tmp_path, standing(rate=0.01, force=1e-5))
+    assert config.imu.gyroscope_noise_density > 5e-4
+    assert config.imu.accelerometer_noise_density == ImuConfig(kind="imu", topic="/i").accelerometer_noise_density
+
+
+def test_an_imu_that_never_is_quiet_gives_no_noise(tmp_path: Path) -> None:
+    text, config = configured(tmp_path, standing(rate=2.0, force=20.0))
+    assert "# never quiet: its noise cannot be measured" in text
+    assert config.imu == ImuConfig(kind="imu", topic="/imu")
+
+
+def test_an_accelerometer_in_g_is_a_warning(tmp_path: Path) -> None:
+    text, _ = configured(tmp_path, standing(scale=1.0 / 9.81))
+    assert "# WARNING: the mean specific force is 1.00 at rest: the accelerometer seems to measure in g" in text
+    assert "in g" not in configured(tmp_path / "good", standing())[0]
+
+
+def test_a_coarse_imu_has_at_least_the_noise_of_its_resolution() -> None:
+    rng, step = np.random.default_rng(2), 0.05
+    values = np.round((rng.normal(size=(1000, 6)) * 0.03 + np.r_[np.zeros(3), GRAVITY]) / step) * step
+    found = imu_at_rest(np.arange(1000) * 10 * MS, values, 0)
+    assert found is not None
+    assert (found.rate_step_rad_s, found.force_step_m_s2) == pytest.approx((step, step))
+    assert found.gyroscope_noise_density >= step / np.sqrt(12.0) * 0.1
+
+
+def test_repeats_and_drop_outs_are_no_quiet_time() -> None:
+    rng = np.random.default_rng(3)
+    values = rng.normal(size=(1000, 6)) * 0.01 + np.r_[np.zeros(3), GRAVITY]
+    values[200:600] = values[200]
+    stamps = np.arange(1000) * 10 * MS
+    found = imu_at_rest(stamps, values, 0)
+    assert found is not None
+    assert found.gyroscope_noise_density == pytest.approx(1e-3, rel=0.2)
+    assert imu_at_rest(stamps[:10], values[:10], 0) is None
+    assert imu_at_rest(stamps, np.full((1000, 6), np.nan), 0) is None
+
+
+def test_a_receiver_that_claims_metres_is_let_in(tmp_path: Path) -> None:
+    text, config = configured(tmp_path, standing(), fixes(lambda _: 2.0))
+    assert config.sensors_of(GnssConfig)["gnss"].max_sigma_m == pytest.approx(4.0)
+    assert "95 % claim up to 2" in text
+    _, config = configured(tmp_path / "good", standing(), fixes(lambda k: 5.0 if k == 7 else 0.02, 8.0))
+    assert config.sensors_of(GnssConfig)["gnss"].max_sigma_m == GnssConfig(kind="gnss", topic="/g").max_sigma_m
+
+
+def test_only_the_first_two_minutes_are_read(tmp_path: Path) -> None:
+    late = ((topic, at + 130_000 * MS, message) for topic, at, message in standing(rate=0.01))
+    text, config = configured(tmp_path, standing(), late)
+    assert "WARNING" not in text
+    assert config.imu == ImuConfig(kind="imu", topic="/imu")
+
+
+def moving(motion: Any = turning, fix_early_s: float = 0.0, velocity_early_s: float = 0.0) -> Iterator[Any]:
+    """A drive without a word on mounts and lever arms, the receiver's heading beside it."""
+    for t, row in zip(*driven(motion), strict=True):
+        yield "/imu", START_NS + round(t * 1e9), imu(HUMBLE, START_NS + round(t * 1e9), rate=row[:3], force=row[3:])
+    frame = LocalFrame(Geodetic(47.4, 8.0, 450.0))
+    for t, p in zip(*received(motion, POSITIONS, 0.01, fix_early_s, 4), strict=True):
+        stamp = START_NS + round(t * 1e9)
+        yield "/gnss/fix", stamp, fix(HUMBLE, stamp, position=frame.to_geodetic(p))
+        turned = HUMBLE.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+        yield "/gnss/heading", stamp, stamped(HUMBLE, stamp, "QuaternionStamped", turned)
+    for t, v in zip(*received(motion, VELOCITIES, 0.03, velocity_early_s, 4), strict=True):
+        stamp = START_NS + round(t * 1e9)
+        message = twist_with_covariance(HUMBLE, np.eye(6).ravel() * 1e-3, linear=v)
+        yield "/gnss/velocity", stamp, stamped(HUMBLE, stamp, "TwistWithCovarianceStamped", message)
+
+
+def offsets(config: Config) -> list[float]:
+    kinds = GnssConfig, GnssVelocityConfig, HeadingConfig
+    return [section.time_offset_s for kind in kinds for section in config.sensors_of(kind).values()]
+
+
+def test_the_clock_of_a_receiver_is_set_where_its_stamps_are_early(tmp_path: Path) -> None:
+    text, config = configured(tmp_path, moving(fix_early_s=0.1, velocity_early_s=0.1))
+    assert offsets(config) == [pytest.approx(0.1, abs=0.02)] * 3
+    assert len(set(offsets(config))) == 1
+    assert text.count("added to every stamp of this sensor; measured +0.") == 3
+    assert "clock against the IMU" not in text
+
+
+def test_a_velocity_that_is_late_against_the_fixes_gets_an_offset_of_its_own(tmp_path: Path) -> None:
+    fixes_s, velocity_s, heading_s = offsets(configured(tmp_path, moving(fix_early_s=0.25, velocity_early_s=0.1))[1])
+    assert fixes_s == heading_s == pytest.approx(0.25, abs=0.04)
+    assert velocity_s == pytest.approx(0.1, abs=0.04)
+
+
+def test_a_clock_that_is_right_stays_alone_and_a_note_says_how_well_it_is_known(tmp_path: Path) -> None:
+    text, config = configured(tmp_path, moving())
+    assert offsets(config) == [0.0] * 3
+    assert text.count("  # clock against the IMU: ") == 3
+    text, config = configured(tmp_path / "still", moving(at_rest, 0.2, 0.2))
+    assert offsets(config) == [0.0] * 3
+    assert text.count("# clock against the IMU: too little motion to measure it") == 3
