@@ -1,8 +1,12 @@
 """The `holdfast` command. Subcommands are imported when they are called, so that `--help` answers at once."""
 
+import signal
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
+from types import FrameType
 
 import click
 
@@ -59,11 +63,36 @@ def _one_line(message: Warning | str, *_: object, **__: object) -> str:
     return f"warning: {message}\n"
 
 
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Turn what Ctrl-C became back into a `KeyboardInterrupt`: a compiled module that is just imported ends in an
+    `ImportError` instead."""
+    caught = []
+
+    def note(number: int, _: FrameType | None) -> None:
+        caught.append(number)
+        raise KeyboardInterrupt
+
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:  # nohup, or a program of which we are a part
+        yield
+        return
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    except Exception as error:
+        if caught and not isinstance(error, click.exceptions.Exit):
+            raise KeyboardInterrupt from error
+        raise
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 def main() -> None:
     """Run the command line; a mistake of the user ends in one line and an exit code, not in a traceback."""
     warnings.formatwarning = _one_line
     try:
-        holdfast(standalone_mode=False)
+        with _interruptible():
+            holdfast(standalone_mode=False)
     except click.exceptions.Exit as error:
         sys.exit(error.exit_code)
     except click.ClickException as error:
