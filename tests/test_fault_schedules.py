@@ -27,6 +27,8 @@ ONCE_FAILED = {
     120: "velocity corrected at once: O stepped",
     41: "the velocity was corrected by 0.5 m/s at once, after a jump of the lidar without GNSS",
     40: "started in motion, the heading was corrected by 9 deg; the velocity in O turned at once",
+    320: "the covariance that a failed optimisation left behind was not positive, and no window could begin with it",
+    344: "begun anew with swapped antennas and the attitude in doubt, the optimisation diverged",
     63: "the clocks of IMU and GNSS went back; what was driven in the meantime went into T_W_O",
 }
 

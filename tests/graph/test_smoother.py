@@ -248,6 +248,25 @@ def test_after_a_failure_it_begins_anew_at_its_last_good_state_with_a_larger_cov
     assert apart(smoother.optimise().nav, DRIVE.nav(0.7))[0] < 0.05
 
 
+def test_a_solution_that_diverges_is_a_failure_and_its_velocity_is_never_had():
+    """A fix 20 km away that nobody has judged."""
+    smoother = smoother_of(DRIVE, 8.0)
+    enter(smoother, position(DRIVE, 0.5, ARM))
+    good = smoother.optimise()
+    enter(smoother, position(DRIVE, 0.6, ARM, (20e3, 0.0, 0.0)))
+    with pytest.raises(OptimiserError, match=r"^it diverges: the velocity steps by \d+ m/s$"):
+        smoother.optimise()
+    assert smoother.newest.nav.equals(good.nav, 1e-12)
+
+
+def test_a_covariance_that_is_not_positive_is_a_failure(monkeypatch):
+    smoother = smoother_of(DRIVE, 8.0)
+    smoother.node(ns(0.5))
+    monkeypatch.setattr(Window, "covariance", lambda *_: -np.eye(15))
+    with pytest.raises(OptimiserError, match="covariance of the optimised state is not positive"):
+        smoother.optimise()
+
+
 def test_a_sensor_that_raises_in_a_factor_does_not_end_the_estimator():
     smoother = smoother_of(DRIVE, 8.0)
 

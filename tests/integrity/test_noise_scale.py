@@ -38,6 +38,11 @@ def test_honest_noise_keeps_its_scale_and_says_nothing():
     assert scale.value == pytest.approx(1.0, rel=0.35)
 
 
+def test_a_measurement_that_says_nothing_teaches_nothing():
+    scale = NoiseScale()
+    assert fed(scale, minutes(1), 1.0, R=np.eye(3) * FREE_VARIANCE) == [] and scale.value == 1.0
+
+
 @pytest.mark.parametrize("hz", [1.0, 10.0])
 @pytest.mark.parametrize("factor", [0.3, 0.5, 2.0, 4.0])
 def test_it_is_found_in_both_directions_whatever_the_rate(factor, hz):

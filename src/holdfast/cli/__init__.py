@@ -65,8 +65,7 @@ def _one_line(message: Warning | str, *_: object, **__: object) -> str:
 
 @contextmanager
 def _interruptible() -> Iterator[None]:
-    """Turn what Ctrl-C became back into a `KeyboardInterrupt`: a compiled module that is just imported ends in an
-    `ImportError` instead."""
+    """Turn what Ctrl-C became back into `KeyboardInterrupt`: compiled modules make an `ImportError` of it."""
     caught = []
 
     def note(number: int, _: FrameType | None) -> None:

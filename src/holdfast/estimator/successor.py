@@ -17,7 +17,7 @@ from holdfast.state import OptimisedState
 
 COURSE_S = 3.0  # over which positions and velocities are averaged
 DOUBT_RAD = radians(60.0)  # of a heading that is kept
-TILT_DOUBT_RAD = radians(60.0)
+TILT_DOUBT_RAD = radians(15.0)
 
 
 class Beginning(NamedTuple):

@@ -14,6 +14,7 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.graph.nodes import BIAS, FRAME, NODE, Link, Timeline, to_grid
 from holdfast.graph.parameters import MAX_SIZE, Parameters, parameter_letter
+from holdfast.graph.prior import joint_prior
 from holdfast.graph.solver import Placed, Solver
 from holdfast.graph.window import Window
 from holdfast.messages import Array
@@ -29,6 +30,7 @@ FREE = FREE_VARIANCE**0.5  # sigma of what a factor says nothing about
 PARAMETER_THRESHOLD = 0.01  # 1 cm, 0.6 deg, 1 %: a sensor's parameter is relinearised when it has moved by more
 FORGET_NS = 1_000_000_000  # measurements that left the window are dropped this often
 MAX_VARIANCE = 1e6  # beyond it a covariance says no more, whatever its unit
+MAX_STEP_M_S, MAX_STEP_SIGMA = 10.0, 10.0  # of the newest velocity, in one optimisation
 FAULT_INFLATION = 4.0  # of the covariance, when the graph is re-anchored after a failed optimisation
 
 
@@ -83,7 +85,7 @@ class Smoother:
         key = self._nodes.insert(self._epoch_ns)
         bias_key = self._bias_key(self._epoch_ns, state.bias)
         self._insert(key, self._epoch_ns, state.nav)
-        self.add(_joint_prior(key, bias_key, state))
+        self.add(joint_prior(key, bias_key, state))
 
     def clone(self) -> "Smoother":
         """Return a smoother of its own with the same window, measurements included.
@@ -256,9 +258,13 @@ class Smoother:
             OptimiserError: GTSAM failed; the window was started anew at the last good state, and the new factors lost.
         """
         horizon = self.newest_ns - self._lag_ns
+        expected, allowed_m_s = self._nav(self.newest_ns).velocity(), self._velocity_step_m_s()
         try:
             self._window.solve(horizon)
             state = self._read_newest()
+            step_m_s = float(np.linalg.norm(state.nav.velocity() - expected))
+            if step_m_s > allowed_m_s:
+                raise ValueError(f"it diverges: the velocity steps by {step_m_s:.0f} m/s")
         except Exception as error:  # of GTSAM, or of a sensor whose innovation it asked for
             self._reanchor()
             raise OptimiserError((str(error).strip() or repr(error)).splitlines()[0]) from error
@@ -279,7 +285,13 @@ class Smoother:
         state = OptimisedState(stamp, nav, bias, covariance, self._angular_velocity(stamp, nav, bias))
         if not state.is_finite():
             raise ValueError("the optimised state is not finite")
+        if not (np.diag(covariance) > 0.0).all():
+            raise ValueError("the covariance of the optimised state is not positive")
         return state
+
+    def _velocity_step_m_s(self) -> float:
+        """Return by how much one optimisation may change the newest velocity: more is no solution."""
+        return MAX_STEP_M_S + MAX_STEP_SIGMA * float(np.sqrt(max(0.0, np.trace(self._tail[6:9, 6:9]))))
 
     def _angular_velocity(self, stamp_ns: int, nav: gtsam.NavState, bias: gtsam.imuBias.ConstantBias) -> Array:
         """Angular velocity at a node: from the gyroscope, or where it is silent from the last two nodes."""
@@ -377,15 +389,3 @@ class Smoother:
         if stamp_ns in self._new_navs:
             return self._new_navs[stamp_ns]
         return self._window.nav(self._nodes.key(stamp_ns))
-
-
-def _joint_prior(key: int, bias_key: int, state: OptimisedState) -> gtsam.NonlinearFactor:
-    """Return the prior on a state and its bias with their full covariance (15, 15), correlations included."""
-    sqrt_information = np.linalg.cholesky(np.linalg.inv(state.covariance)).T
-    linear = gtsam.JacobianFactor(
-        key, sqrt_information[:, :9], bias_key, sqrt_information[:, 9:], np.zeros(15), gtsam.noiseModel.Unit.Create(15)
-    )
-    at = gtsam.Values()
-    at.insert(key, state.nav)
-    at.insert(bias_key, state.bias)
-    return gtsam.LinearContainerFactor(linear, at)

@@ -62,6 +62,8 @@ class NoiseScale:
         since_s = MAX_WEIGHT_S if self._last_ns is None else abs(stamp_ns - self._last_ns) * 1e-9
         self._last_ns = stamp_ns
         is_measured = innovation.R.diagonal() < 0.1 * FREE_VARIANCE
+        if not is_measured.any():
+            return
         R = innovation.R[np.ix_(is_measured, is_measured)] * self.value
         y, H = innovation.y[is_measured], innovation.H[is_measured]
         S = H @ state.covariance @ H.T + R
