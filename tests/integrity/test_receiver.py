@@ -234,6 +234,17 @@ def test_fixes_may_move_against_a_prediction_that_drifts_itself():
     assert gates[0.3].regains() and not gates[0.005].regains()
 
 
+@pytest.mark.parametrize(("metres", "agrees"), [(15.0, True), (90.0, False)])
+def test_another_sensor_may_correct_the_prediction_meanwhile_by_as_much_as_it_was_in_doubt(metres, agrees):
+    """After an outage the position is known to 20 m; a Doppler velocity comes back first, and leaves 5 m of them."""
+    gate = new_gate(innovation=False)
+    gate.become(Trust.LOST)
+    for t, innovation_m, sigma_m in ((0.0, 0.0, 20.0), (0.1, metres, 5.0)):
+        prediction = Prediction(np.array([innovation_m, 0.0, 0.0]), np.eye(3) * sigma_m**2, NOISE, STEADY)
+        gate.judge(fix((0.0, 0.0, 0.0), NOISE, t), prediction, now_ns=EPOCH_NS)
+    assert (len(gate.quarantine) == 2) is agrees
+
+
 def test_a_lost_antenna_is_held_to_the_gate_itself_and_not_to_twice_of_it():
     trusted, lost = new_gate(), new_gate()
     lost.become(Trust.LOST)

@@ -219,8 +219,16 @@ class ReceiverGate:
 
 
 def _agree(others: list[Held], one: Held) -> bool:
-    """Whether an innovation lies near the mean of others, by the noise of both and the drift of the prediction."""
-    residual = one.prediction.innovation - np.mean([other.prediction.innovation for other in others], axis=0)
+    """Whether an innovation lies near the mean of others, by the noise of both and by what the prediction has done.
+
+    It drifts with its velocity, and other sensors correct it: by as much as its covariance has shrunk.
+    """
+    predicted = one.prediction
+    residual = predicted.innovation - np.mean([other.prediction.innovation for other in others], axis=0)
     since_s = float(np.mean([one.position.stamp_ns - other.position.stamp_ns for other in others])) * 1e-9
-    covariance = one.position.covariance * (1.0 + 1.0 / len(others)) + one.prediction.of_velocity * since_s**2
+    covariance = one.position.covariance * (1.0 + 1.0 / len(others)) + predicted.of_velocity * since_s**2
+    corrected, axes = np.linalg.eigh(
+        np.mean([other.prediction.of_state for other in others], axis=0) - predicted.of_state
+    )
+    covariance += (axes * np.maximum(corrected, 0.0)) @ axes.T
     return float(residual @ np.linalg.solve(covariance, residual)) <= AGREEMENT_SIGMA**2
