@@ -3,18 +3,22 @@
 `python benchmarks/machines.py` runs each scenario over some seeds, once with all sensors and once without those named.
 Errors are against the truth of the simulation; GNSS is bad where it is degraded or silent;
 where it never is, the worst error and the way are those of the whole run.
+
+`wrong-lever-arm` is the beginning of `navigation` with the translation of one antenna wrong in the configuration only.
 """
 
 import argparse
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from holdfast.config.load import load_config
+from holdfast.evaluation.states import States, state_errors
 from holdfast.sim.scenario import Scenario, load_scenario
 from holdfast.sim.simulation import START_NS
 from holdfast.state import EventKind
@@ -28,6 +32,10 @@ MACHINES: dict[str, tuple[tuple[str, ...], ...]] = {
     "prism": ((),),
     "new-sensors": ((), ("wheels", "axle", "doppler", "markers", "prism", "mast")),
 }
+WRONG_ARM = "wrong-lever-arm"
+WRONG_ARM_S, DRIVEN_S = 100.0, 40.0  # of the scenario, and from when on its errors are those after 30 s of driving
+# by how much the configuration is wrong about `gnss_left` [m]: x lies across the baseline, y along it
+WRONG_BY_M = ((0.0, 0.0, 0.0), (0.5, 0.0, 0.0), (-0.5, 0.0, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, 0.5), (0.3, 0.0, 0.0))
 LOST = {EventKind.SENSOR_LOST, EventKind.RECEIVER_LOST, EventKind.ODOMETRY_JUMP, EventKind.ODOMETRY_SLIP}
 
 
@@ -99,13 +107,72 @@ def table(seeds: int, jobs: int, scenarios: list[str]) -> Iterator[str]:
             )
 
 
+@dataclass(frozen=True)
+class WrongArmRow:
+    """One run with a wrong lever arm: when it was found, and the worst errors afterwards."""
+
+    found_s: float
+    heading_deg: float
+    horizontal_m: float
+    vertical_m: float
+
+
+def run_wrong_arm(off_m: tuple[float, float, float], seed: int) -> WrongArmRow:
+    """Estimate with a lever arm that is wrong by so much, and compare with the truth."""
+    scenario = load_scenario("navigation").model_copy(update={"duration_s": WRONG_ARM_S, "faults": ()})
+    with TemporaryDirectory() as folder:
+        simulation = write_simulation(scenario, seed, Path(folder))
+        config = load_config(Path(folder) / CONFIG)
+        links = [
+            one.model_copy(update={"translation_m": tuple(np.add(one.translation_m, off_m))})
+            if one.child == "gnss_left"
+            else one
+            for one in config.extrinsics
+        ]
+        recorder = estimate(Path(folder), config.model_copy(update={"extrinsics": links}))
+    states = recorder.published().world
+    poses, velocities = true_states(simulation, states.poses.stamps_ns)
+    errors = state_errors(states, States(poses, velocities))
+    late = (poses.stamps_ns - START_NS) * 1e-9 >= DRIVEN_S
+    found_s = [time_s for time_s, kind, _, _ in recorder.event_rows(START_NS) if kind == EventKind.LEVER_ARM]
+    return WrongArmRow(
+        found_s=found_s[0] if found_s else float("nan"),
+        heading_deg=float(np.degrees(abs(errors.attitude[late, 2]).max())),
+        horizontal_m=float(np.linalg.norm(errors.position[late, :2], axis=1).max()),
+        vertical_m=float(abs(errors.position[late, 2]).max()),
+    )
+
+
+def wrong_arm_table(seeds: int, jobs: int) -> Iterator[str]:
+    """Yield the rows in Markdown, the worst of the seeds."""
+    yield "| `gnss_left` wrong by x, y, z, m | named after, s | heading, deg | horizontal, m | vertical, m |"
+    yield "|---|---:|---:|---:|---:|"
+    with ProcessPoolExecutor(jobs) as pool:
+        done = pool.map(run_wrong_arm, *zip(*[(off_m, s) for off_m in WRONG_BY_M for s in range(seeds)], strict=True))
+        for off_m in WRONG_BY_M:
+            rows = [next(done) for _ in range(seeds)]
+            found_s = max(row.found_s for row in rows)
+            named = "never" if np.isnan(found_s) else f"{found_s:.1f}"
+            off = ", ".join(f"{number:g}" for number in off_m)
+            worst = " | ".join(
+                f"{max(getattr(row, error) for row in rows):.{digits}f}"
+                for error, digits in (("heading_deg", 2), ("horizontal_m", 3), ("vertical_m", 3))
+            )
+            yield f"| {off} | {named} | {worst} |"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scenarios", nargs="*", default=list(MACHINES), help=f"of {', '.join(MACHINES)}")
+    names = [*MACHINES, WRONG_ARM]
+    parser.add_argument("scenarios", nargs="*", default=names, help=f"of {', '.join(names)}")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
-    for line in table(options.seeds, options.jobs, options.scenarios):
+    machines = [name for name in options.scenarios if name != WRONG_ARM]
+    lines = [table(options.seeds, options.jobs, machines)] if machines else []
+    if WRONG_ARM in options.scenarios:
+        lines.append(wrong_arm_table(options.seeds, options.jobs))
+    for line in chain.from_iterable(lines):
         print(line, flush=True)
 
 

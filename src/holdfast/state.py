@@ -62,6 +62,7 @@ class EventKind(StrEnum):
     RESET = "reset"
     ESTIMATE_SUSPECT = "estimate_suspect"
     BEGUN_ANEW = "begun_anew"
+    LEVER_ARM = "lever_arm"
     GNSS_LOST = "gnss_lost"
     GNSS_REGAINED = "gnss_regained"
     RECEIVER_LOST = "receiver_lost"
@@ -96,6 +97,7 @@ class Health(StrEnum):
     RECOVERING = "recovering"
     ODOMETRY_LOST = "odometry_lost"
     GNSS_DEGRADED = "gnss_degraded"
+    LEVER_ARM = "lever_arm"
     SENSOR_LOST = "sensor_lost"
     NOMINAL = "nominal"
 

@@ -10,6 +10,7 @@ from holdfast.geometry.world import World
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.headings import Headings
+from holdfast.integrity.lever_arms import LeverArms
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.odometries import Odometries
 from holdfast.integrity.positions import Positions
@@ -55,7 +56,10 @@ class Rig:
         self.motion, self.sensors, self.log = motion, sensors_of(config), EventLog(config.imu_name)
         self.scales = scales = {name: NoiseScale() for name in self.sensors}
         after_s = config.gate.patience_s(has_odometry=bool(of(Role.ODOMETRY)))
-        self.positions = Positions(config.gate, of(Role.POSITION), scales, after_s, self.log)
+        self.lever_arms = LeverArms(self.sensors)
+        self.positions = Positions(
+            config.gate, of(Role.POSITION), scales, self.lever_arms, self.log, believe_after_s=after_s
+        )
         self.headings = Headings(of(Role.HEADING), scales, self.log)
         self.odometries = Odometries(config, of(Role.ODOMETRY), self.log)
         self.states = States(of(Role.STATE, Role.VELOCITY, Role.POSE), scales, lambda _: None, self.log)

@@ -89,3 +89,14 @@ def test_another_monitor_knows_what_a_snapshot_tells():
     assert assess(other) is Health.RECOVERING
     other.restore(HealthMonitor(CONFIG).snapshot())
     assert assess(other) is Health.INITIALISING and other.report(s(101.0), Health.NOMINAL).ages_s == {}
+
+
+def test_lever_arms_in_doubt_are_said_until_it_starts_without_the_doubt_and_another_monitor_knows():
+    monitor, other = started(), HealthMonitor(CONFIG)
+    monitor.start(s(99.9), doubts_arms=True)
+    other.restore(monitor.snapshot())
+    for one in (monitor, other):
+        assert assess(one, lost=["wheels"]) is Health.LEVER_ARM
+        assert assess(one, lost=["gnss_right"]) is Health.GNSS_DEGRADED
+    monitor.start(s(99.9))
+    assert assess(monitor) is Health.NOMINAL

@@ -13,6 +13,7 @@ from holdfast.estimator.initialisation import Initialising
 from holdfast.estimator.successor import Successor
 from holdfast.estimator.tracking import Tracking
 from holdfast.event_log import EventLog
+from holdfast.integrity.lever_arms import LeverArms
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.registry import sensors_of
@@ -60,6 +61,7 @@ def begun(**config):
         G,
         truth(DRIVE, 0.0),
         scales={name: NoiseScale() for name in sensors},
+        lever_arms=LeverArms(sensors),
         successor=Successor(Initialising(config, buffer, sensors, G)),
         joint_at=lambda _: None,
         monitor=monitor,

@@ -2,18 +2,21 @@
 
 from types import SimpleNamespace
 
+import gtsam
 import numpy as np
 import pytest
 
 from holdfast.integrity.baseline import PAIRED_NS, BaselineTest
-from holdfast.sensors.sensor import Position
+from holdfast.integrity.lever_arms import LeverArms
+from holdfast.sensors.sensor import Position, Role
 
 ARMS = {"left": np.zeros(3), "right": np.array([0.0, -2.0, 0.0]), "mast": np.array([0.0, 0.0, 3.0])}
 RIGHT = np.array([0.0, -2.0, 0.0])
 
 
 def new_test():
-    return BaselineTest({name: SimpleNamespace(name=name, p_I_P=arm) for name, arm in ARMS.items()})
+    receivers = {name: SimpleNamespace(name=name, role=Role.POSITION, p_I_P=arm) for name, arm in ARMS.items()}
+    return BaselineTest(LeverArms(receivers))
 
 
 def position(sensor, p_W_P, stamp_ns=0, sigma_m=0.01):
@@ -23,8 +26,8 @@ def position(sensor, p_W_P, stamp_ns=0, sigma_m=0.01):
 def contradicted(one, other, nis=(1.0, 2.0)):
     """Which of two is the worse one, or None."""
     test = new_test()
-    assert test.contradicted(one, nis[0]) is None
-    return test.contradicted(other, nis[1])
+    assert test.contradicted(one, nis[0], gtsam.Rot3()) is None
+    return test.contradicted(other, nis[1], gtsam.Rot3())
 
 
 @pytest.mark.parametrize("direction", [[0.0, -2.0, 0.0], [2.0, 0.0, 0.0], [1.2, 0.0, 1.6]])

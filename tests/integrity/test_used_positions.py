@@ -17,6 +17,7 @@ QUARANTINE_NS = {"left": 2 * SECOND_NS, "right": 2 * SECOND_NS}
 
 class Antenna:
     limit = 16.0
+    parameter = None
 
     def innovation(self, position, state):
         return position_innovation(position, state, np.zeros(3))

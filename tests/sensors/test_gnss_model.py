@@ -64,6 +64,26 @@ def test_the_factor_has_the_jacobian_that_it_claims(seed):
     assert_jacobians(factor, values_at(nav))
 
 
+@given(st.integers(0, 10_000))
+def test_the_innovation_has_the_derivatives_that_it_claims_also_by_an_arm_that_is_estimated(seed):
+    for sigmas in ((), (0.5, 0.5, 0.5)):
+        assert_derivatives(MODEL, position_of([3.0, -2.0, 1.0]), random_state(seed, sigmas))
+
+
+def test_an_arm_that_is_estimated_is_found_by_fixes_at_attitudes_that_are_known():
+    estimated, truth = model().with_estimated_arm(0.5), ARM + np.array([0.3, -0.2, 0.1])
+    np.testing.assert_allclose(estimated.parameter.mean, MODEL.p_I_P)
+    graph, values, key = gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.symbol("a", 0)
+    values.insert(key, estimated.parameter.mean)
+    for k, yaw in enumerate((0.0, 1.0, 2.0)):
+        nav = gtsam.NavState(gtsam.Rot3.Yaw(yaw), np.array([float(k), 0.0, 0.0]), np.zeros(3))
+        values.insert(gtsam.symbol("x", k), nav)
+        graph.add(gtsam.PriorFactorNavState(gtsam.symbol("x", k), nav, gtsam.noiseModel.Isotropic.Sigma(9, 1e-4)))
+        graph.add(estimated.factor(gtsam.symbol("x", k), position_of(nav.pose().transformFrom(truth)), 1.0, key))
+    found = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize().atVector(key)
+    np.testing.assert_allclose(found, truth, atol=1e-5)
+
+
 def test_a_fix_leads_to_the_pose_from_which_it_was_taken():
     nav = tilted_circle().nav(1.0)
     arms = [ARM, np.array([-0.7, -1.9, 1.1]), np.array([1.0, 2.0, 0.3])]

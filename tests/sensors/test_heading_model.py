@@ -18,13 +18,14 @@ from holdfast.sensors.sensor import State
 from holdfast.state import Outcome
 
 BASELINE = np.array([0.1, -1.9, 0.15])
+ARMS = {"gnss": np.array([1.0, 2.0, 3.0]), "gnss_right": np.array([1.0, 2.0, 3.0]) + BASELINE}
 CONFIG = HeadingConfig(kind="heading", topic="/heading")
-MODEL = HeadingModel("heading", CONFIG, BASELINE)
+MODEL = HeadingModel("heading", CONFIG, ARMS)
 TILT_RAD = 0.4
 
 
 def configured(**settings):
-    return HeadingModel("heading", CONFIG.model_copy(update=settings), BASELINE)
+    return HeadingModel("heading", CONFIG.model_copy(update=settings), ARMS)
 
 
 def true_yaw(nav, axis=BASELINE):
@@ -52,7 +53,7 @@ def test_the_innovation_is_zero_at_the_truth_at_every_tilt_whatever_the_number_o
 def test_at_level_the_innovation_has_the_derivative_that_it_claims(seed):
     """Tilted, roll and pitch would count for the yaw of the axis as well; they are left to the IMU on purpose."""
     state = random_state(seed, tilt_rad=0.0)
-    level = HeadingModel("heading", CONFIG, BASELINE * [1.0, 1.0, 0.0])
+    level = HeadingModel("heading", CONFIG, {name: arm * [1.0, 1.0, 0.0] for name, arm in ARMS.items()})
     assert_derivatives(level, measured(true_yaw(state.nav) + 0.1), state)
 
 
@@ -103,7 +104,7 @@ def test_before_the_start_the_heading_of_the_imu_follows_from_its_tilt():
 
 def test_the_configured_mounting_wins_over_the_baseline_and_without_both_it_is_the_x_axis():
     np.testing.assert_allclose(configured(mounting_yaw_deg=90.0).axis, [0.0, 1.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(HeadingModel("heading", CONFIG, None).axis, [1.0, 0.0, 0.0])
+    np.testing.assert_allclose(HeadingModel("heading", CONFIG, {}).axis, [1.0, 0.0, 0.0])
     np.testing.assert_allclose(MODEL.axis, BASELINE / np.linalg.norm(BASELINE))
 
 

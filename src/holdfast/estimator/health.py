@@ -25,11 +25,12 @@ class HealthMonitor:
         self._entered_ns: dict[str, int] = {}
         self._noise: dict[str, float] = {}
         self._started_ns: int | None = None
+        self._doubts_arms = False
         self._reset_ns = self._recovered_ns = -RESET_NS - RECOVERY_NS
 
-    def start(self, stamp_ns: int) -> None:
-        """The first state is there."""
-        self._started_ns = stamp_ns
+    def start(self, stamp_ns: int, *, doubts_arms: bool = False) -> None:
+        """The first state is there; whether lever arms are in doubt."""
+        self._started_ns, self._doubts_arms = stamp_ns, doubts_arms
         self._entered_ns.clear()
 
     def stop(self) -> None:
@@ -57,15 +58,16 @@ class HealthMonitor:
         self._recovered_ns = stamp_ns
 
     def snapshot(self) -> tuple[int, ...]:
-        """Return what there is to know, for the monitor of another process: 3 stamps, and two numbers per sensor."""
+        """Return what there is to know, for the monitor of another process: 3 stamps, a flag, 2 numbers per sensor."""
         started_ns = NEVER_NS if self._started_ns is None else self._started_ns
         entered_ns = (self._entered_ns.get(name, NEVER_NS) for name in self.names)
         noise = (round(self.noise(name) * NOISE_STEPS) for name in self.names)
-        return (started_ns, self._reset_ns, self._recovered_ns, *entered_ns, *noise)
+        return (started_ns, self._reset_ns, self._recovered_ns, int(self._doubts_arms), *entered_ns, *noise)
 
     def restore(self, snapshot: tuple[int, ...]) -> None:
         """Know what another monitor knew."""
-        started_ns, self._reset_ns, self._recovered_ns, *rest = snapshot
+        started_ns, self._reset_ns, self._recovered_ns, doubts_arms, *rest = snapshot
+        self._doubts_arms = bool(doubts_arms)
         entered_ns, noise = rest[: len(self.names)], rest[len(self.names) :]
         self._noise = {name: number / NOISE_STEPS for name, number in zip(self.names, noise, strict=True)}
         self._started_ns = None if started_ns == NEVER_NS else started_ns
@@ -91,6 +93,7 @@ class HealthMonitor:
             Health.ODOMETRY_LOST: bool(self._silence_ns)
             and all(self._is_silent(one, now_ns) for one in self._silence_ns),
             Health.GNSS_DEGRADED: not self._receivers.isdisjoint(lost),
+            Health.LEVER_ARM: self._doubts_arms,
             Health.SENSOR_LOST: any(name not in self._receivers for name in lost),
         }
         return next((health for health, is_true in truths.items() if is_true), Health.NOMINAL)

@@ -24,7 +24,7 @@ from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.odometry import OdometryNoise
 from holdfast.sensors.position import position_factor
 from holdfast.sensors.preintegration import ImuNoise
-from holdfast.sensors.sensor import Measurement, Position, Role, Sensor, Velocity, of_role
+from holdfast.sensors.sensor import Measurement, Parameter, Position, Role, Sensor, Velocity, of_role
 from holdfast.sensors.standstill import (
     ENGINE,
     fixes_stand,
@@ -69,7 +69,8 @@ class Initialising:
         if not self._points:  # W is where the poses are given
             self._points = {name: _PoseAsPoint(name) for name in self._poses}
         antennas = [self._points[name] for name in config.sensors_of(GnssConfig)][:2]
-        self._antennas: Antennas | None = (antennas[0], antennas[1]) if len(antennas) == 2 else None
+        are_sure = len(antennas) == 2 and all(one.parameter is None for one in antennas)
+        self._antennas: Antennas | None = (antennas[0], antennas[1]) if are_sure else None
         self._triggers = {one.role for one in of_role(sensors, Role.POSITION, Role.POSE).values()}
         self._positions: deque[Position] = deque()
         self._velocities: deque[Velocity] = deque()
@@ -215,10 +216,12 @@ class Initialising:
         fixes = self._of_first_receiver(since) or self._of_first_receiver()[-1:]
         if not fixes:
             return np.zeros(3), np.eye(3) * 1e-4, np.zeros(3)
-        arm: Array = self._points[fixes[-1].sensor].p_I_P
+        sensor = self._points[fixes[-1].sensor]
+        arm: Array = sensor.p_I_P
         mean: Array = np.mean([one.p_W_P for one in fixes], axis=0)
         position: Array = mean - R_W_I.rotate(arm)
-        return position, fixes[-1].covariance, arm
+        of_arm = np.zeros(3) if sensor.parameter is None else sensor.parameter.sigmas
+        return position, fixes[-1].covariance + np.diag(of_arm**2), arm
 
     def _heading(self, now_ns: int, level: gtsam.Rot3) -> tuple[float, float] | None:
         """Return the heading of the IMU's x axis and its sigma [rad], from the first source that there is."""
@@ -302,11 +305,14 @@ class _PoseAsPoint:
     """An absolute pose as what the batch takes: the position of the IMU itself."""
 
     p_I_P = np.zeros(3)
+    parameter: Parameter | None = None
 
     def __init__(self, name: str) -> None:
         self.name = name
 
-    def factor(self, key: int, position: Position, inflation: float) -> gtsam.NonlinearFactor:
+    def factor(
+        self, key: int, position: Position, inflation: float, _arm_key: int | None = None
+    ) -> gtsam.NonlinearFactor:
         return position_factor(key, position, self.p_I_P, RobustLoss(), inflation)
 
 

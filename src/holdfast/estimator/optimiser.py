@@ -17,6 +17,7 @@ from holdfast.estimator.tracking import Tracking, Update
 from holdfast.event_log import EventLog
 from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, gravity
 from holdfast.geometry.world import World
+from holdfast.integrity.lever_arms import LeverArms
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.messages import GnssFix, JointAngle, Message
 from holdfast.sensors.gnss import GnssModel
@@ -59,6 +60,7 @@ class Optimiser:
         self.monitor.stop()
         self._stamps = StampFilter()
         self._scales = {name: NoiseScale() for name in self._sensors}
+        self._lever_arms = LeverArms(self._sensors)
         self._astray: Counter[str] = Counter()  # stamps in a row that contradict the IMU's clock, by sensor
         self._phase: Initialising | Tracking = Initialising(self._config, self._buffer, self._sensors, self.gravity)
 
@@ -230,16 +232,17 @@ class Optimiser:
         tracking = Tracking(
             self._config,
             self._buffer,
-            self._sensors,
+            self._lever_arms.believed(self._sensors),
             self.gravity,
             state,
             scales=self._scales,
+            lever_arms=self._lever_arms,
             successor=successor,
             joint_at=self._joint_at,
             monitor=self.monitor,
             log=self._log,
         )
-        self.monitor.start(state.stamp_ns)
+        self.monitor.start(state.stamp_ns, doubts_arms=bool(self._lever_arms.doubts()))
         self._phase = tracking
         return tracking
 
@@ -252,14 +255,26 @@ class Optimiser:
         """Add every measurement whose time the IMU has reached, and optimise once; it must have started."""
         assert isinstance(self._phase, Tracking)
         update = self._phase.update()
-        if update.begins_anew:
-            self._begin_anew(self._phase, update.state)
+        if self._lever_arms.review(self._buffer.latest_ns, self._log):
+            state = self._lever_arms.doubtful(update.state, self._config.imu.accelerometer_bias_sigma)
+            update = Update(state, (), is_recovery=True, begins_anew=True)
+            self._begin_anew(self._phase, update.state, self._without_heading())
+        elif update.begins_anew:
+            self._begin_anew(self._phase, update.state, self._phase.successor)
         if (health := self.health) is not self._reported:
             self._reported = health
             self._log.report(EventKind.HEALTH, self._buffer.latest_ns, "", health)
         return update
 
-    def _begin_anew(self, before: Tracking, state: OptimisedState) -> None:
+    def _without_heading(self) -> Successor:
+        """Return what would begin anew from the motion, by the lever arms as they are believed now."""
+        start = self._config.initialisation.model_copy(update={"heading_deg": None})
+        config = self._config.model_copy(update={"initialisation": start})
+        sensors = self._lever_arms.believed(self._sensors)
+        is_in_doubt = bool(self._lever_arms.doubts())
+        return Successor(Initialising(config, self._buffer, sensors, self.gravity), is_in_doubt=is_in_doubt)
+
+    def _begin_anew(self, before: Tracking, state: OptimisedState, successor: Successor) -> None:
         """Let other graphs begin at a state, in which every sensor is trusted again."""
         now_ns, reason = self._buffer.latest_ns, "the estimate begins anew"
         if before.is_lost:
@@ -268,7 +283,7 @@ class Optimiser:
             is_receiver = self._sensors[name].role is Role.POSITION
             kind = EventKind.RECEIVER_REGAINED if is_receiver else EventKind.SENSOR_REGAINED
             self._log.report(kind, now_ns, name, reason)
-        self._start(state, before.successor).queue = before.queue
+        self._start(state, successor).queue = before.queue
         self.monitor.recovered(now_ns)
 
     def drop_samples(self) -> None:

@@ -28,11 +28,16 @@ class Beginning(NamedTuple):
 
 
 class Successor:
-    """Collects, and begins anew; `start` is what the estimator has started from."""
+    """Collects, and begins anew.
 
-    def __init__(self, start: Initialising) -> None:
+    Args:
+        start: what the estimator has started from, or would.
+        is_in_doubt: whether the heading of the estimate is, so that the first that motion tells is better.
+    """
+
+    def __init__(self, start: Initialising, *, is_in_doubt: bool = False) -> None:
         self.start = start
-        self._is_in_doubt = False
+        self._is_in_doubt = is_in_doubt
 
     def add(self, measurement: Measurement) -> None:
         """Take in a checked measurement."""

@@ -16,6 +16,7 @@ from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import OptimiserError, Smoother
 from holdfast.integrity.headings import Headings
+from holdfast.integrity.lever_arms import LeverArms
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.odometries import Odometries
 from holdfast.integrity.positions import Positions
@@ -55,6 +56,7 @@ class Tracking:
         gravity: [m/s^2].
         state: the first one.
         scales: of the noise of the sensors, by name.
+        lever_arms: what is believed of them.
         successor: what the estimator would begin anew from.
         joint_at: tells the turn joint.
         monitor: of the health.
@@ -70,6 +72,7 @@ class Tracking:
         state: OptimisedState,
         *,
         scales: Mapping[str, NoiseScale],
+        lever_arms: LeverArms,
         successor: Successor,
         joint_at: JointAt,
         monitor: HealthMonitor,
@@ -79,7 +82,8 @@ class Tracking:
         self._roles = {name: sensor.role for name, sensor in sensors.items()}
         self._constraints = [sensor for sensor in sensors.values() if isinstance(sensor, ConstraintSensor)]
         believe_after_s = config.gate.patience_s(has_odometry=bool(of_role(sensors, Role.ODOMETRY)))
-        self._positions = Positions(config.gate, of_role(sensors, Role.POSITION), scales, believe_after_s, log)
+        receivers = of_role(sensors, Role.POSITION)
+        self._positions = Positions(config.gate, receivers, scales, lever_arms, log, believe_after_s=believe_after_s)
         self._headings = Headings(of_role(sensors, Role.HEADING), scales, log)
         self._odometries = Odometries(config, of_role(sensors, Role.ODOMETRY), log)
         self._states = States(of_role(sensors, Role.STATE, Role.VELOCITY, Role.POSE), scales, joint_at, log)

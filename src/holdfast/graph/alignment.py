@@ -99,6 +99,8 @@ class BatchAligner:
         self._buffer = buffer
         self._noise = noise
         self._positions, self._velocities = positions, velocities
+        estimated = [(name, one.parameter) for name, one in positions.items() if one.parameter is not None]
+        self._arms = {name: (gtsam.symbol("a", k), prior) for k, (name, prior) in enumerate(estimated)}
         self._deltas: dict[tuple[int, int], gtsam.PreintegratedImuMeasurements] = {}
 
     def solve(self, evidence: Evidence, prior: BiasPrior, max_heading_sigma_rad: float) -> Alignment:
@@ -138,6 +140,8 @@ class BatchAligner:
             for i, attitude in enumerate(attitudes):
                 R_W_I = turned.compose(attitude)
                 values.insert(gtsam.symbol("x", i), gtsam.NavState(R_W_I, track[i] - R_W_I.rotate(arm), speeds[i]))
+            for key, prior in self._arms.values():
+                values.insert(key, prior.mean)
             try:
                 solved = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
             except RuntimeError:
@@ -201,10 +205,13 @@ class BatchAligner:
             graph.add(gtsam.ImuFactor2(keys[start], keys[end], gtsam.symbol("b", 0), pim))
         for name, sensor in self._positions.items():
             own = [one for one in evidence.positions if one.sensor == name]
+            arm_key = self._arms[name][0] if name in self._arms else None
             gaps_s = [(b.stamp_ns - a.stamp_ns) * 1e-9 for a, b in pairwise(own)]
             for one in own:
                 inflation = shared_inflation(max(p.correlation_s for p in own), [inf, *gaps_s])
-                graph.add(sensor.factor(keys[to_grid(one.stamp_ns)], one, inflation))
+                graph.add(sensor.factor(keys[to_grid(one.stamp_ns)], one, inflation, arm_key))
+        for key, prior in self._arms.values():
+            graph.add(gtsam.PriorFactorVector(key, prior.mean, gtsam.noiseModel.Diagonal.Sigmas(prior.sigmas)))
         for velocity in evidence.velocities:
             graph.add(self._velocity_factor(keys[to_grid(velocity.stamp_ns)], velocity))
         for motion in evidence.motions:

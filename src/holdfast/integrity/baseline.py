@@ -1,12 +1,13 @@
 """The distance between two antennas: as mounted, or one of their fixes is wrong."""
 
-from itertools import combinations
 from math import sqrt
 
+import gtsam
 import numpy as np
 
+from holdfast.integrity.lever_arms import LeverArms
 from holdfast.messages import Array
-from holdfast.sensors.sensor import Position, PositionSensor
+from holdfast.sensors.sensor import Position
 
 PAIRED_NS = 1_000_000  # in which even a fast machine moves by less than a fix is wrong
 BASELINE_SIGMA = 4.0
@@ -14,25 +15,25 @@ BASELINE_SLACK_M = 0.02  # calibration of the mounting
 
 
 class BaselineTest:
-    """Compares positions of one instant pair by pair.
+    """Compares positions of one instant pair by pair; `lever_arms` says how far apart they should be, and learns."""
 
-    Args:
-        sensors: their models, by name.
-    """
-
-    def __init__(self, sensors: dict[str, PositionSensor]) -> None:
-        self._mounted_m = {
-            frozenset((a.name, b.name)): float(np.linalg.norm(b.p_I_P - a.p_I_P))
-            for a, b in combinations(sensors.values(), 2)
-        }
+    def __init__(self, lever_arms: LeverArms) -> None:
+        self._lever_arms = lever_arms
         self._last: dict[str, tuple[Position, float]] = {}  # with its NIS
 
-    def contradicted(self, position: Position, nis: float) -> Position | None:
-        """Return which of two simultaneous positions is the worse one, if their distance is wrong: this or another."""
+    def contradicted(self, position: Position, nis: float, attitude: gtsam.Rot3) -> Position | None:
+        """Return which of two simultaneous positions is the worse one, if their distance is wrong: this or another.
+
+        Args:
+            position: in the order of stamps.
+            nis: of the position.
+            attitude: of the machine, whatever its heading is worth.
+        """
         self._last[position.sensor] = position, nis
         for other, other_nis in self._last.values():
             if other.sensor == position.sensor or abs(other.stamp_ns - position.stamp_ns) > PAIRED_NS:
                 continue
+            self._lever_arms.note(position, other, attitude)
             if not self._agrees(position, other):
                 return position if nis >= other_nis else other
         return None
@@ -42,5 +43,5 @@ class BaselineTest:
         distance = float(np.linalg.norm(between))
         axis = between / max(distance, 1e-9)
         sigma = sqrt(float(axis @ (one.covariance + other.covariance) @ axis))
-        mounted_m = self._mounted_m[frozenset((one.sensor, other.sensor))]
+        mounted_m = self._lever_arms.distance_m(one.sensor, other.sensor)
         return abs(distance - mounted_m) <= BASELINE_SIGMA * sigma + BASELINE_SLACK_M

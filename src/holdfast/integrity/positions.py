@@ -12,11 +12,12 @@ from holdfast.graph.smoother import Smoother
 from holdfast.integrity.baseline import BaselineTest
 from holdfast.integrity.consensus import Consensus
 from holdfast.integrity.innovation import in_words
+from holdfast.integrity.lever_arms import LeverArms
 from holdfast.integrity.noise_scale import LOWEST, NoiseScale
 from holdfast.integrity.receiver import Held, ReceiverGate, Trust, predict
 from holdfast.integrity.review import UsedPositions
 from holdfast.sensors.noise import correlation_inflation, shared_inflation
-from holdfast.sensors.sensor import Position, PositionSensor
+from holdfast.sensors.sensor import Position, PositionSensor, State
 from holdfast.state import EventKind, Outcome
 
 REVIEW_NS = 250_000_000  # used positions are reviewed this often
@@ -32,8 +33,9 @@ class Positions:
         config: of the gates.
         sensors: the models, by name.
         scales: of their noise, by name.
-        believe_after_s: for so long positions must agree among themselves to be right against the estimate.
+        lever_arms: what is believed of them.
         log: where counts and events go.
+        believe_after_s: for so long positions must agree among themselves to be right against the estimate.
     """
 
     def __init__(
@@ -41,14 +43,16 @@ class Positions:
         config: GateConfig,
         sensors: dict[str, PositionSensor],
         scales: Mapping[str, NoiseScale],
-        believe_after_s: float,
+        lever_arms: LeverArms,
         log: EventLog,
+        *,
+        believe_after_s: float,
     ) -> None:
         self.gates = {name: ReceiverGate(config, sensor.limit) for name, sensor in sensors.items()}
         self.used = UsedPositions(sensors)
         self._config = config
         self._sensors = sensors
-        self._baseline = BaselineTest(sensors)
+        self._baseline = BaselineTest(lever_arms)
         self._log = log
         self._reviewed_ns = 0
         self._scales = scales
@@ -82,16 +86,18 @@ class Positions:
             return Outcome.LATE
         gate, scale, claimed = self.gates[name], self._scales[name], position.covariance
         position = replace(position, covariance=claimed * scale.above)
-        state = smoother.state_at(position.stamp_ns)
+        state, _ = self._state(smoother, position)
         prediction = predict(self._sensors[name], position, state)
-        worse = self._baseline.contradicted(position, prediction.nis) if self._config.baseline else None
+        worse = None
+        if self._config.baseline:
+            worse = self._baseline.contradicted(position, prediction.nis, state.nav.attitude())
         if worse is not None and worse is not position:
             self.gates[worse.sensor].refuse(Outcome.BASELINE)
             if worse in self.used.of(worse.sensor):
                 self.take_out(graph.main, worse, Outcome.BASELINE)
         outcome = gate.judge(position, prediction, now_ns=now_ns, baseline_agrees=worse is not position)
         self._consensus[name].add(position, is_refused=outcome not in (Outcome.USED, Outcome.QUARANTINED))
-        if gate.trust is Trust.TRUSTED and outcome in LEARNT_FROM:
+        if gate.trust is Trust.TRUSTED and outcome in LEARNT_FROM and not state.parameter.size:
             innovation = self._sensors[name].innovation(position, state)
             lowest = LOWEST_SLOW if position.correlation_s >= SLOW_S else LOWEST
             scale.learn(innovation._replace(R=claimed), state, position, self._log, lowest)
@@ -180,5 +186,15 @@ class Positions:
         if key is not None:
             scale = self._scales[position.sensor]
             below = scale.value / scale.above
-            smoother.enter(position, self._sensors[position.sensor].factor(key, position, inflation * below))
+            _, arm_key = self._state(smoother, position)
+            factor = self._sensors[position.sensor].factor(key, position, inflation * below, arm_key)
+            smoother.enter(position, factor)
         return key is not None
+
+    def _state(self, smoother: Smoother, position: Position) -> tuple[State, int | None]:
+        """Return the state at the node of a position, and the key of the lever arm if that is estimated."""
+        state, prior = smoother.state_at(position.stamp_ns), self._sensors[position.sensor].parameter
+        if prior is None:
+            return state, None
+        key, arm, covariance = smoother.parameter(position.sensor, prior, position.stamp_ns)
+        return state._replace(parameter=arm, parameter_covariance=covariance), key

@@ -64,8 +64,9 @@ def predict(sensor: PositionSensor, position: Position, state: State) -> Predict
     innovation = sensor.innovation(position, state)
     R_W_I = state.nav.attitude().matrix()
     of_velocity = R_W_I @ state.covariance[6:, 6:] @ R_W_I.T
-    H = innovation.H
-    return Prediction(innovation.y, H @ state.covariance @ H.T, innovation.R, of_velocity)
+    H, J = innovation.H, innovation.J
+    of_state = H @ state.covariance @ H.T + J @ state.parameter_covariance @ J.T
+    return Prediction(innovation.y, of_state, innovation.R, of_velocity)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -79,5 +79,8 @@ class UsedPositions:
         return float(np.median(residuals)) if residuals else inf
 
     def _residual_nis(self, position: Position, smoother: Smoother) -> float:
-        state = State(smoother.nav(position.stamp_ns), NO_DOUBT)
-        return self._sensors[position.sensor].innovation(position, state).nis(state)
+        sensor, state = self._sensors[position.sensor], State(smoother.nav(position.stamp_ns), NO_DOUBT)
+        arm = None if sensor.parameter is None else smoother.parameter_estimate(sensor.name)
+        if arm is not None:
+            state = state._replace(parameter=arm[0], parameter_covariance=np.zeros((3, 3)))
+        return sensor.innovation(position, state).nis(state)

@@ -31,6 +31,7 @@ LOST, WARNING, GOOD, START = "#d55e00", "#e69f00", "#009e73", "#9aa5b1"
 HEALTH_COLOURS = {
     "nominal": GOOD,
     "gnss_degraded": "#56b4e9",
+    "lever_arm": "#0072b2",
     "odometry_lost": "#cc79a7",
     "sensor_lost": "#f0e442",
     "recovering": WARNING,

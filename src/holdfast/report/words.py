@@ -13,6 +13,7 @@ SENTENCES = {
     "clock_step": "The clock of {sensor} went back for good: {reason}.",
     "estimate_suspect": "The estimate itself is doubted: {sensor} finds it {reason}. Its measurements are accepted.",
     "begun_anew": "The estimate was wrong and is begun anew from what agrees without it: {reason}.",
+    "lever_arm": "The lever arms of {sensor}: {reason}.",
     "noise": "{sensor} measures otherwise than it claims: {reason}.",
     "gnss_lost": "GNSS is lost: {reason}. The fallback graph takes over in the same IMU tick.",
     "gnss_regained": "GNSS is back: {reason}. The main graph takes over; the odometry frame takes the jump.",
@@ -38,6 +39,7 @@ REASONS = {
     "odometry_lost": "no odometry",
     "sensor_lost": "a sensor is not used",
     "gnss_degraded": "not every receiver is trusted",
+    "lever_arm": "the antennas are not as far apart as configured",
     "nominal": "nominal, all that is expected is fused",
 }
 MEASUREMENTS = {

@@ -1,5 +1,6 @@
 """GNSS: which fixes can be trusted by what the receiver says of them, and what they weigh."""
 
+from copy import copy
 from typing import ClassVar
 
 import gtsam
@@ -10,7 +11,7 @@ from holdfast.geometry.earth import Geodetic
 from holdfast.geometry.world import World
 from holdfast.messages import Array, FixStatus, GnssFix, Message
 from holdfast.sensors.position import position_factor, position_innovation
-from holdfast.sensors.sensor import Innovation, Position, Role, State, is_claim, lever_arm, register
+from holdfast.sensors.sensor import Innovation, Parameter, Position, Role, State, is_claim, lever_arm, register
 from holdfast.state import Outcome
 
 MAX_ALTITUDE_M = 1e5
@@ -32,8 +33,15 @@ class GnssModel:
         self.name = name
         self.offset_ns = round(config.time_offset_s * 1e9)
         self.p_I_P = p_I_P
+        self.parameter: Parameter | None = None
         self.limit = config.gate_sigma**2
         self._config = config
+
+    def with_estimated_arm(self, sigma_m: float) -> "GnssModel":
+        """Return a model of the same antenna whose lever arm is to be estimated, known to a sigma [m] per axis."""
+        other = copy(self)
+        other.parameter = Parameter(self.p_I_P, np.full(3, sigma_m))
+        return other
 
     def convert(self, fix: GnssFix, world: World) -> Position | Outcome:
         """Return the fix in W, or what is wrong with it."""
@@ -88,9 +96,12 @@ class GnssModel:
         """Compare a fix with a state."""
         return position_innovation(position, state, self.p_I_P)
 
-    def factor(self, key: int, position: Position, inflation: float) -> gtsam.NonlinearFactor:
-        """Return the factor of a fix on a node, its covariance times `inflation`."""
-        return position_factor(key, position, self.p_I_P, self._config.robust_loss, inflation)
+    def factor(
+        self, key: int, position: Position, inflation: float, arm_key: int | None = None
+    ) -> gtsam.NonlinearFactor:
+        """Return the factor of a fix on a node, and on its arm if that is estimated."""
+        arm = self.p_I_P if arm_key is None else arm_key
+        return position_factor(key, position, arm, self._config.robust_loss, inflation)
 
 
 register(GnssConfig, lambda name, section, config: GnssModel(name, section, lever_arm(name, config)))

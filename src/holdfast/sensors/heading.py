@@ -1,6 +1,7 @@
 """Heading of a dual-antenna receiver: which headings can be used, and the factor that they become."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from math import atan2, cos, hypot, isfinite, radians, remainder, sin, tau
 from typing import ClassVar
@@ -37,8 +38,8 @@ class HeadingModel(StateSensor):
     Args:
         name: of the sensor.
         config: of the sensor.
-        baseline: (3,) from one antenna to the other in the IMU's frame [m], or None where there are not two; it is the
-            measured axis unless `mounting_yaw_deg` says otherwise.
+        arms: lever arms (3,) [m] of the antennas by name, in the order of the baseline; where there are two, the
+            baseline is the measured axis unless `mounting_yaw_deg` says otherwise.
 
     Raises:
         ConfigError: the baseline has no length.
@@ -48,17 +49,26 @@ class HeadingModel(StateSensor):
     message: ClassVar[type[Message] | None] = Heading
     parameter: Parameter | None = None
 
-    def __init__(self, name: str, config: HeadingConfig, baseline: Array | None) -> None:
+    def __init__(self, name: str, config: HeadingConfig, arms: Mapping[str, Array]) -> None:
         self.name = name
         yaw = radians(config.mounting_yaw_deg or 0.0)
-        self.axis: Array = np.array([cos(yaw), sin(yaw), 0.0])
-        if config.mounting_yaw_deg is None and baseline is not None:
+        self.axis: Array | None = np.array([cos(yaw), sin(yaw), 0.0])
+        self.antennas: tuple[str, ...] = ()  # whose lever arms are the axis
+        if config.mounting_yaw_deg is None and len(arms) == 2:
+            start, end = arms.values()
+            baseline = end - start
             length_m = float(np.linalg.norm(baseline))
             if length_m == 0.0:
                 raise ConfigError(f"sensors.{name}: the two antennas of its baseline sit at one place")
-            self.axis = baseline / length_m
+            self.axis, self.antennas = baseline / length_m, tuple(arms)
         self.offset_ns = round(config.time_offset_s * 1e9)
         self.settings = config
+
+    def without_axis(self) -> "HeadingModel":
+        """Return a model of the same sensor whose axis is not known: its headings tell nothing."""
+        other = copy(self)
+        other.axis = None
+        return other
 
     def convert(self, heading: Heading, world: World) -> AxisYaw | Outcome:  # noqa: ARG002 (yaw is that of W already)
         """Return the heading with its noise, the claim above a floor or the default; or what is wrong with it."""
@@ -72,11 +82,13 @@ class HeadingModel(StateSensor):
 
     def of_imu(self, measured: AxisYaw, level: gtsam.Rot3) -> tuple[float, float] | None:
         """Return the heading of the IMU's x axis and its sigma [rad], given the IMU's attitude with zero heading."""
-        axis_yaw = yaw_of(level.rotate(self.axis))
+        axis_yaw = None if self.axis is None else yaw_of(level.rotate(self.axis))
         return None if axis_yaw is None else (measured.yaw_rad - axis_yaw, measured.sigma_rad)
 
     def innovation(self, measured: AxisYaw, state: State) -> Innovation | Outcome:
         """Compare with a state: measured minus predicted yaw of the axis, within +-pi; not if it is near vertical."""
+        if self.axis is None:
+            return Outcome.BASELINE
         predicted = yaw_of(state.nav.attitude().rotate(self.axis))
         if predicted is None:
             return Outcome.OUT_OF_RANGE
@@ -110,8 +122,7 @@ def yaw_of(axis_W: Array) -> float | None:
 
 def _configured(name: str, section: HeadingConfig, config: Config) -> HeadingModel:
     antennas = section.baseline or tuple(config.sensors_of(GnssConfig))[:2]
-    baseline = lever_arm(antennas[1], config) - lever_arm(antennas[0], config) if len(antennas) == 2 else None
-    return HeadingModel(name, section, baseline)
+    return HeadingModel(name, section, {one: lever_arm(one, config) for one in antennas})
 
 
 register(HeadingConfig, _configured)

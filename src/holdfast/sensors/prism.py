@@ -10,7 +10,16 @@ from holdfast.config.sensors import PrismConfig
 from holdfast.geometry.world import World
 from holdfast.messages import Array, Message, PointPosition
 from holdfast.sensors.position import position_factor, position_innovation
-from holdfast.sensors.sensor import Innovation, Position, Role, State, claimed_covariance, lever_arm, register
+from holdfast.sensors.sensor import (
+    Innovation,
+    Parameter,
+    Position,
+    Role,
+    State,
+    claimed_covariance,
+    lever_arm,
+    register,
+)
 from holdfast.state import Outcome
 
 MAX_DISTANCE_M = 1e5
@@ -21,6 +30,7 @@ class PrismModel:
 
     role: ClassVar[Role] = Role.POSITION
     message: ClassVar[type[Message] | None] = PointPosition
+    parameter: Parameter | None = None
 
     def __init__(self, name: str, config: PrismConfig, p_I_P: Array) -> None:
         self.name = name
@@ -48,9 +58,12 @@ class PrismModel:
         """Compare a position with a state."""
         return position_innovation(position, state, self.p_I_P)
 
-    def factor(self, key: int, position: Position, inflation: float) -> gtsam.NonlinearFactor:
-        """Return the factor of a position on a node, its covariance times `inflation`."""
-        return position_factor(key, position, self.p_I_P, self._config.robust_loss, inflation)
+    def factor(
+        self, key: int, position: Position, inflation: float, arm_key: int | None = None
+    ) -> gtsam.NonlinearFactor:
+        """Return the factor of a position on a node, and on its arm if that is estimated."""
+        arm = self.p_I_P if arm_key is None else arm_key
+        return position_factor(key, position, arm, self._config.robust_loss, inflation)
 
 
 register(PrismConfig, lambda name, section, config: PrismModel(name, section, lever_arm(name, config)))

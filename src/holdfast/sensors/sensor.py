@@ -151,16 +151,22 @@ class Sensor(Protocol):
 
 
 class PositionSensor(Sensor, Protocol):
-    """A sensor of role POSITION: `p_I_P` (3,) [m] is its lever arm, `limit` bounds the NIS."""
+    """A sensor of role POSITION: `p_I_P` (3,) [m] is its lever arm, `limit` bounds the NIS.
+
+    Where the arm is in doubt it is the parameter, to be estimated.
+    """
 
     p_I_P: Array
     limit: float
+    parameter: Parameter | None
 
     def innovation(self, position: Position, state: State) -> Innovation:
         """Compare a position with a state."""
 
-    def factor(self, key: int, position: Position, inflation: float) -> gtsam.NonlinearFactor:
-        """Return the factor on a node, its covariance times `inflation`."""
+    def factor(
+        self, key: int, position: Position, inflation: float, arm_key: int | None = None
+    ) -> gtsam.NonlinearFactor:
+        """Return the factor on a node, and on the parameter if there is one, its covariance times `inflation`."""
 
 
 class StateSensor(Sensor, Protocol):

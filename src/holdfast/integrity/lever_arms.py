@@ -1,0 +1,200 @@
+"""Whether two antennas are as far apart as their lever arms say; if they are not, one of the two arms is wrong.
+
+Lever arms are constants: the first seconds of good fixes settle for good whether they are right. The distance tells
+that one is wrong, not which, nor in which direction: an error e across a baseline of length b changes its length by
+e^2 / 2b only, and its direction, which is the heading, by e / b.
+"""
+
+from collections.abc import Mapping
+from enum import Enum
+from itertools import combinations
+from math import atan2, exp, radians, sqrt
+
+import gtsam
+import numpy as np
+
+from holdfast.event_log import EventLog
+from holdfast.messages import Array
+from holdfast.sensors.gnss import GnssModel
+from holdfast.sensors.heading import HeadingModel
+from holdfast.sensors.noise import correlation_inflation
+from holdfast.sensors.sensor import Position, PositionSensor, Role, Sensor, of_role
+from holdfast.state import EventKind, OptimisedState
+
+MEMORY_S = 10.0
+DECIDED_AFTER_S = 5.0
+MAX_INTERVAL_S = 1.0  # that counts between two pairs of fixes
+SLACK_M = 0.03  # two mounts, each measured within 2 cm
+SIGMA = 4.0
+LARGE_M = 0.5  # a gross error in measuring an arm
+KNOWN_M = 0.01  # sigma of a mean that can show two arms to be right
+MAX_ROTATION_SIGMA_RAD = radians(60.0)
+
+
+class Belief(Enum):
+    """What a pair of antennas has shown of its lever arms."""
+
+    OPEN = 0
+    WRONG = 1
+    RIGHT = 2
+
+
+class MeanBaseline:
+    """Mean of the vector (3,) [m] between two antennas in I over the last seconds, weighed by information: (49)."""
+
+    def __init__(self) -> None:
+        self._weight = 0.0
+        self._sum, self._squares, self._claims = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
+        self._last_ns: int | None = None
+        self.seen_s = 0.0
+
+    def add(self, between_I: Array, covariance_I: Array, stamp_ns: int, correlation_s: float) -> None:
+        """Take in a vector (3,) between simultaneous fixes with its covariance (3, 3), in I."""
+        since_s = MAX_INTERVAL_S if self._last_ns is None else abs(stamp_ns - self._last_ns) * 1e-9
+        if self._last_ns is not None:
+            self.seen_s += min(since_s, MAX_INTERVAL_S)
+        self._last_ns = stamp_ns
+        axis = between_I / max(float(np.linalg.norm(between_I)), 1e-9)
+        inflation = correlation_inflation(correlation_s, min(since_s, MAX_INTERVAL_S))
+        weight = 1.0 / (inflation * float(axis @ covariance_I @ axis))
+        kept = exp(-since_s / MEMORY_S)
+        self._weight = kept * self._weight + weight
+        self._sum = kept * self._sum + weight * between_I
+        self._squares = kept * self._squares + weight * np.outer(between_I, between_I)
+        self._claims = kept * self._claims + weight * covariance_I
+
+    def length(self) -> tuple[float, float, float]:
+        """Return the length of the mean [m], its sigma, and by how much noise across it may lengthen it.
+
+        Noise is what the fixes claim, or what they show if that is more.
+        """
+        mean = self._sum / self._weight
+        length_m = float(np.linalg.norm(mean))
+        axis = mean / max(length_m, 1e-9)
+        claimed, shown = self._claims / self._weight, self._squares / self._weight - np.outer(mean, mean)
+        along = float(axis @ claimed @ axis)
+        growth = max(1.0, float(axis @ shown @ axis) / along)
+        across = max(float(np.trace(claimed)) - along, float(np.trace(shown) - axis @ shown @ axis))
+        return length_m, sqrt(growth / self._weight), across / along / self._weight / (2.0 * max(length_m, 1e-9))
+
+
+class Pair:
+    """Two antennas: how far apart they are mounted, how far they are, and what that says: (50) in docs/math.md."""
+
+    def __init__(self, mounted_m: float) -> None:
+        self.mounted_m = self.distance_m = mounted_m
+        self.belief = Belief.OPEN
+        self.mean = MeanBaseline()
+
+    @property
+    def across_m(self) -> float:
+        """How far an arm is off if it is off across the baseline: the most that a rotation follows from."""
+        return sqrt(abs(self.distance_m**2 - self.mounted_m**2))
+
+    @property
+    def arm_sigma_m(self) -> float:
+        """How far an arm may be off: across as a rule, along where that would be a large error for a tape measure."""
+        return max(abs(self.distance_m - self.mounted_m), min(self.across_m, LARGE_M))
+
+    def review(self) -> bool:
+        """Say whether the belief in the arms has changed."""
+        if self.belief is Belief.RIGHT or self.mean.seen_s < DECIDED_AFTER_S:
+            return False
+        length_m, sigma_m, lengthened_m = self.mean.length()
+        excess_m = abs(length_m - self.mounted_m) - SLACK_M - lengthened_m
+        if self.belief is Belief.OPEN and excess_m > SIGMA * sigma_m:
+            self.belief, self.distance_m = Belief.WRONG, length_m
+            return True
+        if sigma_m <= KNOWN_M and excess_m <= 0.0:
+            self.belief, self.distance_m = Belief.RIGHT, self.mounted_m
+            return True
+        return False
+
+
+class LeverArms:
+    """The belief in the lever arms of all antennas, from one start over to the next; it survives a beginning anew.
+
+    Args:
+        sensors: all models, by name.
+    """
+
+    def __init__(self, sensors: Mapping[str, Sensor]) -> None:
+        receivers: dict[str, PositionSensor] = of_role(sensors, Role.POSITION)
+        self._antennas = {name for name, one in receivers.items() if isinstance(one, GnssModel)}
+        self._pairs = {
+            (a, b): Pair(float(np.linalg.norm(receivers[b].p_I_P - receivers[a].p_I_P)))
+            for a, b in combinations(receivers, 2)
+        }
+
+    def distance_m(self, one: str, other: str) -> float:
+        """Return how far apart two receivers are: as mounted, or as measured if their arms are in doubt."""
+        return self._pairs[(one, other) if (one, other) in self._pairs else (other, one)].distance_m
+
+    def note(self, one: Position, other: Position, attitude: gtsam.Rot3) -> None:
+        """Take in two simultaneous positions of a machine of some attitude, whose heading may be wrong."""
+        if (one.sensor, other.sensor) not in self._pairs:
+            one, other = other, one
+        pair = self._pairs[one.sensor, other.sensor]
+        if pair.belief is Belief.RIGHT or not self._antennas >= {one.sensor, other.sensor}:
+            return  # the grid of a prism may lie elsewhere: that is no arm
+        R = attitude.matrix()
+        correlation_s = max(one.correlation_s, other.correlation_s)
+        covariance_I = R.T @ (one.covariance + other.covariance) @ R
+        pair.mean.add(R.T @ (other.p_W_P - one.p_W_P), covariance_I, one.stamp_ns, correlation_s)
+
+    def review(self, now_ns: int, log: EventLog) -> bool:
+        """Report what is new; say whether other arms are in doubt than before."""
+        before = self.doubts()
+        for (one, other), pair in self._pairs.items():
+            was_wrong = pair.belief is Belief.WRONG
+            if not pair.review() or (pair.belief is Belief.RIGHT and not was_wrong):
+                continue
+            if was_wrong:
+                reason = f"the antennas are {pair.mounted_m:.2f} m apart after all, as the configuration says"
+            else:
+                reason = (
+                    f"the antennas are {pair.distance_m:.2f} m apart, the configuration says {pair.mounted_m:.2f} m: "
+                    f"the translation of the frame of {one} or {other} is wrong"
+                )
+            log.report(EventKind.LEVER_ARM, now_ns, f"{one}, {other}", reason)
+        return self.doubts().keys() != before.keys()
+
+    def doubts(self) -> dict[str, float]:
+        """Return the antennas that may be the wrong ones, and how far their arms may be off [m]."""
+        wrong = {names: pair for names, pair in self._pairs.items() if pair.belief is Belief.WRONG}
+        right = {name for names, pair in self._pairs.items() if pair.belief is Belief.RIGHT for name in names}
+        found: dict[str, float] = {}
+        for names, pair in wrong.items():
+            for name in [name for name in names if name not in right] or names:
+                found[name] = max(pair.arm_sigma_m, found.get(name, 0.0))
+        return found
+
+    def believed(self, sensors: Mapping[str, Sensor]) -> dict[str, Sensor]:
+        """Return the models, with arms that are in doubt as constants to be estimated, without headings from them."""
+        doubts = self.doubts()
+        return {name: _believed(sensor, doubts) for name, sensor in sensors.items()}
+
+    def doubtful(self, state: OptimisedState, accelerometer_bias_sigma: float) -> OptimisedState:
+        """Return a state that rests on arms in doubt, with a covariance that says so: (51) in docs/math.md.
+
+        Two fixes on wrong arms pull at heading and tilt alike, and at the bias [m/s^2] that stands against the tilt.
+        """
+        doubts = self.doubts()
+        if not doubts:
+            return state
+        arm_m = max(doubts.values())
+        wrong = [pair for pair in self._pairs.values() if pair.belief is Belief.WRONG]
+        rotation_rad = min(max(atan2(pair.across_m, pair.mounted_m) for pair in wrong), MAX_ROTATION_SIGMA_RAD)
+        covariance = state.covariance.copy()
+        covariance[:3, :3] += rotation_rad**2 * np.eye(3)
+        covariance[3:6, 3:6] += arm_m**2 * np.eye(3)
+        covariance[9:12, 9:12] += accelerometer_bias_sigma**2 * np.eye(3)
+        return OptimisedState(state.stamp_ns, state.nav, state.bias, covariance, state.angular_velocity)
+
+
+def _believed(sensor: Sensor, doubts: Mapping[str, float]) -> Sensor:
+    if isinstance(sensor, GnssModel) and sensor.name in doubts:
+        return sensor.with_estimated_arm(doubts[sensor.name])
+    if isinstance(sensor, HeadingModel) and not doubts.keys().isdisjoint(sensor.antennas):
+        return sensor.without_axis()
+    return sensor
