@@ -35,3 +35,18 @@ def test_a_program_that_ignores_ctrl_c_goes_on_ignoring_it():
         assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def test_a_handler_of_ones_own_is_called_when_the_work_is_done():
+    seen = []
+    before = signal.signal(signal.SIGINT, lambda *_: seen.append("interrupted"))
+    try:
+        uninterrupted = Uninterrupted()
+        uninterrupted.start()
+        with uninterrupted:
+            signal.raise_signal(signal.SIGINT)
+            seen.append("work")
+        uninterrupted.stop()
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert seen == ["work", "interrupted"]
