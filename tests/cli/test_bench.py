@@ -84,6 +84,7 @@ def test_json_holds_times_memory_floor_and_ratios_of_every_run(measured):
         assert 20 < run["peak_memory_mb"] < 1000
         assert run["with_outputs"]["timing"]["real_time_factor"] > 0
         assert run["with_outputs"]["peak_memory_mb"] > 20
+        assert run["with_outputs"]["ratios"]["cpu"] > 0.8 * run["ratios"]["cpu"]  # it writes as well
 
 
 def test_ratios_are_times_over_the_floor_of_the_same_run(measured):

@@ -8,26 +8,24 @@ import numpy as np
 import pytest
 
 from holdfast.integrity.review import UsedPositions
-from holdfast.sensors.position import position_innovation
 from holdfast.sensors.sensor import Position
 
 SECOND_NS = 1_000_000_000
 QUARANTINE_NS = {"left": 2 * SECOND_NS, "right": 2 * SECOND_NS}
 
 
-class Antenna:
-    limit = 16.0
-    parameter = None
+ARM = np.array([0.3, -0.2, 2.0])
 
-    def innovation(self, position, state):
-        return position_innovation(position, state, np.zeros(3))
+
+class Antenna:
+    limit, p_I_P, parameter = 16.0, ARM, None
 
 
 AT_ORIGIN = SimpleNamespace(nav=lambda _: gtsam.NavState())
 
 
 def position(t_s, east_m=0.0, sensor="left"):
-    return Position(round(t_s * SECOND_NS), sensor, np.array([east_m, 0.0, 0.0]), np.eye(3) * 0.01**2, 0.0)
+    return Position(round(t_s * SECOND_NS), sensor, ARM + np.array([east_m, 0.0, 0.0]), np.eye(3) * 0.01**2, 0.0)
 
 
 def used(*positions):

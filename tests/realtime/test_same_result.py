@@ -38,7 +38,7 @@ def compare(config, messages, meanwhile=None):
 @pytest.mark.parametrize("nodes", ["measurement", pytest.param("imu", marks=pytest.mark.slow)])
 def test_every_estimate_and_state_is_the_same_through_a_loss_of_gnss(drive, nodes):
     updates = compare(with_settings(drive.config, graph={"nodes": nodes}), drive.until(16.0))
-    assert updates > 300  # two antennas at 20 Hz, a lidar at 5 Hz
+    assert updates > 240  # one per epoch at 20 Hz, and a lidar at 5 Hz, but for the loss and the start
 
 
 def test_every_kind_of_sensor_gives_the_same(tmp_path):

@@ -1,7 +1,6 @@
 """Writing MCAP, and the fast encoders against rosbags' own."""
 
 import random
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -45,12 +44,11 @@ def test_encoded_odometry_is_byte_identical_to_rosbags(  # noqa: PLR0917
     stamp_ns, frame, child, p, q, linear, angular, pose_cov, twist_cov
 ) -> None:
     encoder = OdometryEncoder(frame, child)
-    encoder.encode(1, [9] * 3, [9] * 4, [9] * 36, [9] * 3, [9] * 3, [9] * 36)  # nothing of it may remain
     message = ros_odometry(stamp_ns, frame, child, p, q, pose_cov, linear, angular, twist_cov)
     expected = bytes(HUMBLE.serialize_cdr(message, "nav_msgs/msg/Odometry"))
-    assert (
-        encoder.encode(stamp_ns, np.array(p), q, np.array(pose_cov), linear, np.array(angular), twist_cov) == expected
-    )
+    nines = [[9.0] * size for size in (3, 4, 36, 3, 3, 36)]  # nothing of a neighbour may show
+    rows = [np.array(both) for both in zip(nines, (p, q, pose_cov, linear, angular, twist_cov), strict=True)]
+    assert encoder.encode([1, stamp_ns], *rows)[1] == expected
 
 
 @given(stamp_ns=STAMPS, frames=st.lists(st.tuples(NAMES, NAMES), min_size=1, max_size=4), data=st.data())
@@ -67,15 +65,16 @@ def test_encoded_transforms_are_byte_identical_to_rosbags(stamp_ns, frames, data
     ]
     expected = bytes(HUMBLE.serialize_cdr(types["tf2_msgs/msg/TFMessage"](transforms), "tf2_msgs/msg/TFMessage"))
     encoder = TransformEncoder(frames)
-    assert encoder.encode(stamp_ns, poses) == expected
-    assert encoder.encode(stamp_ns, [(np.array(p), np.array(q)) for p, q in poses]) == expected
+    assert encoder.encode([stamp_ns], poses) == [expected]
+    many = [(np.array([[9.0] * 3, p]), np.array([[9.0] * 4, q])) for p, q in poses]
+    assert encoder.encode([1, stamp_ns], many)[1] == expected
 
 
 def test_encoders_refuse_what_does_not_fit() -> None:
-    with pytest.raises(ValueError, match="shorter"):
-        TransformEncoder([("a", "b"), ("b", "c")]).encode(0, [([0, 0, 0], [0, 0, 0, 1])])
-    with pytest.raises(struct.error):
-        TransformEncoder([("a", "b")]).encode(2**31 * 10**9, [([0, 0, 0], [0, 0, 0, 1])])
+    with pytest.raises(ValueError, match="1 poses for 2 frames"):
+        TransformEncoder([("a", "b"), ("b", "c")]).encode([0], [([0, 0, 0], [0, 0, 0, 1])])
+    with pytest.raises(ValueError, match="32 bit seconds"):
+        TransformEncoder([("a", "b")]).encode([0, 2**31 * 10**9], [([0, 0, 0], [0, 0, 0, 1])])
 
 
 def write_odometry(writer: McapWriter, count: int) -> None:
@@ -85,7 +84,7 @@ def write_odometry(writer: McapWriter, count: int) -> None:
         position = [noise.random() for _ in range(3)]
         cov = [noise.random() for _ in range(36)]
         stamp = START_NS + k * 10_000_000
-        data = encoder.encode(stamp, position, [0, 0, 0, 1], cov, [0] * 3, [0] * 3, cov)
+        (data,) = encoder.encode([stamp], position, [0, 0, 0, 1], cov, [0] * 3, [0] * 3, cov)
         writer.write("/odometry", data, "nav_msgs/msg/Odometry", stamp + 5, stamp)
 
 

@@ -8,6 +8,7 @@ from holdfast.config.model import Config
 from holdfast.live.idl import STORE
 from holdfast.ros.messages import EstimateMessages, Status, diagnostic_array
 from holdfast.ros.outputs import odometry, seen_from
+from holdfast.ros.rows import Rows
 from holdfast.state import Estimate
 
 STAMP_NS = 1_700_000_000_123_456_789
@@ -21,17 +22,23 @@ def estimate(stamp_ns=STAMP_NS):
 
 
 def test_an_estimate_seen_from_another_frame_is_its_odometry_there():
-    given = estimate()
-    T_O_I = given.T_W_O.inverse() * given.nav.pose()
-    expected = odometry(given, T_O_I, 1e-4)
-    for ours, direct in zip(seen_from(odometry(given, given.nav.pose(), 1e-4), given, T_O_I), expected, strict=True):
+    rows, variances = Rows.of([estimate()]), np.array([1e-4])
+    expected = odometry(rows, rows.T_O_I, variances)
+    for ours, direct in zip(seen_from(odometry(rows, rows.T_W_I, variances), rows, rows.T_O_I), expected, strict=True):
         np.testing.assert_array_equal(ours, direct)
+
+
+def test_many_estimates_at_once_are_the_messages_of_one_after_the_other():
+    config = Config.model_validate({"sensors": {"imu": {"kind": "imu", "topic": "/imu"}}})
+    given = [estimate(STAMP_NS + k * period_ns) for k, period_ns in enumerate((0, 10_000_000, 9_000_000, 2**33))]
+    at_once, one_by_one = EstimateMessages(config), EstimateMessages(config)
+    assert at_once.of(Rows.of(given)) == [one_by_one.of(Rows.of([one]))[0] for one in given]
 
 
 @pytest.mark.parametrize("node", ["/holdfast", "/excavator/holdfast"])
 def test_topics_are_those_of_the_node_and_every_one_is_declared(node):
     messages = EstimateMessages(Config.model_validate({"sensors": {"imu": {"kind": "imu", "topic": "/imu"}}}), node)
-    given = {message.topic: message for message in messages.of(estimate(), None)}
+    given = {message.topic: message for message in messages.of(Rows.of([estimate()]))[0]}
     assert set(given) == {f"{node}/odometry/world", f"{node}/odometry/odom", "/tf"}
     assert {topic: message.type_name for topic, message in given.items()} == messages.topics
     for message in given.values():

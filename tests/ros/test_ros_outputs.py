@@ -4,7 +4,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from holdfast.ros.outputs import odometry, pose_covariance, quaternion_xyzw
+from holdfast.ros.outputs import odometry, pose_covariances
+from holdfast.ros.rows import Poses, Rows, quaternion_xyzw
 from holdfast.state import Estimate
 
 SAMPLES = 20_000
@@ -33,6 +34,12 @@ def estimate(rotation, velocity=(3.0, -1.0, 0.5), position=(40.0, -30.0, 5.0), c
     return Estimate(1, nav, gtsam.Pose3(), bias, covariance, np.array([0.1, 0.2, 0.3]), True)
 
 
+def message_of(given, pose):
+    """The odometry of one estimate for a pose, without the leading dimension."""
+    found = odometry(Rows.of([given]), Poses.of([pose]), np.array([RATE_VARIANCE]))
+    return type(found)(*(values[0] for values in found))
+
+
 def sampled(nav):
     """States drawn from the tangent at a state."""
     errors = np.random.default_rng(5).multivariate_normal(np.zeros(9), TANGENT, SAMPLES)
@@ -54,8 +61,8 @@ def test_pose_covariance_is_that_of_samples_in_the_axes_of_the_world(name):
     for nav in sampled(given.nav):
         rotation = gtsam.Rot3.Logmap(nav.attitude() * R0.inverse())  # about the fixed axes
         errors.append(np.concatenate([nav.position() - p0, rotation]))
-    message = odometry(given, given.nav.pose(), RATE_VARIANCE)
-    assert_is_covariance_of(message.pose_covariance.reshape(6, 6), np.array(errors))
+    message = message_of(given, given.nav.pose())
+    assert_is_covariance_of(message.pose_covariances.reshape(6, 6), np.array(errors))
 
 
 @pytest.mark.parametrize("name", ATTITUDES)
@@ -63,7 +70,7 @@ def test_twist_covariance_is_that_of_samples_in_the_axes_of_the_body(name):
     given = estimate(ATTITUDES[name])
     R0, v0 = given.nav.attitude(), given.nav.velocity()
     errors = [nav.attitude().unrotate(nav.velocity()) - R0.unrotate(v0) for nav in sampled(given.nav)]
-    twist = odometry(given, given.nav.pose(), RATE_VARIANCE).twist_covariance.reshape(6, 6)
+    twist = message_of(given, given.nav.pose()).twist_covariances.reshape(6, 6)
     assert_is_covariance_of(twist[:3, :3], np.array(errors))
     np.testing.assert_array_equal(twist[3:, 3:], RATE_VARIANCE * np.eye(3))
     assert not twist[:3, 3:].any()
@@ -75,12 +82,13 @@ def test_turning_the_body_leaves_the_covariance_of_the_position_in_the_world(nam
     R = ATTITUDES[name].matrix()
     covariance = np.eye(9)
     covariance[3:6, 3:6] = R.T @ in_world @ R
-    np.testing.assert_allclose(pose_covariance(covariance, R)[:3, :3], in_world, rtol=0, atol=1e-15)
+    found = pose_covariances(covariance[None], R[None])[0]
+    np.testing.assert_allclose(found[:3, :3], in_world, rtol=0, atol=1e-15)
 
 
 def test_no_lever_to_the_origin_enters_the_covariance():
     near, far = (estimate(ATTITUDES["askew"], position=p) for p in ((0, 0, 0), (1e4, -1e4, 1e3)))
-    P = [odometry(given, given.nav.pose(), RATE_VARIANCE).pose_covariance for given in (near, far)]
+    P = [message_of(given, given.nav.pose()).pose_covariances for given in (near, far)]
     np.testing.assert_array_equal(*P)
 
 
@@ -88,10 +96,10 @@ def test_twist_is_the_velocity_in_the_body_whichever_frame_the_pose_has():
     given = estimate(gtsam.Rot3.Yaw(np.pi / 2), velocity=(0.0, 2.0, 0.5))
     T_O_W = gtsam.Pose3(gtsam.Rot3.Yaw(1.0), np.array([5.0, 6.0, 7.0]))
     for pose in (given.nav.pose(), T_O_W * given.nav.pose()):
-        message = odometry(given, pose, RATE_VARIANCE)
+        message = message_of(given, pose)
         np.testing.assert_allclose(message.linear, [2.0, 0.0, 0.5], rtol=0, atol=1e-15)
         np.testing.assert_array_equal(message.angular, [0.1, 0.2, 0.3])
-        np.testing.assert_array_equal(message.position, pose.translation())
+        np.testing.assert_array_equal(message.positions, pose.translation())
 
 
 def test_quaternions_are_x_y_z_w():

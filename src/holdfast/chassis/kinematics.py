@@ -73,43 +73,6 @@ class BaseGeometry:
             return velocity, angular_velocity
         return self._R_B_J @ velocity, self._R_B_J @ angular_velocity
 
-    def covariances(self, estimate: Estimate, base: BaseState, rate_variance: float) -> tuple[Array, Array]:
-        """Return the covariances (6, 6) of the pose and of the twist of B: (38) and (39) in docs/math.md.
-
-        Both have rotation before translation, in the axes of B. Not part of every `BaseState`, because they take as
-        long as the state itself.
-
-        Args:
-            estimate: of the cabin's IMU.
-            base: what came of it.
-            rate_variance: of the components of the estimate's angular velocity [rad^2/s^2].
-        """
-        T_I_B = self.T_I_B(base.joint_angle_rad)
-        to_B = T_I_B.inverse().AdjointMap()
-        R_B_I = T_I_B.rotation().matrix().T
-        axis = self._R_B_J[:, 2]  # of the joint, in B; and where B's origin is from it
-        arm = self._R_B_J @ self._T_J_B.translation()
-        by_angle = np.concatenate([-axis, gtsam.SO3.Hat(arm) @ axis])
-        angle_variance, turn_variance = base.joint_angle_sigma_rad**2, base.turn_rate_sigma_rad_s**2
-        pose = to_B @ estimate.covariance[:6, :6] @ to_B.T + angle_variance * np.outer(by_angle, by_angle)
-        across = np.eye(3) - np.outer(axis, axis)
-        # sources: velocity of I in I, angular velocity of I in I, angle of the joint, rate of the chassis
-        G = np.zeros((6, 8))
-        G[:3, 3:6] = across @ R_B_I
-        G[:3, 6] = gtsam.SO3.Hat(axis) @ base.angular_velocity
-        G[:3, 7] = axis
-        velocity_J = base.velocity - gtsam.SO3.Hat(base.angular_velocity) @ arm
-        G[3:, :3] = R_B_I
-        G[3:, 3:6] = -R_B_I @ gtsam.SO3.Hat(self._T_I_A.translation())
-        G[3:, 6] = gtsam.SO3.Hat(axis) @ velocity_J
-        G[3:] -= gtsam.SO3.Hat(arm) @ G[:3]
-        J = np.zeros((3, 9))
-        J[:, :3], J[:, 6:] = gtsam.SO3.Hat(estimate.nav.bodyVelocity()), np.eye(3)
-        sources = np.zeros((8, 8))
-        sources[:3, :3] = J @ estimate.covariance @ J.T
-        sources[range(3, 8), range(3, 8)] = [rate_variance] * 3 + [angle_variance, turn_variance]
-        return pose, G @ sources @ G.T
-
 
 class BaseKinematics:
     """Takes in readings of encoder and base IMU as they arrive, and gives a `BaseState` for each estimate of the cabin.

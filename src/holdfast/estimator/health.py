@@ -85,18 +85,18 @@ class HealthMonitor:
         """
         if self._started_ns is None:
             return Health.INITIALISING
-        truths = {
-            Health.OPTIMISER_RESET: now_ns - self._reset_ns < RESET_NS,
-            Health.IMU_GAP: not has_imu,
-            Health.FALLBACK: is_lost,
-            Health.RECOVERING: now_ns - self._recovered_ns < RECOVERY_NS,
-            Health.ODOMETRY_LOST: bool(self._silence_ns)
-            and all(self._is_silent(one, now_ns) for one in self._silence_ns),
-            Health.GNSS_DEGRADED: not self._receivers.isdisjoint(lost),
-            Health.LEVER_ARM: self._doubts_arms,
-            Health.SENSOR_LOST: any(name not in self._receivers for name in lost),
-        }
-        return next((health for health, is_true in truths.items() if is_true), Health.NOMINAL)
+        has_odometry = not self._silence_ns or not all(self._is_silent(one, now_ns) for one in self._silence_ns)
+        truths = (
+            (now_ns - self._reset_ns < RESET_NS, Health.OPTIMISER_RESET),
+            (not has_imu, Health.IMU_GAP),
+            (is_lost, Health.FALLBACK),
+            (now_ns - self._recovered_ns < RECOVERY_NS, Health.RECOVERING),
+            (not has_odometry, Health.ODOMETRY_LOST),
+            (not self._receivers.isdisjoint(lost), Health.GNSS_DEGRADED),
+            (self._doubts_arms, Health.LEVER_ARM),
+            (not self._receivers.issuperset(lost), Health.SENSOR_LOST),
+        )
+        return next((health for is_true, health in truths if is_true), Health.NOMINAL)
 
     def report(self, now_ns: int, health: Health) -> HealthReport:
         """Return the health with what it rests on."""

@@ -7,6 +7,7 @@ import gtsam
 
 from holdfast.config.model import Config
 from holdfast.estimator.clock import MAX_SILENCE_NS
+from holdfast.estimator.epochs import Epochs
 from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import Received
 from holdfast.estimator.queue import MeasurementQueue
@@ -102,6 +103,7 @@ class Tracking:
         self._due_ns: int | None = None
         self._constrained_ns = state.stamp_ns
         self._late: set[str] = set()  # sensors whose last measurement was too late
+        self._epochs = Epochs()
         self.queue = MeasurementQueue()
         self.graph = DualGraph(config, buffer, gravity, self._odometries.new_tracks(), state)
 
@@ -141,7 +143,8 @@ class Tracking:
         published = self.graph.published
         if stamp <= published.newest.stamp_ns:
             return False  # a measurement in a silent stretch has led the state past this sample
-        if self.queue.is_due(stamp) or stamp - published.newest_ns > self._node_interval_ns:
+        is_ready = self.queue.is_due(stamp) and not self._epochs.is_incomplete(self._buffer.arrival_ns)
+        if is_ready or stamp - published.newest_ns > self._node_interval_ns:
             self._due_ns = stamp
         return True
 
@@ -165,6 +168,7 @@ class Tracking:
             self._log.count(name, Outcome.CLOCK_JUMP)  # nothing leads there until the IMU begins anew
             return
         self.queue.push(measurement)
+        self._epochs.add(name, stamp_ns, arrival_ns)
         # as a rule the next sample of the IMU takes it in, with what else has come until then
         if arrival_ns - self._buffer.arrival_ns > self._buffer.max_gap_ns:  # it is silent: do not wait for it
             self._due_ns = max(self._due_ns or 0, self._buffer.latest_ns, stamp_ns)

@@ -35,6 +35,7 @@ class Consensus:
         self._duration_ns = round(duration_s * 1e9)
         self._newest: deque[Position] = deque(maxlen=COMPARED)
         self._run: deque[tuple[int, bool]] = deque()  # stamp, and whether the estimate refused it
+        self._refused = 0  # of them
         self._outliers = 0
 
     def add(self, position: Position, *, is_refused: bool) -> None:
@@ -47,23 +48,27 @@ class Consensus:
         self._outliers = 0
         self._newest.append(position)
         self._run.append((position.stamp_ns, is_refused))
+        self._refused += is_refused
         while len(self._run) > self._count and self._run[1][0] <= position.stamp_ns - self._duration_ns:
-            self._run.popleft()
+            self._refused -= self._run.popleft()[1]
 
     def contradict(self, position: Position) -> None:
         """Note that a position which was accepted has been taken out again."""
-        for k, (stamp_ns, _) in enumerate(self._run):
+        for k, (stamp_ns, is_refused) in enumerate(self._run):
             if stamp_ns == position.stamp_ns:
                 self._run[k] = stamp_ns, True
+                self._refused += not is_refused
 
     def clear(self) -> None:
         """End the run."""
         self._newest.clear()
         self._run.clear()
-        self._outliers = 0
+        self._outliers = self._refused = 0
 
     def is_against(self) -> bool:
         """Whether the estimate refused most of a run that is long enough."""
+        if self._refused < REFUSED_FRACTION * self._count:  # as a rule: it need not be looked at
+            return False
         run = list(dropwhile(lambda one: not one[1], self._run))
         if len(run) < self._count or run[-1][0] - run[0][0] < self._duration_ns:
             return False

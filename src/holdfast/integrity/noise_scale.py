@@ -64,11 +64,13 @@ class NoiseScale:
         is_measured = innovation.R.diagonal() < 0.1 * FREE_VARIANCE
         if not is_measured.any():
             return
-        R = innovation.R[np.ix_(is_measured, is_measured)] * self.value
-        y, H = innovation.y[is_measured], innovation.H[is_measured]
-        S = H @ state.covariance @ H.T + R
-        ratio = min(float(y @ np.linalg.solve(S, y)) / len(y), MAX_RATIO)
-        share = float(np.trace(np.linalg.solve(S, R))) / len(y)  # what is not the noise of the state
+        y, H, R = innovation.y, innovation.H, innovation.R
+        if not is_measured.all():
+            y, H, R = y[is_measured], H[is_measured], R[np.ix_(is_measured, is_measured)]
+        R = R * self.value
+        information = np.linalg.inv(H @ state.covariance @ H.T + R)
+        ratio = min(float(y @ information @ y) / len(y), MAX_RATIO)
+        share = float((information * R).sum()) / len(y)  # trace(S^-1 R): what is not the noise of the state
         # an excess may be the state's; of a slow error the state has as much as the measurement, and it cancels
         weight = share if ratio > 1.0 else 1.0
         step = weight * (ratio - 1.0) * min(since_s, MAX_WEIGHT_S) / MEMORY_S

@@ -87,7 +87,8 @@ class Positions:
         gate, scale, claimed = self.gates[name], self._scales[name], position.covariance
         position = replace(position, covariance=claimed * scale.above)
         state, _ = self._state(smoother, position)
-        prediction = predict(self._sensors[name], position, state)
+        innovation = self._sensors[name].innovation(position, state)
+        prediction = predict(innovation, state)
         worse = None
         if self._config.baseline:
             worse = self._baseline.contradicted(position, prediction.nis, state.nav.attitude())
@@ -98,7 +99,6 @@ class Positions:
         outcome = gate.judge(position, prediction, now_ns=now_ns, baseline_agrees=worse is not position)
         self._consensus[name].add(position, is_refused=outcome not in (Outcome.USED, Outcome.QUARANTINED))
         if gate.trust is Trust.TRUSTED and outcome in LEARNT_FROM and not state.parameter.size:
-            innovation = self._sensors[name].innovation(position, state)
             lowest = LOWEST_SLOW if position.correlation_s >= SLOW_S else LOWEST
             scale.learn(innovation._replace(R=claimed), state, position, self._log, lowest)
         if outcome is Outcome.USED:

@@ -8,13 +8,14 @@ are good and agree with each other. What walks away slowly is the business of th
 from collections import Counter
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 from math import inf, sqrt
 
 import numpy as np
 
 from holdfast.config.model import GateConfig
 from holdfast.messages import Array
-from holdfast.sensors.sensor import Position, PositionSensor, State
+from holdfast.sensors.sensor import Innovation, Position, State
 from holdfast.state import Outcome
 
 HOLD_BACK = 4.0  # in units of the limit on NIS: twice the gate in sigma
@@ -33,7 +34,7 @@ class Trust(StrEnum):
     LOST = "lost"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Prediction:
     """What the graph expects of a position.
 
@@ -49,7 +50,7 @@ class Prediction:
     of_position: Array
     of_velocity: Array
 
-    @property
+    @cached_property
     def nis(self) -> float:
         """Normalised innovation squared: (21) in docs/math.md."""
         return float(self.innovation @ np.linalg.solve(self.of_state + self.of_position, self.innovation))
@@ -59,9 +60,8 @@ class Prediction:
         return sqrt(limit * float(np.linalg.eigvalsh(self.of_state + self.of_position)[-1]))
 
 
-def predict(sensor: PositionSensor, position: Position, state: State) -> Prediction:
-    """Return what a state expects of a position."""
-    innovation = sensor.innovation(position, state)
+def predict(innovation: Innovation, state: State) -> Prediction:
+    """Return what a state expects of a position, given the innovation of that at the state."""
     R_W_I = state.nav.attitude().matrix()
     of_velocity = R_W_I @ state.covariance[6:, 6:] @ R_W_I.T
     H, J = innovation.H, innovation.J
@@ -87,7 +87,7 @@ class ReceiverGate:
         self._hold_s = 0.0
         self.reasons: Counter[Outcome] = Counter()  # of the bad positions since the receiver was trusted last
         self.quarantine: list[Held] = []
-        self.power_m = inf
+        self._tested: tuple[Prediction, float] | None = None  # the newest, with the limit on its NIS
         self._bad_in_a_row = 0
         self._last_good: Position | None = None
         self._last_ns: int | None = None
@@ -95,6 +95,11 @@ class ReceiverGate:
         self._contradicting: list[Held] = []
         self._outliers = 0
         self.period_s = UNKNOWN_PERIOD_S
+
+    @property
+    def power_m(self) -> float:
+        """The jump [m] that the gate would have seen in the position that it tested last, in every direction."""
+        return inf if self._tested is None else self._tested[0].smallest_visible_m(self._tested[1])
 
     def judge(
         self, position: Position, prediction: Prediction, *, now_ns: int, baseline_agrees: bool = True
@@ -176,7 +181,7 @@ class ReceiverGate:
             return Outcome.TOO_FAST
         if self._gate.innovation:
             limit = HOLD_BACK * self.limit if self.trust is Trust.TRUSTED else self.limit
-            self.power_m = prediction.smallest_visible_m(limit)
+            self._tested = prediction, limit
             if not prediction.nis <= limit:
                 return Outcome.INNOVATION
         if self._gate.baseline and not baseline_agrees:

@@ -6,9 +6,8 @@ from math import inf
 import numpy as np
 
 from holdfast.graph.smoother import Smoother
-from holdfast.sensors.sensor import Position, PositionSensor, State
-
-NO_DOUBT = np.zeros((9, 9))
+from holdfast.messages import Array
+from holdfast.sensors.sensor import Position, PositionSensor
 
 
 class UsedPositions:
@@ -65,22 +64,30 @@ class UsedPositions:
             smoother: the main one, just optimised.
             quarantine_ns: for how long a used position of each receiver can be taken out again.
         """
-        worst, worst_nis = None, 0.0
-        for one in list(self._used)[:-1]:  # the newest has no successor yet, and may be what pulls at the others
-            if self.newest_ns - one.stamp_ns <= quarantine_ns[one.sensor]:
-                nis = self._residual_nis(one, smoother)
-                if nis > worst_nis:
-                    worst, worst_nis = one, nis
-        return worst if worst is not None and worst_nis > self._sensors[worst.sensor].limit else None
+        # the newest has no successor yet, and may be what pulls at the others
+        older = list(self._used)[:-1]
+        doubted = [one for one in older if self.newest_ns - one.stamp_ns <= quarantine_ns[one.sensor]]
+        if not doubted:
+            return None
+        nis = self._residual_nis(doubted, smoother)
+        k = int(nis.argmax())
+        return doubted[k] if nis[k] > self._sensors[doubted[k].sensor].limit else None
 
     def median_nis(self, positions: list[Position], smoother: Smoother) -> float:
         """Return the median of the squared residuals of positions over their covariance, infinite if there are none."""
-        residuals = [self._residual_nis(one, smoother) for one in positions]
-        return float(np.median(residuals)) if residuals else inf
+        return float(np.median(self._residual_nis(positions, smoother))) if positions else inf
 
-    def _residual_nis(self, position: Position, smoother: Smoother) -> float:
-        sensor, state = self._sensors[position.sensor], State(smoother.nav(position.stamp_ns), NO_DOUBT)
-        arm = None if sensor.parameter is None else smoother.parameter_estimate(sensor.name)
-        if arm is not None:
-            state = state._replace(parameter=arm[0], parameter_covariance=np.zeros((3, 3)))
-        return sensor.innovation(position, state).nis(state)
+    def _residual_nis(self, positions: list[Position], smoother: Smoother) -> Array:
+        """Return the squared residuals (N,) of positions at the optimised states over their covariance."""
+        poses = {stamp_ns: smoother.nav(stamp_ns).pose() for stamp_ns in {one.stamp_ns for one in positions}}
+        arms = {name: self._lever_arm(name, smoother) for name in {one.sensor for one in positions}}
+        predicted = [poses[one.stamp_ns].transformFrom(arms[one.sensor]) for one in positions]
+        y: Array = np.array([one.p_W_P for one in positions]) - predicted
+        weighted = np.linalg.solve(np.array([one.covariance for one in positions]), y[:, :, None])[:, :, 0]
+        squared: Array = (y * weighted).sum(axis=1)
+        return squared
+
+    def _lever_arm(self, name: str, smoother: Smoother) -> Array:
+        sensor = self._sensors[name]
+        estimated = None if sensor.parameter is None else smoother.parameter_estimate(name)
+        return sensor.p_I_P if estimated is None else estimated[0]

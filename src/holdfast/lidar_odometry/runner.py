@@ -194,4 +194,5 @@ def encode(registered: Registered, encoder: OdometryEncoder) -> bytes:
         covariance = (M @ registered.covariance @ M.T).ravel()
     quaternion: Array = gtsam.Rot3(R).toQuaternion().coeffs()  # type: ignore[attr-defined]  # absent from the stubs
     zero = np.zeros(3)
-    return encoder.encode(registered.stamp_ns, registered.T_L0_L[:3, 3], quaternion, covariance, zero, zero, UNKNOWN)
+    position = registered.T_L0_L[:3, 3]
+    return encoder.encode([registered.stamp_ns], position, quaternion, covariance, zero, zero, UNKNOWN)[0]

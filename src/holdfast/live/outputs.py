@@ -12,7 +12,6 @@ from holdfast.live.dds import Network, Publish
 from holdfast.live.feed import Record
 from holdfast.live.idl import STORE
 from holdfast.live.path import DrivenPath
-from holdfast.ros.frame_transforms import translation_and_quaternion
 from holdfast.ros.messages import (
     DIAGNOSTICS,
     TRANSFORMS,
@@ -21,6 +20,7 @@ from holdfast.ros.messages import (
     Status,
     diagnostic_array,
 )
+from holdfast.ros.rows import Rows, quaternion_xyzw
 from holdfast.state import BaseState, Estimate
 
 PATH = "nav_msgs/msg/Path"
@@ -76,13 +76,14 @@ class Outputs:
         if self._with_tf and not self._mounted:
             self._mounted = True
             self._send(self._messages.mounts(estimate.stamp_ns), now_ns)
-        for message in self._messages.of(estimate, base):
+        rows = Rows.of([estimate], [] if base is None else [base])
+        for message in self._messages.of(rows)[0]:
             if message.topic in self._publish:
                 self._send(message, now_ns)
         self._stamp_ns = estimate.stamp_ns
         pose = estimate.nav.pose() if not self._has_base else base.T_W_B if base is not None else None
         if pose is not None:
-            self._path_grew |= self._path.add(estimate.stamp_ns, *translation_and_quaternion(pose))
+            self._path_grew |= self._path.add(estimate.stamp_ns, pose.translation(), quaternion_xyzw(pose.rotation()))
 
     def path(self, now_ns: int) -> None:
         """Publish the path if it has grown since the last time."""

@@ -21,7 +21,7 @@ from holdfast.paper.curves import Curves, curves, curves_at_fixes, curves_of_cor
 from holdfast.paper.results import Growth, OutageScore
 from holdfast.paper.stream import OutcomeLog
 from holdfast.replay.published import PublishedRecorder
-from holdfast.ros.outputs import quaternion_xyzw
+from holdfast.ros.rows import quaternion_xyzw
 from holdfast.state import OptimisedState, Trajectory
 
 AFTER_S = (1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 75.0, 90.0, 120.0, 150.0, 180.0)

@@ -4,7 +4,7 @@ rosbags reads what has an index; `holdfast.recording.cut_mcap` reads MCAP files 
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +16,7 @@ from rosbags.rosbag2 import Reader as Reader2
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
 from holdfast.errors import RecordingError
+from holdfast.recording.fixed_layout import FixedLayout
 
 RawMessage = tuple[int, int, bytes]
 """Arrival [ns], number of the channel, serialised message."""
@@ -165,6 +166,13 @@ class Codec:
     def deserialize(self, raw: bytes) -> Any:
         """Return the message as an object with the fields of its definition."""
         return self._decode(raw, self._type)
+
+    def layout(self, fields: Sequence[str], raw: bytes) -> FixedLayout | None:
+        """Return where some fields lie in messages like a decoded one; None where that cannot be told."""
+        try:
+            return None if self._ros1 else FixedLayout(self._store.fielddefs, self._type, fields, raw)
+        except (ValueError, KeyError, struct.error):
+            return None
 
     def peek(self, raw: bytes) -> tuple[int, str]:
         """Return stamp [ns] and frame_id of a message that begins with a header, without decoding the rest.

@@ -6,6 +6,7 @@ as a pose whose quaternion is zero, raises `UndecodableError`; the readers skip 
 
 from collections.abc import Callable
 from math import isfinite, sqrt
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TWIST = "geometry_msgs/msg/TwistStamped"
 TWIST_COVARIANCE = "geometry_msgs/msg/TwistWithCovarianceStamped"
 
+STAMP = "header.stamp.sec", "header.stamp.nanosec"
 QUATERNION_NORM_TOLERANCE = 0.01
 ROTATION_FIRST = np.array([3, 4, 5, 0, 1, 2])
 
@@ -37,6 +39,23 @@ def stamp_ns(message: Any) -> int:
     """Return the stamp of a message that has a header [ns]."""
     stamp = message.header.stamp
     return int(stamp.sec * 1_000_000_000 + stamp.nanosec)
+
+
+class FieldDecoder:
+    """A decoder that needs a few fields only, which `FixedLayout` reads without decoding the whole message.
+
+    Args:
+        fields: paths to them.
+        build: takes the arrival [ns] and the fields in their order.
+    """
+
+    def __init__(self, fields: tuple[str, ...], build: Callable[..., Message]) -> None:
+        self.fields, self.build = fields, build
+        self.values_of: Callable[[Any], tuple[Any, ...]] = attrgetter(*fields)
+
+    def __call__(self, message: Any, arrival_ns: int) -> Message:
+        """Decode a deserialised message."""
+        return self.build(arrival_ns, *self.values_of(message))
 
 
 def decoder(convert: Callable[[int, int, str, Any], Message]) -> DecoderFactory:

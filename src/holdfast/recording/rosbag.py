@@ -6,11 +6,14 @@ from functools import partial
 from pathlib import Path, PurePath
 from typing import Any
 
+import numpy as np
+
 from holdfast.errors import RecordingError
 from holdfast.messages import Message
 from holdfast.recording.bag_file import BagFile, Channel, Codec, IndexedBagFile
 from holdfast.recording.cut_mcap import StreamedMcap
-from holdfast.recording.decode import Decoder
+from holdfast.recording.decode import Decoder, FieldDecoder
+from holdfast.recording.fixed_layout import FixedLayout
 from holdfast.recording.kinds import default_decoder, make_decoder
 from holdfast.recording.merge import SkippedMessages, merge_by_arrival
 from holdfast.recording.source import Closing, Header, Subscription, TopicInfo, arrival_window, find_topic
@@ -24,6 +27,34 @@ class Route:
     publisher: str
     codec: Codec | None
     decoders: list[Decoder] = field(default_factory=list)
+    direct: "DirectDecoder | None" = None
+
+
+class DirectDecoder:
+    """Reads what the one decoder of a channel needs from the bytes of messages that are laid out like the first."""
+
+    def __init__(self, codec: Codec, decoder: FieldDecoder) -> None:
+        self._codec, self._decoder = codec, decoder
+        self._layout: FixedLayout | None = None
+        self._has_learnt = False
+
+    def __call__(self, raw: bytes, arrival_ns: int) -> Message | None:
+        """Return the measurement; None where only the general decoder can tell it, or what is wrong."""
+        values = None if self._layout is None else self._layout.read(raw)
+        try:
+            return None if values is None else self._decoder.build(arrival_ns, *values)
+        except Exception:  # the general decoder raises it again
+            return None
+
+    def learn(self, raw: bytes, message: Any) -> None:
+        """Take in how the first message is laid out, if that leads to what the general decoder made of it."""
+        if self._has_learnt:
+            return
+        self._has_learnt = True
+        layout = self._codec.layout(self._decoder.fields, raw)
+        expected = [one if np.isscalar(one) else tuple(one) for one in self._decoder.values_of(message)]
+        if layout is not None and layout.read(raw) == tuple(expected):
+            self._layout = layout
 
 
 Routes = dict[int, Route]
@@ -138,7 +169,9 @@ class RosbagRecording(Closing):
             decoders = [make_decoder(subscription, channel.type, str(file.path)) for subscription in asked]
             if decoders:
                 codec = Codec(channel, file.path, ros1=file.ros1)
-                routes[channel.number] = Route(channel.topic, channel.publisher, codec, decoders)
+                only = decoders[0] if len(decoders) == 1 else None
+                direct = DirectDecoder(codec, only) if isinstance(only, FieldDecoder) else None
+                routes[channel.number] = Route(channel.topic, channel.publisher, codec, decoders, direct)
         return routes
 
     def _all_routes(self, file: BagFile) -> Routes:
@@ -165,11 +198,17 @@ class RosbagRecording(Closing):
         try:
             for arrival_ns, route, raw in messages:
                 assert route.codec is not None
+                direct = None if route.direct is None else route.direct(raw, arrival_ns)
+                if direct is not None:
+                    yield direct
+                    continue
                 try:
                     message = route.codec.deserialize(raw)
                 except Exception as error:  # damaged bytes raise anything; one message must not end a replay
                     skipped.add(route.topic, arrival_ns, error)
                     continue
+                if route.direct is not None:
+                    route.direct.learn(raw, message)
                 for decode in route.decoders:  # of several sensors: what is none of one may well be another
                     try:
                         decoded = decode(message, arrival_ns)

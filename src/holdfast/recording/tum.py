@@ -6,16 +6,18 @@ from math import isfinite
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from holdfast.errors import RecordingError
-from holdfast.messages import Array
 from holdfast.recording.source import Closing
 from holdfast.state import Trajectory
 
 NORM_TOLERANCE = 0.01
-ROWS_PER_FLUSH = 64
+NS_PER_S = 1_000_000_000
+ROW, CELLS = b"%b%d.%09d" + b" %.9f" * 7 + b"\n", 10
+ROWS_PER_WRITE = 256
 BUFFER_BYTES = 1 << 16
-"""More than ROWS_PER_FLUSH rows, so that only whole rows reach the file."""
+"""More than ROWS_PER_WRITE rows, so that only whole rows reach the file."""
 
 
 def read_tum(path: str | Path) -> Trajectory:
@@ -67,36 +69,26 @@ def _parse(cells: list[str], place: str) -> tuple[int, list[float]]:
 def write_tum(path: str | Path, trajectory: Trajectory) -> None:
     """Write a trajectory with 9 decimals."""
     with TumWriter(path) as writer:
-        for stamp_ns, position, quaternion in zip(
-            trajectory.stamps_ns.tolist(), trajectory.positions, trajectory.quaternions, strict=True
-        ):
-            writer.append(stamp_ns, position, quaternion)
+        writer.extend(trajectory.stamps_ns.tolist(), trajectory.positions, trajectory.quaternions)
 
 
 class TumWriter(Closing):
-    """Writes a trajectory pose by pose; a killed run keeps all but the last 64 rows, and no half row."""
+    """Writes a trajectory block by block; a killed run keeps what `extend` was given, and no half row."""
 
     def __init__(self, path: str | Path) -> None:
         self._file = Path(path).open("wb", buffering=BUFFER_BYTES)  # noqa: SIM115 (closed by close)
-        self._rows = 0
 
-    def append(
-        self, stamp_ns: int, position: Array | Sequence[float], quaternion_xyzw: Array | Sequence[float]
-    ) -> None:
-        """Write one pose: position (3,) [m], quaternion (4,) x, y, z, w."""
-        x, y, z = position.tolist() if isinstance(position, np.ndarray) else position
-        qx, qy, qz, qw = quaternion_xyzw.tolist() if isinstance(quaternion_xyzw, np.ndarray) else quaternion_xyzw
-        sign = b""
-        if stamp_ns < 0:
-            sign, stamp_ns = b"-", -stamp_ns
-        self._file.write(
-            b"%b%d.%09d %.9f %.9f %.9f %.9f %.9f %.9f %.9f\n"
-            % (sign, stamp_ns // 1_000_000_000, stamp_ns % 1_000_000_000, x, y, z, qx, qy, qz, qw)
-        )
-        self._rows += 1
-        if self._rows % ROWS_PER_FLUSH == 0:
+    def extend(self, stamps_ns: Sequence[int], positions: ArrayLike, quaternions_xyzw: ArrayLike) -> None:
+        """Write poses: stamps (N,), positions (N, 3) [m], quaternions (N, 4) x, y, z, w."""
+        rows = np.hstack([np.reshape(positions, (-1, 3)), np.reshape(quaternions_xyzw, (-1, 4))])
+        for begin in range(0, len(rows), ROWS_PER_WRITE):
+            block = slice(begin, begin + ROWS_PER_WRITE)
+            cells: list[bytes | float] = []
+            for stamp_ns, row in zip(stamps_ns[block], rows[block].tolist(), strict=True):
+                cells += (b"-" if stamp_ns < 0 else b"", *divmod(abs(stamp_ns), NS_PER_S), *row)
+            self._file.write(ROW * (len(cells) // CELLS) % tuple(cells))
             self._file.flush()
 
     def close(self) -> None:
-        """Write what is left and close the file."""
+        """Close the file."""
         self._file.close()

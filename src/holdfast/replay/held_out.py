@@ -92,11 +92,18 @@ class HoldOutFilter:
         self._lost: set[str] = set()  # sensors in an outage, which lasts until the estimator gets a message again
         self.held: deque[tuple[Message, bool]] = deque()
 
+    def __bool__(self) -> bool:
+        """Whether anything is to be held back."""
+        return bool(self._rules)
+
     def split(self, messages: Iterable[Message]) -> Iterator[Message]:
         """Yield what is not held back; the rest goes to `held`, with whether it is in an outage."""
         for message in messages:
             if self.first_ns is None:
                 self.first_ns = message.stamp_ns
+            if not self._rules:
+                yield message
+                continue
             at_s = (message.stamp_ns - self.first_ns) * 1e-9
             rules = [rule for rule in self._rules if rule.sensor == message.sensor and self._is_usable(message)]
             if any(rule.every is None and rule.start_s <= at_s < rule.end_s for rule in rules):

@@ -1,17 +1,19 @@
-"""The files of a replay: trajectories, ROS messages and events, written as they come so that nothing is lost."""
+"""The files of a replay: trajectories, ROS messages and events, written in small blocks so that little can be lost."""
 
 import json
+from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+import gtsam
+
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
 from holdfast.recording.mcap_writer import McapWriter
 from holdfast.recording.tum import TumWriter
-from holdfast.ros.frame_transforms import translation_and_quaternion
 from holdfast.ros.messages import (
     DIAGNOSTICS,
     DIAGNOSTICS_PERIOD_NS,
@@ -22,9 +24,10 @@ from holdfast.ros.messages import (
     diagnostic_array,
     estimator_status,
 )
-from holdfast.ros.outputs import quaternion_xyzw
+from holdfast.ros.rows import Poses, Rows
 from holdfast.state import BaseState, Estimate, Event, Output
 
+BLOCK = 64  # estimates that are written at once, and may be lost if the run is killed
 ESTIMATES, EVENTS, SUMMARY = "estimates.mcap", "events.jsonl", "summary.json"
 
 
@@ -48,6 +51,10 @@ class Outputs:
                 raise ConfigError(f"{error.filename or folder}: cannot be written ({error.strerror})") from None
             self._stack = stack.pop_all()
         self._messages = EstimateMessages(config)
+        self._estimates: list[Estimate] = []  # that wait to be written, with what came along
+        self._bases: list[BaseState] = []
+        self._optimised: list[tuple[int, gtsam.NavState]] = []
+        self._smoothed: list[tuple[int, gtsam.NavState]] = []
         self._last_node_ns = -1
         self._newest: Estimate | None = None
         self._diagnosed_ns = 0
@@ -59,21 +66,25 @@ class Outputs:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._stack.__exit__(kind, error, trace)
+        with self._stack:
+            self._write_pending()
 
     def write(self, output: Output) -> None:
-        """Write the output of one message."""
+        """Write the output of one message, or keep it until there is enough for a block."""
         if output.estimate is not None:
-            self._newest = output.estimate
-            self._write_estimate(output.estimate, output.base)
+            if (output.base is None) == bool(self._bases):  # a block has the chassis at every estimate or at none
+                self._write_pending()
+            _ = output.estimate.covariance  # it costs more to compute once the state has moved on
+            self._estimates.append(output.estimate)
+            if output.base is not None:
+                self._bases.append(output.base)
         # a late measurement updates the window without making a newer node: a track holds each node once
         if output.optimised is not None and output.optimised.stamp_ns > self._last_node_ns:
             self._last_node_ns = output.optimised.stamp_ns
-            nav = output.optimised.nav
-            track = self._tracks["optimized_in_world"]
-            track.append(output.optimised.stamp_ns, nav.position(), quaternion_xyzw(nav.attitude()))
-        for stamp_ns, nav in output.smoothed:
-            self._tracks["smoothed_in_world"].append(stamp_ns, nav.position(), quaternion_xyzw(nav.attitude()))
+            self._optimised.append((self._last_node_ns, output.optimised.nav))
+        self._smoothed += output.smoothed
+        if len(self._estimates) >= BLOCK:
+            self._write_pending()
 
     def write_events(self, events: list[Event]) -> None:
         """Write events, one JSON object per line."""
@@ -87,25 +98,39 @@ class Outputs:
         if now_ns - self._diagnosed_ns < DIAGNOSTICS_PERIOD_NS:
             return
         self._diagnosed_ns = now_ns
+        self._write_pending()
         statuses = [estimator_status(estimator)]
         if self._newest is not None:
             statuses.append(bias_status(self._newest))
         message = diagnostic_array(self._mcap.types, now_ns, statuses)
         self._mcap.write("/diagnostics", message, DIAGNOSTICS, now_ns)
 
-    def _write_estimate(self, estimate: Estimate, base: BaseState | None) -> None:
-        stamp = estimate.stamp_ns
-        T_W_I = estimate.nav.pose()
-        self._tracks["imu_in_world"].append(stamp, *translation_and_quaternion(T_W_I))
-        self._tracks["imu_in_odom"].append(stamp, *translation_and_quaternion(estimate.T_W_O.inverse() * T_W_I))
-        if base is not None and "base_in_odom" in self._tracks:
-            self._tracks["base_in_odom"].append(stamp, *translation_and_quaternion(base.T_O_B))
-            self._tracks["base_in_world"].append(stamp, *translation_and_quaternion(base.T_W_B))
+    def _write_pending(self) -> None:
+        if self._estimates:
+            self._newest = self._estimates[-1]
+            self._write_estimates(Rows.of(self._estimates, self._bases))
+            self._estimates, self._bases = [], []
+        for name, nodes in (("optimized_in_world", self._optimised), ("smoothed_in_world", self._smoothed)):
+            if nodes:
+                self._append(name, [stamp_ns for stamp_ns, _ in nodes], Poses.of(nav.pose() for _, nav in nodes))
+                nodes.clear()
+
+    def _write_estimates(self, rows: Rows) -> None:
+        stamps = rows.stamps_ns
+        self._append("imu_in_world", stamps, rows.T_W_I)
+        self._append("imu_in_odom", stamps, rows.T_O_I)
+        if rows.bases:
+            self._append("base_in_odom", stamps, rows.T_O_B)
+            self._append("base_in_world", stamps, Poses.of(base.T_W_B for base in rows.bases))
         if not self._mounted:
             self._mounted = True
-            self._write_message(self._messages.mounts(stamp), stamp)
-        for message in self._messages.of(estimate, base):
-            self._write_message(message, stamp)
+            self._write_messages(stamps[0], [self._messages.mounts(stamps[0])])
+        for stamp_ns, messages in zip(stamps, self._messages.of(rows), strict=True):
+            self._write_messages(stamp_ns, messages)
 
-    def _write_message(self, message: RosMessage, stamp_ns: int) -> None:
-        self._mcap.write(message.topic, message.data, message.type_name, stamp_ns)
+    def _append(self, name: str, stamps_ns: list[int], poses: Poses) -> None:
+        self._tracks[name].extend(stamps_ns, poses.translations, poses.quaternions)
+
+    def _write_messages(self, stamp_ns: int, messages: Iterable[RosMessage]) -> None:
+        for message in messages:
+            self._mcap.write(message.topic, message.data, message.type_name, stamp_ns)

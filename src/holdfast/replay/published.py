@@ -17,7 +17,7 @@ from holdfast.evaluation.states import States
 from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, gravity
 from holdfast.messages import Array, ImuSample, Message
 from holdfast.replay.runner import Timing
-from holdfast.ros.outputs import quaternion_xyzw
+from holdfast.ros.rows import quaternion_xyzw
 from holdfast.state import BaseState, Estimate, Event, EventKind, OptimisedState, Outcome, Trajectory
 
 PROGRESS_MESSAGES = 1000

@@ -149,10 +149,12 @@ class Replay:
             self.causal.add_message(message, in_outage)
             self.smoothed.add_message(message, in_outage)
         frame = self.estimator.world
+        if output.estimate is not None and self._kept is not None:
+            self._keep(output.estimate)
+        if not self._filter:  # a track is of no use where nothing is to be judged by it
+            return
         if output.estimate is not None:
             self.causal.add_estimate(output.estimate, frame)
-            if self._kept is not None:
-                self._keep(output.estimate)
         if output.optimised is not None:
             self.causal.add_optimised(output.optimised, frame)
         for stamp_ns, nav in output.smoothed:

@@ -1,13 +1,12 @@
 """The tree of frames as tf2 messages: what moves, at every estimate, and what is mounted, once."""
 
 import gtsam
+import numpy as np
 
 from holdfast.config.frame_tree import links_from
 from holdfast.config.model import Config
-from holdfast.messages import Array
 from holdfast.ros.cdr import TransformEncoder
-from holdfast.ros.outputs import quaternion_xyzw
-from holdfast.state import BaseState, Estimate
+from holdfast.ros.rows import Poses, Rows, quaternion_xyzw
 
 
 class FrameTransforms:
@@ -32,23 +31,21 @@ class FrameTransforms:
     def mounts(self, stamp_ns: int) -> bytes:
         """Return the message for /tf_static: what does not move."""
         encoder = TransformEncoder([(parent, child) for parent, child, _ in self._mounts])
-        return encoder.encode(stamp_ns, [translation_and_quaternion(gtsam.Pose3(T)) for _, _, T in self._mounts])
+        poses = Poses.of(gtsam.Pose3(T) for _, _, T in self._mounts)
+        return encoder.encode([stamp_ns], list(zip(poses.translations, poses.quaternions, strict=True)))[0]
 
-    def at(self, estimate: Estimate, base: BaseState | None) -> bytes:
-        """Return the message for /tf; where the base is not known, nothing below `odom` is."""
-        poses = [translation_and_quaternion(estimate.T_W_O)]
-        if not self._has_base:
-            poses.append(translation_and_quaternion(estimate.T_W_O.between(estimate.nav.pose())))
-        elif base is None:
-            return self._world.encode(estimate.stamp_ns, poses)
-        else:
-            poses.append(translation_and_quaternion(base.T_O_B))
+    def at(self, rows: Rows) -> list[bytes]:
+        """Return the messages for /tf; where the base is not known, nothing below `odom` is."""
+        poses = [rows.T_W_O[:2]]
+        if self._has_base and not rows.bases:
+            return self._world.encode(rows.stamps_ns, poses)
+        if self._has_base:
+            poses.append(rows.T_O_B[:2])
             if self._joint is not None:
-                rotation = gtsam.Rot3.Rz(base.joint_angle_rad) * self._joint.rotation()
-                poses.append((self._joint.translation(), quaternion_xyzw(rotation)))
-        return self._chain.encode(estimate.stamp_ns, poses)
-
-
-def translation_and_quaternion(pose: gtsam.Pose3) -> tuple[Array, Array]:
-    """Return the translation (3,) [m] and the quaternion (4,) x, y, z, w of a pose."""
-    return pose.translation(), quaternion_xyzw(pose.rotation())
+                turned = self._joint.rotation()
+                rotations = [gtsam.Rot3.Rz(base.joint_angle_rad) * turned for base in rows.bases]
+                quaternions = np.array([quaternion_xyzw(rotation) for rotation in rotations])
+                poses.append((self._joint.translation(), quaternions))
+        else:
+            poses.append(rows.T_O_I[:2])
+        return self._chain.encode(rows.stamps_ns, poses)

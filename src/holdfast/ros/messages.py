@@ -1,14 +1,17 @@
 """The estimator's output as ROS messages with their topics: the same in a file and on the network."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
-from holdfast.chassis.kinematics import BaseGeometry
+import numpy as np
+
+from holdfast.chassis.covariances import BaseUncertainty
 from holdfast.config.model import Config
 from holdfast.ros.cdr import OdometryEncoder
 from holdfast.ros.frame_transforms import FrameTransforms
 from holdfast.ros.outputs import base_odometry, odometry, seen_from
-from holdfast.state import BaseState, Estimate, Health, HealthReport, Outcome
+from holdfast.ros.rows import Rows
+from holdfast.state import Estimate, Health, HealthReport, Outcome
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
@@ -29,7 +32,7 @@ class RosMessage(NamedTuple):
 
 
 class EstimateMessages:
-    """Encodes every estimate: odometry of the IMU in both frames, of the chassis where it is known, and transforms.
+    """Encodes estimates: odometry of the IMU in both frames, of the chassis where it is known, and transforms.
 
     Args:
         config: names the frames.
@@ -39,7 +42,7 @@ class EstimateMessages:
     def __init__(self, config: Config, node: str = "/holdfast") -> None:
         frames = config.frames
         self._topics = [f"{node}/odometry/{name}" for name in ("world", "odom", "base")]
-        self._geometry = BaseGeometry(config) if config.has_base() else None
+        self._uncertainty = BaseUncertainty(config) if config.has_base() else None
         self._in_world = OdometryEncoder(frames.world, config.imu_frame)
         self._in_odometry = OdometryEncoder(frames.odometry, config.imu_frame)
         self._of_base = OdometryEncoder(frames.odometry, frames.base)
@@ -51,24 +54,27 @@ class EstimateMessages:
     @property
     def topics(self) -> dict[str, str]:
         """Every topic that `of` may name, with its type."""
-        odometries = self._topics if self._geometry is not None else self._topics[:2]
+        odometries = self._topics if self._uncertainty is not None else self._topics[:2]
         return dict.fromkeys(odometries, ODOMETRY) | {"/tf": TRANSFORMS}
 
-    def of(self, estimate: Estimate, base: BaseState | None) -> Iterator[RosMessage]:
-        """Yield the messages of one estimate, stamped as it is, each as soon as it is made; ask in order of time."""
-        stamp = estimate.stamp_ns
-        T_W_I = estimate.nav.pose()
-        period_s = min(max((stamp - self._last_stamp_ns) * 1e-9, 1e-4), 0.1)
-        self._last_stamp_ns = stamp
-        rate_variance = self._rate_density / period_s
-        world = odometry(estimate, T_W_I, rate_variance)
-        yield RosMessage(self._topics[0], ODOMETRY, self._in_world.encode(stamp, *world))
-        odom = seen_from(world, estimate, estimate.T_W_O.inverse() * T_W_I)
-        yield RosMessage(self._topics[1], ODOMETRY, self._in_odometry.encode(stamp, *odom))
-        yield RosMessage("/tf", TRANSFORMS, self._transforms.at(estimate, base))
-        if base is not None and self._geometry is not None:
-            chassis = base_odometry(estimate, base, self._geometry, rate_variance)
-            yield RosMessage(self._topics[2], ODOMETRY, self._of_base.encode(stamp, *chassis))
+    def of(self, rows: Rows) -> list[tuple[RosMessage, ...]]:
+        """Return the messages of each of some estimates, stamped as it is; ask in order of time."""
+        stamps = rows.stamps_ns
+        periods_s = np.diff([self._last_stamp_ns, *stamps]).astype(np.float64) * 1e-9
+        self._last_stamp_ns = stamps[-1]
+        rate_variances = self._rate_density / np.minimum(np.maximum(periods_s, 1e-4), 0.1)
+        world = odometry(rows, rows.T_W_I, rate_variances)
+        odom = seen_from(world, rows, rows.T_O_I)
+        in_world, in_odometry, of_base = self._topics
+        found = [
+            [RosMessage(in_world, ODOMETRY, data) for data in self._in_world.encode(stamps, *world)],
+            [RosMessage(in_odometry, ODOMETRY, data) for data in self._in_odometry.encode(stamps, *odom)],
+            [RosMessage("/tf", TRANSFORMS, data) for data in self._transforms.at(rows)],
+        ]
+        if rows.bases and self._uncertainty is not None:
+            chassis = base_odometry(rows, self._uncertainty, rate_variances)
+            found.append([RosMessage(of_base, ODOMETRY, data) for data in self._of_base.encode(stamps, *chassis)])
+        return list(zip(*found, strict=True))
 
     def mounts(self, stamp_ns: int) -> RosMessage:
         """Return the message for /tf_static: what does not move."""

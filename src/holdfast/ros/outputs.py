@@ -2,84 +2,79 @@
 
 from typing import NamedTuple
 
-import gtsam
 import numpy as np
 
-from holdfast.chassis.kinematics import BaseGeometry
+from holdfast.chassis.covariances import BaseUncertainty
+from holdfast.geometry.skew import skew
 from holdfast.messages import Array
-from holdfast.state import BaseState, Estimate
+from holdfast.ros.rows import Poses, Rows
+
+TRANSLATION_FIRST = np.array([3, 4, 5, 0, 1, 2])
 
 
 class RosOdometry(NamedTuple):
-    """The fields of nav_msgs/Odometry: pose in the frame of the header, twist in the child frame."""
+    """The fields of N nav_msgs/Odometry: pose in the frame of the header, twist in the child frame.
 
-    position: Array
-    quaternion_xyzw: Array
-    pose_covariance: Array
+    Shapes: positions, linear and angular (N, 3), quaternions (N, 4), covariances (N, 36).
+    """
+
+    positions: Array
+    quaternions_xyzw: Array
+    pose_covariances: Array
     linear: Array
     angular: Array
-    twist_covariance: Array
+    twist_covariances: Array
 
 
-def quaternion_xyzw(rotation: gtsam.Rot3) -> Array:
-    """Return the quaternion (4,) x, y, z, w."""
-    coefficients: Array = rotation.toQuaternion().coeffs()  # type: ignore[attr-defined]  # absent from the stubs
-    return coefficients
+def pose_covariances(covariances: Array, R: Array) -> Array:
+    """Return covariances (N, 6, 6) of poses in ROS order, translation before rotation, both about the fixed axes.
 
-
-def pose_covariance(covariance: Array, R: Array) -> Array:
-    """Return the covariance (6, 6) of a pose in ROS order, translation before rotation, both about the fixed axes.
-
-    From GTSAM's tangent in the body (rotation, position, ...) with R (3, 3) the attitude: both blocks are rotated, none
-    is carried over a lever to the origin: (26) in docs/math.md.
+    From GTSAM's tangent in the body (rotation, position, ...) with R (N, 3, 3) the attitude: both blocks are rotated,
+    none is carried over a lever to the origin: (26) in docs/math.md.
     """
-    M = np.zeros((6, 6))
-    M[:3, 3:] = R
-    M[3:, :3] = R
-    rotated: Array = M @ covariance[:6, :6] @ M.T
+    M = np.zeros((len(R), 6, 6))
+    M[:, :3, 3:] = R
+    M[:, 3:, :3] = R
+    rotated: Array = M @ covariances[:, :6, :6] @ M.transpose(0, 2, 1)
     return rotated
 
 
-def base_odometry(estimate: Estimate, base: BaseState, geometry: BaseGeometry, rate_variance: float) -> RosOdometry:
-    """Return the odometry of the chassis: T_O_B, and its twist in B; arguments as for `BaseGeometry.covariances`."""
-    pose, twist = geometry.covariances(estimate, base, rate_variance)
-    rotation = base.T_O_B.rotation()
+def base_odometry(rows: Rows, uncertainty: BaseUncertainty, rate_variances: Array) -> RosOdometry:
+    """Return the odometry of the chassis: T_O_B, and its twist in B; arguments as for `BaseUncertainty.covariances`."""
+    poses = rows.T_O_B
+    pose, twist = uncertainty.covariances(rows.estimates, rows.bases, rate_variances)
     return RosOdometry(
-        base.T_O_B.translation(),
-        quaternion_xyzw(rotation),
-        pose_covariance(pose, rotation.matrix()).ravel(),
-        base.velocity,
-        base.angular_velocity,
-        np.roll(twist, 3, axis=(0, 1)).ravel(),
+        poses.translations,
+        poses.quaternions,
+        pose_covariances(pose, poses.rotations).reshape(-1, 36),
+        np.array([base.velocity for base in rows.bases]),
+        np.array([base.angular_velocity for base in rows.bases]),
+        twist[:, TRANSLATION_FIRST[:, None], TRANSLATION_FIRST].reshape(-1, 36),
     )
 
 
-def odometry(estimate: Estimate, pose: gtsam.Pose3, rate_variance: float) -> RosOdometry:
-    """Return the odometry for `pose`, T_W_I or T_O_I; `rate_variance` [rad^2/s^2] is that of the angular velocity."""
-    attitude = estimate.nav.attitude()
-    linear = attitude.unrotate(estimate.nav.velocity())
+def odometry(rows: Rows, poses: Poses, rate_variances: Array) -> RosOdometry:
+    """Return the odometry for `poses`, T_W_I or T_O_I; `rate_variances` (N,) [rad^2/s^2] as for the chassis."""
     # v_I = R^T v: its error is that of v in the body, plus the error of attitude across v
-    J = np.zeros((3, 9))
-    x, y, z = linear
-    J[0, 1], J[0, 2], J[1, 0], J[1, 2], J[2, 0], J[2, 1] = -z, y, z, -x, -y, x
-    J[0, 6] = J[1, 7] = J[2, 8] = 1.0
-    twist_covariance = np.zeros((6, 6))
-    twist_covariance[:3, :3] = J @ estimate.covariance @ J.T
-    twist_covariance[3, 3] = twist_covariance[4, 4] = twist_covariance[5, 5] = rate_variance
+    J = np.zeros((len(rows.estimates), 3, 9))
+    J[:, :, :3], J[:, :, 6:] = skew(rows.velocities), np.eye(3)
+    twist = np.zeros((len(rows.estimates), 6, 6))
+    twist[:, :3, :3] = J @ rows.covariances @ J.transpose(0, 2, 1)
+    twist[:, range(3, 6), range(3, 6)] = rate_variances[:, None]
     return RosOdometry(
-        pose.translation(),
-        quaternion_xyzw(pose.rotation()),
-        pose_covariance(estimate.covariance, pose.rotation().matrix()).ravel(),
-        linear,
-        estimate.angular_velocity,
-        twist_covariance.ravel(),
+        poses.translations,
+        poses.quaternions,
+        pose_covariances(rows.covariances, poses.rotations).reshape(-1, 36),
+        rows.velocities,
+        np.array([estimate.angular_velocity for estimate in rows.estimates]),
+        twist.reshape(-1, 36),
     )
 
 
-def seen_from(other: RosOdometry, estimate: Estimate, pose: gtsam.Pose3) -> RosOdometry:
-    """Return the odometry of the same estimate for another pose; the twist is in the body, so it stays."""
+def seen_from(other: RosOdometry, rows: Rows, poses: Poses) -> RosOdometry:
+    """Return the odometry of the same estimates for other poses; the twist is in the body, so it stays."""
     return other._replace(
-        position=pose.translation(),
-        quaternion_xyzw=quaternion_xyzw(pose.rotation()),
-        pose_covariance=pose_covariance(estimate.covariance, pose.rotation().matrix()).ravel(),
+        positions=poses.translations,
+        quaternions_xyzw=poses.quaternions,
+        pose_covariances=pose_covariances(rows.covariances, poses.rotations).reshape(-1, 36),
     )

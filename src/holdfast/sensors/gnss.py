@@ -1,6 +1,7 @@
 """GNSS: which fixes can be trusted by what the receiver says of them, and what they weigh."""
 
 from copy import copy
+from math import isfinite
 from typing import ClassVar
 
 import gtsam
@@ -56,7 +57,7 @@ class GnssModel:
 
     def check(self, fix: GnssFix) -> Outcome:
         """Say whether a fix can be used, by what the receiver says of it."""
-        if not np.isfinite([fix.latitude_deg, fix.longitude_deg, fix.altitude_m]).all():
+        if not isfinite(fix.latitude_deg + fix.longitude_deg + fix.altitude_m):
             return Outcome.LOW_STATUS if fix.status == FixStatus.NO_FIX else Outcome.NOT_FINITE
         if fix.status < MIN_STATUS[self._config.min_status]:
             return Outcome.LOW_STATUS
@@ -64,7 +65,7 @@ class GnssModel:
             return Outcome.OUT_OF_RANGE
         if not is_claim(fix.covariance):
             return Outcome.NO_COVARIANCE if self._assumed_sigma_m(fix) is None else Outcome.USED
-        is_large = np.diag(fix.covariance)[:2].max() > self._config.max_sigma_m**2
+        is_large = max(fix.covariance[0, 0], fix.covariance[1, 1]) > self._config.max_sigma_m**2
         return Outcome.LARGE_COVARIANCE if is_large else Outcome.USED
 
     def assumption(self, fix: GnssFix) -> str:
@@ -88,7 +89,9 @@ class GnssModel:
         if not is_claim(claim):
             claim = np.diag(np.square(self._assumed_sigma_m(fix) or (0.0, 0.0, 0.0)))  # `check` refuses it otherwise
         symmetric = 0.5 * (claim + claim.T)
-        shortfall = self._config.min_sigma_m**2 - float(np.linalg.eigvalsh(symmetric)[0])
+        is_diagonal = np.count_nonzero(symmetric) == 3
+        smallest = symmetric.diagonal().min() if is_diagonal else np.linalg.eigvalsh(symmetric)[0]
+        shortfall = self._config.min_sigma_m**2 - float(smallest)
         floored: Array = symmetric + max(0.0, shortfall) * np.eye(3)
         return floored
 

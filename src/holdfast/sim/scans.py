@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from holdfast.errors import ConfigError
 from holdfast.messages import Array
-from holdfast.ros.cdr import ENCAPSULATION, NS_PER_S, STAMP
+from holdfast.ros.cdr import ENCAPSULATION, NS_PER_S
 from holdfast.sim.sensors.scanner import SimulatedScanner
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ def encode_points(scan: Scan, stamp_ns: int, frame_id: str, *, point_times: bool
     if point_times:
         cloud["t"] = scan.offset_ns
     names = cloud.dtype.names or ()
-    body = bytearray(STAMP.pack(stamp_ns // NS_PER_S, stamp_ns % NS_PER_S))
+    body = bytearray(struct.pack("<iI", *divmod(stamp_ns, NS_PER_S)))
     _append_text(body, frame_id)
     _append_integers(body, 1, len(cloud), len(names))
     for index, name in enumerate(names):

@@ -14,7 +14,7 @@ import rerun.blueprint as rrb
 
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.messages import Array
-from holdfast.ros.outputs import quaternion_xyzw
+from holdfast.ros.rows import quaternion_xyzw
 
 NS_PER_S = 1_000_000_000
 TIMELINE = "time"

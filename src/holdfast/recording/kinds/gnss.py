@@ -13,10 +13,14 @@ from holdfast.config.assignment import Measured, Rule
 from holdfast.config.sensors import GnssConfig
 from holdfast.messages import Array, FixStatus, GnssFix
 from holdfast.recording.columns import Columns, diagonal
-from holdfast.recording.decode import decoder, known_covariance
+from holdfast.recording.decode import STAMP, Decoder, FieldDecoder, known_covariance
 from holdfast.recording.kinds import DERIVED, Kind, register
+from holdfast.recording.source import Subscription
 
 FIX = "sensor_msgs/msg/NavSatFix"
+FIELDS = (
+    *STAMP, "latitude", "longitude", "altitude", "position_covariance", "position_covariance_type", "status.status",
+)  # fmt: skip
 LEFT = ("left", "main", "master", "primary", "front", "l")
 RIGHT = ("right", "aux", "slave", "secondary", "rover", "rear", "r")
 LARGEST_SIGMA_M = 10.0  # a receiver that usually claims more is not believed
@@ -27,12 +31,17 @@ def _status(number: float) -> FixStatus:
     return STATUSES.get(int(number), FixStatus.UNKNOWN) if isfinite(number) else FixStatus.UNKNOWN
 
 
-@decoder
-def fix_decoder(stamp_ns: int, arrival_ns: int, sensor: str, message: Any) -> GnssFix:
+def fix_decoder(subscription: Subscription) -> Decoder:
     """Decode sensor_msgs/NavSatFix: a covariance of unknown type, not finite or without variance is None."""
-    point = message.latitude, message.longitude, message.altitude
-    known = known_covariance(message.position_covariance, 3) if message.position_covariance_type != 0 else None
-    return GnssFix(stamp_ns, arrival_ns, sensor, *point, known, _status(message.status.status))
+
+    def build(arrival_ns: int, sec: int, nanosec: int, *fields: Any) -> GnssFix:
+        latitude, longitude, altitude, covariance, covariance_type, status = fields
+        known = known_covariance(covariance, 3) if covariance_type != 0 else None
+        stamp_ns = sec * 1_000_000_000 + nanosec
+        point = latitude, longitude, altitude
+        return GnssFix(stamp_ns, arrival_ns, subscription.sensor, *point, known, _status(status))
+
+    return FieldDecoder(FIELDS, build)
 
 
 def _of_line(stamp_ns: int, arrival_ns: int, sensor: str, v: list[float]) -> GnssFix:

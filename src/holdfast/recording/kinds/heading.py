@@ -1,13 +1,27 @@
 """Headings of a dual-antenna receiver or a compass."""
 
+from collections.abc import Sequence
 from math import atan2, hypot, isfinite
 from typing import Any
+
+import numpy as np
 
 from holdfast.config.assignment import Rule
 from holdfast.messages import Array, Heading
 from holdfast.recording.columns import Columns, positive
-from holdfast.recording.decode import IMU, UndecodableError, decoder, sigma_of, unit_quaternion
+from holdfast.recording.decode import (
+    IMU,
+    STAMP,
+    Decoder,
+    FieldDecoder,
+    UndecodableError,
+    decoder,
+    normalised,
+    sigma_of,
+    unit_quaternion,
+)
 from holdfast.recording.kinds import DERIVED, Kind, register
+from holdfast.recording.source import Subscription
 
 QUATERNION = "geometry_msgs/msg/QuaternionStamped"
 
@@ -18,14 +32,17 @@ def quaternion_decoder(stamp_ns: int, arrival_ns: int, sensor: str, message: Any
     return Heading(stamp_ns, arrival_ns, sensor, yaw_of_x_axis(unit_quaternion(message.quaternion)), None)
 
 
-@decoder
-def orientation_decoder(stamp_ns: int, arrival_ns: int, sensor: str, message: Any) -> Heading:
+def orientation_decoder(subscription: Subscription) -> Decoder:
     """Decode the orientation of sensor_msgs/Imu (REP-145: covariance[0] of -1 means that there is none)."""
-    covariance = message.orientation_covariance
-    if covariance[0] == -1:
-        raise UndecodableError("the message has no orientation (orientation_covariance[0] is -1)")
-    yaw_rad = yaw_of_x_axis(unit_quaternion(message.orientation))
-    return Heading(stamp_ns, arrival_ns, sensor, yaw_rad, sigma_of(covariance[8]))
+
+    def build(arrival_ns: int, sec: int, nanosec: int, covariance: Sequence[float], *quaternion: float) -> Heading:
+        if covariance[0] == -1:
+            raise UndecodableError("the message has no orientation (orientation_covariance[0] is -1)")
+        yaw_rad = yaw_of_x_axis(normalised(np.array(quaternion)))
+        stamp_ns = sec * 1_000_000_000 + nanosec
+        return Heading(stamp_ns, arrival_ns, subscription.sensor, yaw_rad, sigma_of(covariance[8]))
+
+    return FieldDecoder((*STAMP, "orientation_covariance", *(f"orientation.{axis}" for axis in "xyzw")), build)
 
 
 def yaw_of_x_axis(q: Array) -> float:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +10,12 @@ from holdfast.config.assignment import Measured, Rule
 from holdfast.config.sensors import InertialConfig
 from holdfast.messages import Array, ImuSample
 from holdfast.recording.columns import Columns, axes
-from holdfast.recording.decode import IMU, Decoder
+from holdfast.recording.decode import IMU, STAMP, Decoder, FieldDecoder
 from holdfast.recording.imu_at_rest import ImuAtRest, imu_at_rest
 from holdfast.recording.kinds import CHASSIS, DERIVED, Kind, register
 from holdfast.recording.source import Subscription
 
+FIELDS = (*STAMP, *(f"{vector}.{axis}" for vector in ("angular_velocity", "linear_acceleration") for axis in "xyz"))
 MIN_LINE_SAMPLES = 4
 LINE_TOLERANCE = 1e-6
 """Second differences [rad/s, m/s^2] below this are zero: far under any sensor's noise, and yet above what the jitter of
@@ -30,19 +30,11 @@ def imu_decoder(subscription: Subscription) -> Decoder:
     """Decode sensor_msgs/Imu; this is the hot path of a replay."""
     sensor = subscription.sensor
 
-    def decode(message: Any, arrival_ns: int) -> ImuSample:
-        stamp = message.header.stamp
-        rate = message.angular_velocity
-        force = message.linear_acceleration
-        return ImuSample(
-            stamp.sec * 1_000_000_000 + stamp.nanosec,
-            arrival_ns,
-            sensor,
-            np.array((rate.x, rate.y, rate.z)),
-            np.array((force.x, force.y, force.z)),
-        )
+    def build(arrival_ns: int, sec: int, nanosec: int, *numbers: float) -> ImuSample:
+        stamp_ns = sec * 1_000_000_000 + nanosec
+        return ImuSample(stamp_ns, arrival_ns, sensor, np.array(numbers[:3]), np.array(numbers[3:]))
 
-    return decode
+    return FieldDecoder(FIELDS, build)
 
 
 @dataclass(frozen=True, slots=True)

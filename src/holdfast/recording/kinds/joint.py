@@ -1,13 +1,13 @@
 """Angles of the turn joint."""
 
+from collections.abc import Sequence
 from math import isfinite
-from typing import Any
 
 from holdfast.config.assignment import Rule
 from holdfast.errors import RecordingError
 from holdfast.messages import JointAngle
 from holdfast.recording.columns import Columns
-from holdfast.recording.decode import Decoder, UndecodableError, stamp_ns
+from holdfast.recording.decode import STAMP, Decoder, FieldDecoder, UndecodableError
 from holdfast.recording.kinds import Kind, register
 from holdfast.recording.source import Subscription
 
@@ -21,8 +21,7 @@ def joint_decoder(subscription: Subscription) -> Decoder:
     """
     wanted = subscription.joint_name
 
-    def decode(message: Any, arrival_ns: int) -> JointAngle:
-        names, angles = list(message.name), message.position
+    def build(arrival_ns: int, sec: int, nanosec: int, names: Sequence[str], angles: Sequence[float]) -> JointAngle:
         if wanted is None:
             if len(names) > 1:
                 raise RecordingError(f"{subscription.topic}: set joint_name to one of {', '.join(names)}")
@@ -33,9 +32,9 @@ def joint_decoder(subscription: Subscription) -> Decoder:
             raise UndecodableError(f"joint {wanted!r} is not among {', '.join(names) or 'the joints (none)'}")
         if index >= len(angles) or not isfinite(angles[index]):
             raise UndecodableError("the joint has no finite position")
-        return JointAngle(stamp_ns(message), arrival_ns, subscription.sensor, float(angles[index]))
+        return JointAngle(sec * 1_000_000_000 + nanosec, arrival_ns, subscription.sensor, float(angles[index]))
 
-    return decode
+    return FieldDecoder((*STAMP, "name", "position"), build)
 
 
 def _of_line(stamp_ns: int, arrival_ns: int, sensor: str, v: list[float]) -> JointAngle:
