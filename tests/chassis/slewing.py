@@ -12,11 +12,13 @@ import numpy as np
 from holdfast.chassis.kinematics import BaseKinematics
 from holdfast.config.model import Config
 from holdfast.event_log import EventLog
+from holdfast.kernel.imu_path import NO_ENCODER
+from holdfast.kernel.turn_joint import at
 from holdfast.messages import ImuSample, JointAngle
 from holdfast.sim.configuration import configuration
 from holdfast.sim.scenario import load_scenario
 from holdfast.sim.simulation import START_NS, simulate
-from holdfast.state import Estimate
+from holdfast.state import PUBLISHED, BaseState, Estimate
 
 NO_BIAS = gtsam.imuBias.ConstantBias()
 NO_COVARIANCE = np.zeros((9, 9))
@@ -87,7 +89,7 @@ class Machine:
         v_W = (self.T_W_I(t + h).translation() - self.T_W_I(t - h).translation()) / (2.0 * h)
         rate = gtsam.Rot3.Logmap(self.T_W_I(t - h).rotation().between(self.T_W_I(t + h).rotation())) / (2.0 * h)
         nav = gtsam.NavState(T.rotation(), T.translation(), v_W)
-        return Estimate(ns(t), nav, T_W_O, NO_BIAS, NO_COVARIANCE, rate, True)
+        return Estimate.of(ns(t), nav, T_W_O, NO_BIAS, NO_COVARIANCE, rate, True)
 
     def reading(self, t, delay_s=0.004):
         return JointAngle(ns(t), ns(t + delay_s), "joint", float(self.angle(t)))
@@ -114,6 +116,19 @@ def received(motion, times=TIMES, joint_s=0.004, base_s=0.001, bias=0.0):
     ]
 
 
+def chassis_at(base, estimate):
+    """The chassis at an estimate, as the kernel of the IMU path asks for it."""
+    mount, joint, rotations, waiting = base.records
+    values = estimate.values.copy()
+    row = values.view(PUBLISHED)[0]
+    is_known = at(
+        mount[0], joint, rotations, waiting, row["estimate"], row["chassis"], estimate.stamp_ns, estimate.from_imu
+    )
+    base.count()
+    encoder = base.note(estimate.stamp_ns, int(joint[0]["encoder"]) if mount[0]["has_joint"] else NO_ENCODER)
+    return BaseState(estimate.stamp_ns, values, encoder) if is_known else None
+
+
 class Chassis:
     """`BaseKinematics` with a log of its own."""
 
@@ -132,7 +147,7 @@ class Chassis:
         for arrival_ns, _, row in sorted(rows, key=lambda row: row[:2]):
             if isinstance(row, Estimate):
                 imu_arrival_ns = arrival_ns
-                states.append(self.base.at(row))
+                states.append(chassis_at(self.base, row))
             else:
                 self.base.add(row, imu_arrival_ns)
         return states
@@ -224,7 +239,7 @@ def run_simulated(simulation, config=None, names=("base_imu", "joint")):
     estimates = []
     for row, stamp in enumerate(imu.stamps_ns.tolist()):
         nav = gtsam.NavState(gtsam.Rot3(cabin.R_W_F[row]), cabin.p_W[row], cabin.v_W[row])
-        estimates.append(Estimate(stamp, nav, T_W_O, NO_BIAS, NO_COVARIANCE, rates[row], True))
+        estimates.append(Estimate.of(stamp, nav, T_W_O, NO_BIAS, NO_COVARIANCE, rates[row], True))
     chassis_run = Chassis(config or calibrated(simulation))
     states = chassis_run.run(estimates, messages_of(simulation, *names))
     known = [row for row, state in enumerate(states) if state is not None]

@@ -3,8 +3,9 @@
 from math import inf, nan, pi, radians
 
 import pytest
+from compiled import RepeatMonitor
 
-from holdfast.chassis.encoder import JointModel, RepeatMonitor
+from holdfast.chassis.encoder import JointModel
 from holdfast.config.sensors import JointConfig
 from holdfast.messages import JointAngle
 from holdfast.state import Outcome

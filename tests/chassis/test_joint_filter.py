@@ -4,8 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from compiled import JointFilter
 
-from holdfast.chassis.joint_filter import GATE_SIGMA, JointFilter
+from holdfast.kernel.joint_filter import GATE_SIGMA
 from holdfast.state import Outcome
 
 SECOND_NS = 1_000_000_000

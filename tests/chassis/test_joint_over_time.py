@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from compiled import JointOverTime
 from slewing import AT_REST, machine, ns
 
 from holdfast.chassis.base_gyro import BaseGyro
 from holdfast.chassis.encoder import JointModel
-from holdfast.chassis.turn_joint import MAX_STEP_RAD, TurnJoint
 from holdfast.event_log import EventLog
+from holdfast.kernel.turn_joint import MAX_STEP_RAD
 from holdfast.messages import ImuSample, JointAngle
 from holdfast.state import EncoderState, Outcome
 
@@ -20,7 +21,7 @@ class Standing:
     def __init__(self, has_gyro=True):
         config, self.log, self.t, self.has_gyro = machine(), EventLog("imu"), 0.0, has_gyro
         gyro = BaseGyro(config.base_imu[1], Z) if has_gyro else None
-        self.joint = TurnJoint(JointModel(config.joint[1]), gyro, config, self.log)
+        self.joint = JointOverTime(JointModel(config.joint[1]), gyro, config, self.log)
 
     def read(self, angle, stamp_s=None):
         t = self.t if stamp_s is None else stamp_s
@@ -41,9 +42,9 @@ class Standing:
 def test_before_the_first_reading_no_angle_is_known():
     standing = Standing()
     assert standing.go(1.0) is None
-    assert standing.joint.state is EncoderState.ABSENT
+    assert standing.joint.encoder is EncoderState.ABSENT
     assert standing.go(0.1, 0.5).angle_rad == pytest.approx(0.5)
-    assert standing.joint.state is EncoderState.OK
+    assert standing.joint.encoder is EncoderState.OK
 
 
 def test_the_sigma_of_the_angle_has_that_of_the_encoders_zero():
@@ -76,7 +77,7 @@ def test_a_silent_encoder_is_late_and_the_angle_goes_on_by_the_gyroscopes():
     standing.go(5.0, 0.5)
     sigma = standing.motion.angle_sigma_rad
     motion = standing.go(2.0, cabin=0.3)
-    assert standing.joint.state is EncoderState.LATE
+    assert standing.joint.encoder is EncoderState.LATE
     assert motion.angle_rad == pytest.approx(0.5 + 0.6, abs=5e-3)
     assert motion.angle_sigma_rad > sigma
 
@@ -85,7 +86,7 @@ def test_an_encoder_that_repeats_itself_while_the_cabin_turns_is_frozen_and_coun
     standing = Standing()
     standing.go(5.0, 0.5)
     motion = standing.go(1.0, 0.5, cabin=0.5)
-    assert standing.joint.state is EncoderState.FROZEN
+    assert standing.joint.encoder is EncoderState.FROZEN
     assert standing.log.counts["joint", Outcome.FROZEN] > 50
     assert motion.angle_rad == pytest.approx(1.0, abs=0.02)
 

@@ -32,10 +32,11 @@ from holdfast.chassis.covariances import BaseUncertainty
 from holdfast.chassis.kinematics import BaseGeometry
 from holdfast.config.model import Config
 from holdfast.estimator.estimator import Estimator
+from holdfast.kernel.turn_joint import place
 from holdfast.messages import FixStatus, GnssFix, ImuSample, JointAngle
 from holdfast.sim.scenario import load_scenario
 from holdfast.sim.simulation import simulate
-from holdfast.state import BaseState, EncoderState
+from holdfast.state import PUBLISHED, BaseState, EncoderState, Estimate
 
 AXIS = T_B_P.rotation().matrix()[:, 2]  # of the joint, in B
 SLEWING_RAD_S = 0.3
@@ -44,15 +45,25 @@ SLEWING_RAD_S = 0.3
 # --- geometry ---------------------------------------------------------------------------------------------------------
 
 
+def placed(mount, given, *motion):
+    """The chassis at an estimate: angle of the joint and its sigma, rate of the chassis and its sigma."""
+    values = given.values.copy()
+    row = values.view(PUBLISHED)[0]
+    place(mount[0], row["estimate"], np.array(motion), row["chassis"])
+    return BaseState(given.stamp_ns, values, EncoderState.OK)
+
+
 @pytest.mark.parametrize("t", [0.0, 1.3, 4.0, 7.7])
 def test_pose_and_twist_of_the_chassis_are_its_own_however_the_cabin_turns(t):
     geometry, given = BaseGeometry(machine()), DRIVING.estimate(t)
     angle, about = DRIVING.angle(t), DRIVING.omega @ AXIS
-    velocity, angular_velocity = geometry.twist(given, geometry.cabin_rates(given), angle, about)
+    state = placed(geometry.record(has_joint=True), given, angle, 0.0, about, 0.0)
     found = given.nav.pose() * geometry.T_I_B(angle)
     np.testing.assert_allclose(found.matrix(), DRIVING.T_W_B(t).matrix(), rtol=0, atol=1e-12)
-    np.testing.assert_allclose(velocity, DRIVING.velocity, rtol=0, atol=1e-8)  # differences of poses know no more
-    np.testing.assert_allclose(angular_velocity, DRIVING.omega, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(state.T_W_B.matrix(), found.matrix(), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(state.T_O_B.matrix(), given.T_W_O.between(found).matrix(), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(state.velocity, DRIVING.velocity, rtol=0, atol=1e-8)  # differences know no more
+    np.testing.assert_allclose(state.angular_velocity, DRIVING.omega, rtol=0, atol=1e-8)
 
 
 def test_without_a_turn_joint_the_chassis_is_rigid_with_the_imu():
@@ -80,18 +91,18 @@ def test_covariances_are_those_of_samples():
     A = rng.normal(size=(9, 9)) * np.repeat([1e-3, 2e-3, 2e-3], 3)[:, None]
     P = A @ A.T / 9.0
     geometry, t, sigmas = BaseGeometry(machine()), 2.0, (5e-3, 5e-3, 3e-3)
-    given, angle, about = DRIVING.estimate(t)._replace(covariance_source=P), DRIVING.angle(t), DRIVING.omega @ AXIS
+    mount = geometry.record(has_joint=True)
+    given, angle, about = DRIVING.estimate(t), DRIVING.angle(t), DRIVING.omega @ AXIS
+    given.covariance[:] = P
 
     def state(given, angle, about):
-        T_W_B = given.nav.pose() * geometry.T_I_B(angle)
-        twist = geometry.twist(given, geometry.cabin_rates(given), angle, about)
-        return BaseState(given.stamp_ns, T_W_B, T_W_B, *twist, angle, 0.0, sigmas[0], sigmas[1], EncoderState.OK)
+        return placed(mount, given, angle, sigmas[0], about, sigmas[1])
 
     mean, errors = state(given, angle, about), []
     for _ in range(4000):
         rate = given.angular_velocity + rng.normal(0.0, sigmas[2], 3)
         nav = given.nav.retract(rng.multivariate_normal(np.zeros(9), P))
-        shifted = given._replace(nav=nav, angular_velocity=rate)
+        shifted = Estimate.of(given.stamp_ns, nav, given.T_W_O, given.bias, P, rate, True)
         other = state(shifted, angle + rng.normal(0.0, sigmas[0]), about + rng.normal(0.0, sigmas[1]))
         pose = gtsam.Pose3.Logmap(mean.T_W_B.between(other.T_W_B))
         errors.append([*pose, *(other.angular_velocity - mean.angular_velocity), *(other.velocity - mean.velocity)])
@@ -163,7 +174,10 @@ def test_the_encoder_leads_across_a_gap_of_the_cabins_imu():
         is_first = 0.0 < gap_s < 1.005
         estimate = DRIVING.estimate(t)
         stale = DRIVING.estimate(3.0).angular_velocity * -1.0
-        given.append(estimate._replace(angular_velocity=stale, from_imu=False) if is_first else estimate)
+        if is_first:
+            estimate = estimate._replace(from_imu=False)
+            estimate.angular_velocity[:] = stale
+        given.append(estimate)
     run = Chassis(machine())
     states = run.run(given, messages)
     after = [state for state in states[5:] if state.stamp_ns > ns(6.5)]

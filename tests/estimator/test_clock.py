@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 import pytest
 from motion import Drive, fixes, imu, machine, ns, scans
@@ -11,6 +12,7 @@ from holdfast.event_log import EventLog
 from holdfast.sensors.imu import SUSPECTS_ACCEPTED, ImuBuffer
 from holdfast.state import Estimate, EventKind, Output
 
+NO_BIAS = gtsam.imuBias.ConstantBias()
 DRIVE = Drive()
 SECOND, HOUR = 1_000_000_000, 3_600_000_000_000
 DELAY = 3_000_000
@@ -115,7 +117,7 @@ def test_where_arrivals_do_not_say_how_much_time_passed_there_is_no_carrying_ove
 def test_what_comes_out_bears_stamps_of_the_imu():
     receiver, nav = stepped(HOUR), DRIVE.nav(2.5)
     clock = receiver.clock
-    estimate = Estimate(ns(2.5), nav, DRIVE.pose(0.0), None, np.eye(9), np.zeros(3), True)
+    estimate = Estimate.of(ns(2.5), nav, DRIVE.pose(0.0), NO_BIAS, np.eye(9), np.zeros(3), True)
     output = clock.output(Output(estimate, None, [(ns(0.5), nav), (ns(2.6), nav)]))
     assert output.estimate.stamp_ns == ns(2.5) + HOUR
     assert [stamp for stamp, _ in output.smoothed] == [ns(0.5), ns(2.6) + HOUR]

@@ -9,9 +9,33 @@ from hypothesis import given
 from hypothesis import strategies as st
 from motion import Drive, estimates, fixes, imu, in_order, machine, ns, run, scans
 
-from holdfast.estimator.odometry_frame import OdometryFrame
 from holdfast.evaluation.soundness import violations
+from holdfast.kernel import layout
+from holdfast.kernel.odometry_frame import correct, flow
 from holdfast.replay.published import PublishedRecorder
+
+
+class OdometryFrame:
+    """The compiled frame, asked by poses."""
+
+    def __init__(self, policy):
+        self.one, self.work = np.zeros(1, layout.FRAME)[0], np.zeros(1, layout.WORK)[0]
+        self.one["always"] = policy == "always"
+        for name in ("T_W_O", "rest"):
+            self.one[name]["R"] = np.eye(3)
+
+    @property
+    def T_W_O(self):
+        return gtsam.Pose3(gtsam.Rot3(self.one["T_W_O"]["R"]), self.one["T_W_O"]["p"])
+
+    def correct(self, before, after, *, is_recovery):
+        navs = np.zeros(2, layout.NAV)
+        for nav, T in zip(navs, (before, after), strict=True):
+            nav["R"], nav["p"] = T.rotation().matrix(), T.translation()
+        correct(self.one, self.work, navs[0], navs[1], is_recovery)
+
+    def flow(self, T_W_I, dt_s):
+        flow(self.one, self.work, np.array(T_W_I.translation()), dt_s)
 
 
 def pose(rng):

@@ -191,7 +191,7 @@ def test_samples_of_the_imu_alone_bring_new_states_in(drive, engine):
     assert engine.flush().estimate is None
     before = engine.newest_state.stamp_ns
     play(engine, samples[150:], rate=1.0)
-    wait_for(lambda: engine.refresh().optimised is not None or engine.newest_state.stamp_ns > before)
+    wait_for(lambda: engine.flush().optimised is not None or engine.newest_state.stamp_ns > before)
     assert engine.newest_state.stamp_ns > before
 
 

@@ -41,17 +41,18 @@ def test_a_reader_that_is_lapped_is_led_to_a_row_that_is_still_there(memory):
     assert ring.oldest_after(40) is None  # not written yet
 
 
-@given(cut=st.integers(1, 8 + BODY + 3), garbage=st.integers(0, 255))
+@given(cut=st.integers(1, 8 + BODY + 7), garbage=st.integers(0, 255))
 @settings(max_examples=60)
 def test_a_row_that_is_half_written_is_not_read(cut, garbage):
     shared = Memory(4096)
     ring = Ring(shared, 64, ROWS, BODY)
     for body in bodies(ROWS + 1):  # row 16 lies over row 0
         ring.push(body)
-    whole = bytes(shared.map[64 : 64 + 8 + BODY + 4])
+    whole = bytes(shared.map[64 : 64 + 8 + BODY + 8])
     torn = whole[:cut] + bytes([garbage]) * (len(whole) - cut)
     shared.map[64 : 64 + len(torn)] = torn
     assert ring.read(16) in {None, bodies(17)[16] if torn == whole else None}
+    ring.release()
     shared.close()
 
 

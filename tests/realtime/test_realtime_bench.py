@@ -7,6 +7,8 @@ import sys
 import pytest
 from engine import Drive
 
+from holdfast.cli.bench_realtime import check
+
 pytestmark = pytest.mark.slow
 
 COMMAND = [sys.executable, "-c", "from holdfast.cli import main; main()", "bench", "realtime"]
@@ -34,6 +36,14 @@ def test_each_run_has_its_times_and_its_floor(result):
         assert imu["median"] > floor["median"]  # it does what the floor does, and more
         assert run["ratio_to_floor"]["median"] == pytest.approx(imu["median"] / floor["median"])
         assert 0.0 < run["cpu"]["imu_path"] <= 1.1
+
+
+def test_the_gate_names_what_is_slower_than_the_floor_and_lets_the_rest_through(capsys):
+    check({"median": 0.99, "p99": 1.0})
+    with pytest.raises(SystemExit) as ended:
+        check({"median": 0.99, "p99": 1.5})
+    assert ended.value.code == 1
+    assert capsys.readouterr().err == "error: too slow: 1.50 x the floor at p99 (allowed: 1)\n"
 
 
 def test_an_idle_optimiser_updates_seldom_and_its_state_is_old(result):

@@ -49,8 +49,9 @@ class Standing:
             stamp = round(self.t * SECOND_NS)
             jitter = 1e-6 * np.sin([self.t * 977.0, self.t * 1231.0, self.t * 1511.0])
             sample = ImuSample(stamp, stamp, "imu", jitter, np.array([0.0, 0.0, G]) + jitter)
-            estimate = self.path.propagate(self.path.receive(sample)) or estimate
-            self.follower.rescue_if_due(stamp)
+            estimate = self.path.process(sample).estimate or estimate
+            if stamp > self.follower.rescue_ns:
+                self.follower.rescue()
         return estimate
 
     def publish(self, state, **changes):
@@ -112,7 +113,7 @@ def test_a_state_of_before_a_reset_is_not_taken_in(standing):
     standing.go(1.0)
     standing.publish(state_at(0.9))
     standing.follower.begin_anew()
-    assert standing.follower.take() is None and standing.path.predictor is None
+    assert standing.follower.take() is None and standing.path.is_running is False
     standing.publish(state_at(0.95), epoch=1)
     assert standing.follower.take() is not None
 

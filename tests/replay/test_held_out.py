@@ -221,7 +221,7 @@ extrinsics:
     judge.add_message(*splitter.held[0])
     for t in (1.9, 2.1):  # the machine goes north at 2 m/s, 1 m beside the prism's track and 3 m below it
         nav = gtsam.NavState(gtsam.Rot3.Yaw(np.pi / 2), np.array([101.0, 2 * t, 3.0]), np.zeros(3))
-        estimate = Estimate(
+        estimate = Estimate.of(
             stamp(t), nav, gtsam.Pose3(), gtsam.imuBias.ConstantBias(), np.eye(9) * 1e-4, np.zeros(3), True
         )
         judge.add_estimate(estimate, None)

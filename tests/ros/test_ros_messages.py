@@ -18,7 +18,7 @@ def estimate(stamp_ns=STAMP_NS):
     A = np.random.default_rng(1).normal(size=(9, 9))
     nav = gtsam.NavState(gtsam.Rot3.RzRyRx(0.1, -0.2, 0.7), np.array([4.0, 5.0, 6.0]), np.array([1.0, 2.0, 0.5]))
     T_W_O = gtsam.Pose3(gtsam.Rot3.Yaw(0.3), np.array([1.0, -2.0, 0.5]))
-    return Estimate(stamp_ns, nav, T_W_O, gtsam.imuBias.ConstantBias(), A @ A.T, np.array([0.1, 0.2, 0.3]), True)
+    return Estimate.of(stamp_ns, nav, T_W_O, gtsam.imuBias.ConstantBias(), A @ A.T, np.array([0.1, 0.2, 0.3]), True)
 
 
 def test_an_estimate_seen_from_another_frame_is_its_odometry_there():

@@ -31,7 +31,7 @@ TANGENT = random_covariance(3, [1e-3, 2e-3, 3e-3, 0.02, 0.05, 0.01, 0.02, 0.03, 
 def estimate(rotation, velocity=(3.0, -1.0, 0.5), position=(40.0, -30.0, 5.0), covariance=TANGENT):
     nav = gtsam.NavState(rotation, np.array(position), np.array(velocity))
     bias = gtsam.imuBias.ConstantBias()
-    return Estimate(1, nav, gtsam.Pose3(), bias, covariance, np.array([0.1, 0.2, 0.3]), True)
+    return Estimate.of(1, nav, gtsam.Pose3(), bias, covariance, np.array([0.1, 0.2, 0.3]), True)
 
 
 def message_of(given, pose):

@@ -81,7 +81,8 @@ class FilterSystem(Generic[B]):
             return Output()
         if sample.stamp_ns + buffer.offset_ns < buffer.latest_ns:
             self._start_over(sample)
-        step, line_since_ns = buffer.add(sample)
+        before_ns = buffer.latest_ns
+        has_step, line_since_ns = buffer.add(sample)
         rewinder = self._rewinder
         if rewinder is None:
             return Output()
@@ -89,14 +90,14 @@ class FilterSystem(Generic[B]):
         if line_since_ns is not None:
             belief = self._belief = rewinder.newest.copy()  # samples that looked good were a straight line
             rewinder.carry(belief, stamp)
-        elif step is None:
+        elif not has_step:
             rewinder.coast(belief, stamp)
         else:
-            rewinder.step(belief, step)
+            rewinder.step(belief, *buffer.steps(before_ns, stamp))
             belief.stamp_ns = stamp
         rate = sample.angular_velocity - belief.bias_gyro
         covariance = belief.nav_covariance()
-        estimate = Estimate(stamp, belief.nav, IDENTITY, belief.bias, covariance, rate, step is not None)
+        estimate = Estimate.of(stamp, belief.nav, IDENTITY, belief.bias, covariance, rate, has_step)
         ready = [one for one in self._waiting if one.stamp_ns <= stamp]
         return self._update(rewinder, ready, estimate) if ready else Output(estimate)
 

@@ -123,7 +123,7 @@ class OdometryAlone:
             rate = gtsam.Rot3.Logmap(last.T_I0_I.rotation().between(pose.T_I0_I.rotation())) / duration_s
         nav = gtsam.NavState(T_W_I.rotation(), T_W_I.translation(), velocity)
         covariance = self._nav_covariance(1.0 if last is None else (pose.stamp_ns - last.stamp_ns) * 1e-9)
-        return Estimate(pose.stamp_ns, nav, IDENTITY, start.bias, covariance, rate, False)
+        return Estimate.of(pose.stamp_ns, nav, IDENTITY, start.bias, covariance, rate, False)
 
     def _nav_covariance(self, interval_s: float) -> Array:
         """Return the covariance (9, 9): drift and the noise of one pose, and of the difference between two."""

@@ -96,7 +96,7 @@ def measure_realtime(
         gc.freeze()  # existing objects are not scanned again
         try:
             began_s, cpu_s = perf_counter(), process_time()
-            for count, (message, is_floor) in enumerate(_paced(messages, pace, engine)):
+            for count, (message, is_floor) in enumerate(_paced(messages, pace, config.imu_name)):
                 if is_floor and isinstance(message, ImuSample):
                     measured.floor_ns.append(floor.measure(message))
                 elif isinstance(message, ImuSample) or not (is_idle and engine.initialised):
@@ -129,9 +129,8 @@ def _step(engine: RealtimeEstimator, message: Message, measured: Measured) -> No
             measured.fresh_ns.append(took_ns)
 
 
-def _paced(messages: Sequence[Message], pace: Pace, engine: RealtimeEstimator) -> Iterator[tuple[Message, bool]]:
+def _paced(messages: Sequence[Message], pace: Pace, imu_name: str) -> Iterator[tuple[Message, bool]]:
     """Yield each message when it arrives, and each IMU sample once more for the floor, midway from the one before."""
-    imu_name = engine.config.imu_name
     schedule: list[tuple[int, int, Message, bool]] = []
     last_ns: int | None = None
     for order, message in enumerate(messages):
@@ -145,10 +144,6 @@ def _paced(messages: Sequence[Message], pace: Pace, engine: RealtimeEstimator) -
     for arrival_ns, _, message, is_floor in schedule:
         due = began + (arrival_ns - first_ns) * 1e-9
         if pace != "none":
-            refresh_in_s = engine.refresh_in_s
-            if refresh_in_s is not None and refresh_in_s < due - perf_counter():
-                _wait_until(perf_counter() + refresh_in_s, 0.0)
-                engine.refresh()  # as a live program does between two samples
             _wait_until(due, SPIN_S if pace == "spin" else 0.0)
         yield message, is_floor
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from holdfast.config.model import Config
     from holdfast.messages import Message
 
+MAX_RATIO = 1.0  # to the floor of the same run
 COLUMNS = ("mean", "std", "median", "p99", "p99.9", "max")
 TITLES = {
     "busy": "optimiser busy",
@@ -35,6 +36,7 @@ TITLES = {
 @click.option("--duration", "duration_s", type=float, default=60.0, show_default=True, metavar="SECONDS")
 @click.option("--nodes", type=click.Choice(["measurement", "imu"]), help="[default: as configured]")
 @click.option("--spin", is_flag=True, help="Spin for the last 2 ms before a sample instead of sleeping.")
+@click.option("--gate", is_flag=True, help="Exit 1 if slower than the floor, at the median or at p99.")
 @click.option("--json", "json_path", type=click.Path(), help="Write the result for machines.")
 def realtime(  # noqa: PLR0917 (click passes the options by name)
     recording: str | None,
@@ -42,6 +44,7 @@ def realtime(  # noqa: PLR0917 (click passes the options by name)
     duration_s: float,
     nodes: str | None,
     spin: bool,
+    gate: bool,
     json_path: str | None,
 ) -> None:
     """Measure the realtime engine.
@@ -85,6 +88,16 @@ def realtime(  # noqa: PLR0917 (click passes the options by name)
     _print(result)
     if json_path is not None:
         write_json(json_path, result)
+    if gate:
+        check(runs["busy"]["ratio_to_floor"])
+
+
+def check(ratios: dict[str, float]) -> None:
+    """Fail where the engine, with a busy optimiser, takes longer than the floor."""
+    slower = [f"{ratio:.2f} x the floor at {name}" for name, ratio in ratios.items() if ratio > MAX_RATIO]
+    if slower:
+        click.echo(f"error: too slow: {', '.join(slower)} (allowed: {MAX_RATIO:g})", err=True)
+        sys.exit(1)
 
 
 @contextmanager

@@ -67,6 +67,7 @@ class Estimator(Intake):
     @property
     def counts(self) -> Counter[tuple[str, Outcome]]:
         """How many measurements of each sensor had which outcome; those that still wait are not counted yet."""
+        self._path.count()
         return self._log.counts
 
     @property
@@ -126,17 +127,17 @@ class Estimator(Intake):
         self._optimiser.restart(datum)
 
     def _process_imu(self, sample: ImuSample) -> Output:
-        received = self._path.receive(sample)
+        received = self._path.process(sample)
         if received is None:
             return NOTHING
         self._optimiser.receive(received)
-        estimate = self._path.propagate(received)
+        estimate = received.estimate
         if estimate is None:
             return NOTHING
-        if not self._path.is_sound(estimate):
+        if not received.is_sound:
             self.reset()
             return NOTHING
-        base = self._path.chassis(estimate)
+        base = received.base
         return self._update(estimate, base) if self._optimiser.is_due else Output(estimate, base=base)
 
     def _process_measurement(self, message: Message) -> Output:

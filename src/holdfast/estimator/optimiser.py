@@ -119,7 +119,7 @@ class Optimiser:
         if not isinstance(self._phase, Tracking):
             self._buffer.forget_before(stamp_ns - self._start_window_ns)
         elif self._phase.receive(received):
-            self._has_imu = received.step is not None
+            self._has_imu = received.has_step
 
     def wants(self, message: Message) -> bool:
         """Whether a message is of use here: a measurement, or the joint's angle for a sensor on the chassis."""

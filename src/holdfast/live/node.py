@@ -87,10 +87,7 @@ class LiveNode:
         """Work until `keep_on` returns False; it is called ten times a second at least."""
         next_review_ns = self._clock.now_ns() + REVIEW_NS
         while keep_on():
-            refresh_in_s = self._engine.refresh_in_s
-            samples = self._network.wait(STOP_WITHIN_S if refresh_in_s is None else min(STOP_WITHIN_S, refresh_in_s))
-            if not samples and refresh_in_s is not None:
-                self._engine.refresh()
+            samples = self._network.wait(STOP_WITHIN_S)
             now_ns = self._clock.now_ns()
             incoming = [Record(*sample, now_ns) for sample in samples] if self._feeds else []
             for sample in samples:

@@ -13,7 +13,7 @@ from typing import Self
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError, EstimatorError
 from holdfast.estimator.health import HealthMonitor
-from holdfast.estimator.imu_path import ImuPath
+from holdfast.estimator.imu_path import ImuPath, Received
 from holdfast.estimator.intake import Intake
 from holdfast.event_log import EventLog
 from holdfast.geometry.earth import Geodetic, LocalFrame
@@ -25,7 +25,6 @@ from holdfast.realtime.memory import Word
 from holdfast.realtime.placement import place_caller
 from holdfast.realtime.records import Records, Request
 from holdfast.realtime.supervisor import START_S, Supervisor
-from holdfast.realtime.warm_up import WarmUp
 from holdfast.realtime.worker import Settings
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.registry import inputs_of
@@ -58,12 +57,11 @@ class RealtimeEstimator(Intake):
         self._log = EventLog(self._imu)
         self._reports = EngineLog(self._log)
         self._buffer = ImuBuffer(config.imu)
-        self._path = ImuPath(config, self._buffer, self._log)
         self._records = Records(config)
-        self._warm_up = None if in_step else WarmUp(config, self._records)
         self._monitor = HealthMonitor(config)
         self._board = Board(self._records)
         self._samples, self._requests = self._board.samples, self._board.requests
+        self._path = ImuPath(config, self._buffer, self._log, (self._samples.words, self._samples.floats))
         self._states = StateFollower(config, self._board, self._records, self._path, self._buffer)
         self._left = 0  # samples for which a new state was left to calls that are in less of a hurry
         self._is_full = self._is_closed = False
@@ -84,6 +82,7 @@ class RealtimeEstimator(Intake):
             self._is_closed = True
             self._supervisor.stop()
             self._take()
+            self._path.release_ring()
             self._board.close()
 
     # --- what it knows ------------------------------------------------------------------------------------------------
@@ -101,7 +100,7 @@ class RealtimeEstimator(Intake):
     @property
     def initialised(self) -> bool:
         """Whether estimates are being given."""
-        return self._path.predictor is not None
+        return self._path.is_running
 
     @property
     def waiting_for(self) -> str:
@@ -112,7 +111,7 @@ class RealtimeEstimator(Intake):
     def health(self) -> Health:
         """How the estimator is now, in one word."""
         newest = self._states.newest
-        if newest is None or self._path.predictor is None:
+        if newest is None or not self._path.is_running:
             return Health.INITIALISING
         if self._fault_version == self._states.seen:
             return Health.OPTIMISER_RESET  # no successor has published yet
@@ -127,6 +126,7 @@ class RealtimeEstimator(Intake):
     @property
     def counts(self) -> Counter[tuple[str, Outcome]]:
         """How many measurements of each sensor had which outcome; those that still wait are not counted yet."""
+        self._path.count()
         return self._log_now().counts
 
     @property
@@ -224,8 +224,9 @@ class RealtimeEstimator(Intake):
         if self._is_closed:
             raise EstimatorError("the estimator is closed")
         name = message.sensor
-        if isinstance(message, ImuSample) and name == self._imu:
-            return self._path.clock.output(self._process_imu(message))
+        if name == self._imu and isinstance(message, ImuSample):
+            output, clock = self._process_imu(message), self._path.clock
+            return clock.output(output) if clock.has_stepped else output
         if name not in self.config.sensors:
             raise ConfigError(f"sensors.{name}: not in the configuration, but a message of it came")
         return self._path.clock.output(self._process_other(self._path.clock.read(message)))
@@ -234,32 +235,12 @@ class RealtimeEstimator(Intake):
         name = message.sensor
         if isinstance(message, ImuSample | JointAngle) and self._path.serves_chassis(name):
             self._path.add_to_chassis(message)
-            if self._warm_up is not None:
-                self._warm_up.add_to_chassis(message)
         if name in self._inputs:
             self._ask(message)
             return self._flush() if self._in_step else self._take_new()
         if not self._path.serves_chassis(name):
             self._log.count(name, Outcome.IGNORED)
         return self._take_new()
-
-    @property
-    def refresh_in_s(self) -> float | None:
-        """In how many seconds `refresh` is best called [s]; None if the next sample needs no further call."""
-        return None if self._warm_up is None else self._warm_up.due_in_s
-
-    def refresh(self) -> Output:
-        """Get ready for the next sample of the IMU; for a program that has nothing else to do until then.
-
-        Takes in a new optimised state, if there is one, and fetches what the IMU path needs into the processor's
-        caches, so that the sample is answered faster. Takes as long as an answer itself: call it half a millisecond
-        before the sample is due, when `refresh_in_s` says so. Without it, new states are taken in by the messages that
-        are not samples of the IMU, or else by the third sample.
-        """
-        output = self._take_new()
-        if self._warm_up is not None:
-            self._warm_up.run(self._states.newest)
-        return self._path.clock.output(output)
 
     def _take_new(self) -> Output:
         if not self._states.has_new:
@@ -276,28 +257,34 @@ class RealtimeEstimator(Intake):
         self._begin_anew(datum)
 
     def _process_imu(self, sample: ImuSample) -> Output:
-        self._left += self._states.has_new
-        is_time = self._left > LEAVE or (self._left > 0 and self._path.predictor is None)
-        optimised = self._take() if is_time else None
-        received = self._path.receive(sample)
+        states, path, optimised = self._states, self._path, None
+        if states.has_new:
+            self._left += 1
+            if self._left > LEAVE or not path.is_running:
+                optimised = self._take()
+        received = path.process(sample, self._samples.written, states.epoch)
         if received is None:
             return NOTHING if optimised is None else Output(None, optimised)
-        if received.begins_anew:
-            self._states.begin_anew()
-        estimate = self._path.propagate(received)
-        self._samples.push(self._records.pack_sample(self._states.epoch, received.sample))
-        if estimate is not None and not self._path.is_sound(estimate):
+        if received.is_usual:
+            self._samples.written += 1  # the path has put it there
+        else:
+            self._pass_on(received)
+        estimate = received.estimate
+        if not received.is_sound:
             self.reset()
             return NOTHING
-        base = None if estimate is None else self._path.chassis(estimate)
-        if self._warm_up is None:
-            return self._flush()._replace(estimate=estimate, base=base)
-        self._warm_up.note(received.sample)
+        if self._in_step:
+            return self._flush()._replace(estimate=estimate, base=received.base)
         if estimate is None:
             self._buffer.forget_before(self._buffer.latest_ns - WAITING_NS)
-        else:
-            self._states.rescue_if_due(estimate.stamp_ns)
-        return Output(estimate, optimised, self._reports.take_smoothed(), base)
+        elif estimate.stamp_ns > states.rescue_ns:
+            states.rescue()
+        return Output(estimate, optimised, self._reports.take_smoothed(), received.base)
+
+    def _pass_on(self, received: Received) -> None:
+        if received.begins_anew:
+            self._states.begin_anew()
+        self._samples.push(self._records.pack_sample(self._states.epoch, received.sample))
 
     def _ask(self, request: Request) -> None:
         waiting = self._requests.written - self._board.words[Word.BEGUN]

@@ -10,6 +10,7 @@ from holdfast.realtime.records import Published, Records
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.state import OptimisedState
 
+NEVER = 1 << 62  # a stamp after all others
 KEPT_NS = 1_000_000_000  # of samples before the newest optimised state
 RESCUE_S = 5.0  # without an optimised state for so long, or three node intervals, the propagated one takes its place
 
@@ -20,6 +21,7 @@ class StateFollower:
     Attributes:
         epoch: how often all began anew.
         newest: what was taken in last, None before the first state of the epoch.
+        rescue_ns: without a new state, an estimate after this should `rescue`.
         world: W, as published.
 
     Args:
@@ -33,8 +35,9 @@ class StateFollower:
     def __init__(self, config: Config, board: Board, records: Records, path: ImuPath, buffer: ImuBuffer) -> None:
         self._slot, self._rescue_slot = board.published, board.rescue
         self._records, self._path, self._buffer = records, path, buffer
-        self._rescue_ns = round(max(RESCUE_S, 3.0 * config.graph.max_node_interval_s) * 1e9)
+        self._patience_ns = round(max(RESCUE_S, 3.0 * config.graph.max_node_interval_s) * 1e9)
         self._life = self._recoveries = self._anchor_ns = 0
+        self.rescue_ns = NEVER
         self._is_rescued = False
         self.epoch = self.seen = 0
         self.newest: Published | None = None
@@ -52,7 +55,7 @@ class StateFollower:
 
     def begin_anew(self) -> None:
         """Take in no state of before any more."""
-        self.epoch, self.newest = self.epoch + 1, None
+        self.epoch, self.newest, self.rescue_ns = self.epoch + 1, None, NEVER
 
     def take(self) -> OptimisedState | None:
         """Take in the newest optimised state; None if there is none of this epoch."""
@@ -68,7 +71,7 @@ class StateFollower:
         state = newest.state
         if state is None:
             return None
-        if self._path.predictor is None or newest.life != self._life:
+        if not self._path.is_running or newest.life != self._life:
             self._path.start(state, newest.gravity)
         elif state.stamp_ns < self._anchor_ns and self._is_rescued:
             return None  # of an optimiser that had been stopped: the samples since are no longer kept
@@ -78,10 +81,9 @@ class StateFollower:
         self._anchor_at(state, is_rescued=False)
         return state
 
-    def rescue_if_due(self, stamp_ns: int) -> None:
+    def rescue(self) -> None:
         """Without news for long: go on from the propagated state, and let a successor of the optimiser begin there."""
-        if self.newest is None or stamp_ns - self._anchor_ns <= self._rescue_ns:
-            return
+        assert self.newest is not None
         state = self._path.settle()
         self.newest = replace(self.newest, state=state)
         self._rescue_slot.write(self._records.pack_published(self.newest))
@@ -89,4 +91,5 @@ class StateFollower:
 
     def _anchor_at(self, state: OptimisedState, *, is_rescued: bool) -> None:
         self._anchor_ns, self._is_rescued = state.stamp_ns, is_rescued
+        self.rescue_ns = state.stamp_ns + self._patience_ns
         self._buffer.forget_before(state.stamp_ns - KEPT_NS)

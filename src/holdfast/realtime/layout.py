@@ -1,6 +1,6 @@
 """Where everything lies in the shared memory, equal in both processes."""
 
-from holdfast.realtime.memory import WORDS, Memory, Ring, Slot
+from holdfast.realtime.memory import ROW, WORD, WORDS, Memory, Ring, Slot
 from holdfast.realtime.records import Records
 
 SAMPLES = 1 << 14  # 41 s at 400 Hz
@@ -16,8 +16,8 @@ class Board:
     """
 
     def __init__(self, records: Records, descriptor: int | None = None) -> None:
-        size = 8 * WORDS + SAMPLES * (records.sample_size + 12) + REQUESTS * (records.request_size + 12)
-        size += 2 * (8 + 2 * (records.published_size + 12))
+        size = 8 * WORDS + SAMPLES * (records.sample_size + ROW) + REQUESTS * (records.request_size + ROW)
+        size += 2 * (WORD + 2 * (records.published_size + ROW))
         self.memory = Memory(size, descriptor)
         self.words = self.memory.words
         self.samples = Ring(self.memory, 8 * WORDS, SAMPLES, records.sample_size)
@@ -28,6 +28,6 @@ class Board:
 
     def close(self) -> None:
         """Give the memory back."""
-        for slot in (self.published, self.rescue):
-            slot.release()
+        for part in (self.samples, self.requests, self.published, self.rescue):
+            part.release()
         self.memory.close()

@@ -9,11 +9,18 @@ import mmap
 import os
 from enum import IntEnum
 from tempfile import TemporaryFile
-from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from holdfast.kernel.ring import find_checksum
 
 WORDS = 8
-SEQUENCE = 8  # bytes
-CHECK = 4
+WORD = 8  # bytes
+ROW = 2 * WORD  # what a row has beside its body: number and checksum
+
+Words = NDArray[np.int64]
+NO_WORDS, NO_FLOATS = np.zeros((0, 0), np.int64), np.zeros((0, 0))
 
 
 class Word(IntEnum):
@@ -54,46 +61,44 @@ def _nameless_file(size: int) -> int:
 class Ring:
     """The last rows of one writer; the reader asks for them by number.
 
+    Attributes:
+        words: (rows, 2 + body / 8) number, body and checksum, as integers; so that `holdfast.kernel.ring` writes them.
+        floats: the same memory.
+
     Args:
         memory: where it lies, from `offset` on.
         rows: how many are kept.
-        body: length of a row [bytes].
+        body: length of a row [bytes], a multiple of 8.
     """
 
     def __init__(self, memory: Memory, offset: int, rows: int, body: int) -> None:
-        self._map = memory.map
-        self._offset = offset
         self.rows = rows
-        self._length = SEQUENCE + body
-        self._stride = self._length + CHECK
-        self.end = offset + rows * self._stride
+        self.words = _words(memory, offset, rows * (2 + body // WORD)).reshape(rows, -1)
+        self.floats = self.words.view(np.float64)
+        self.end = offset + self.words.nbytes
         self.written = 0
 
     def push(self, body: bytes) -> None:
         """Append a row."""
-        row = self.written.to_bytes(SEQUENCE, "little") + body
-        at = self._offset + self.written % self.rows * self._stride
-        self._map[at : at + self._stride] = row + crc32(row).to_bytes(CHECK, "little")
+        _write(self.words[self.written % self.rows], self.written, body)
         self.written += 1
 
     def read(self, number: int) -> bytes | None:
         """Return a row, or None if it has not been written whole, or has been overwritten."""
-        at = self._offset + number % self.rows * self._stride
-        row = self._map[at : at + self._length]
-        if row[:SEQUENCE] != number.to_bytes(SEQUENCE, "little"):
-            return None
-        check = self._map[at + self._length : at + self._stride]
-        return row[SEQUENCE:] if check == crc32(row).to_bytes(CHECK, "little") else None
+        return _read(self.words[number % self.rows], number)
 
     def oldest_after(self, number: int) -> int | None:
         """Return a row to go on with if the one of a number has been overwritten, else None."""
-        at = self._offset + number % self.rows * self._stride
-        newest = int.from_bytes(self._map[at : at + SEQUENCE], "little")  # 0 where nothing was written yet
+        newest = int(self.words[number % self.rows, 0])  # 0 where nothing was written yet
         if newest <= number:
             return None
         while self.read(newest + 1) is not None:
             newest += 1
         return newest + 1 - self.rows + self.rows // 8  # not the very oldest, which the writer overwrites next
+
+    def release(self) -> None:
+        """Let go of the memory, before it is closed."""
+        self.words, self.floats = NO_WORDS, NO_FLOATS
 
 
 class Slot:
@@ -101,15 +106,13 @@ class Slot:
 
     Args:
         memory: where it lies, from `offset` on.
-        size: of a record [bytes].
+        size: of a record [bytes], a multiple of 8.
     """
 
     def __init__(self, memory: Memory, offset: int, size: int) -> None:
-        self._map = memory.map
-        self._version = memoryview(memory.map)[offset : offset + 8].cast("q")
-        self._places = [offset + 8, offset + 8 + SEQUENCE + size + CHECK]
-        self._length = SEQUENCE + size
-        self.end = self._places[1] + self._length + CHECK
+        self._version = memoryview(memory.map)[offset : offset + WORD].cast("q")
+        self._places = _words(memory, offset + WORD, 2 * (2 + size // WORD)).reshape(2, -1)
+        self.end = offset + WORD + self._places.nbytes
 
     @property
     def version(self) -> int:
@@ -119,9 +122,7 @@ class Slot:
     def write(self, body: bytes) -> None:
         """Publish a record."""
         version = self._version[0] + 1
-        row = version.to_bytes(SEQUENCE, "little") + body
-        at = self._places[version % 2]
-        self._map[at : at + self._length + CHECK] = row + crc32(row).to_bytes(CHECK, "little")
+        _write(self._places[version % 2], version, body)
         self._version[0] = version
 
     def read(self) -> tuple[int, bytes] | None:
@@ -130,13 +131,26 @@ class Slot:
         return self._record(newest) or self._record(newest - 1)
 
     def _record(self, version: int) -> tuple[int, bytes] | None:
-        at = self._places[version % 2]
-        row = self._map[at : at + self._length]
-        if version <= 0 or row[:SEQUENCE] != version.to_bytes(SEQUENCE, "little"):
-            return None
-        check = self._map[at + self._length : at + self._length + CHECK]
-        return (version, row[SEQUENCE:]) if check == crc32(row).to_bytes(CHECK, "little") else None
+        body = _read(self._places[version % 2], version) if version > 0 else None
+        return None if body is None else (version, body)
 
     def release(self) -> None:
         """Let go of the memory, before it is closed."""
         self._version.release()
+        self._places = NO_WORDS
+
+
+def _words(memory: Memory, offset: int, count: int) -> Words:
+    return np.frombuffer(memory.map, np.int64, count, offset)
+
+
+def _write(row: Words, number: int, body: bytes) -> None:
+    row[0], row[1:-1] = number, np.frombuffer(body, np.int64)
+    row[-1] = find_checksum(row)
+
+
+def _read(row: Words, number: int) -> bytes | None:
+    """Return the body of a row if it is whole and has a number."""
+    copied = row.copy()
+    is_whole = copied[0] == number and copied[-1] == find_checksum(copied)
+    return copied[1:-1].tobytes() if is_whole else None

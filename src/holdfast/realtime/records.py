@@ -23,7 +23,7 @@ HAS_DATUM, HAS_STATE, IS_FORTRAN, IS_LOST = 1, 2, 4, 8  # flags of what is publi
 COUNTERS = 5  # of what is published: epoch, life, updates, recoveries, lost sensors
 STATE_VALUES, COVARIANCE_VALUES = 24, 225
 
-SAMPLE = Struct("<qqq6d")  # epoch, stamp, arrival, readings
+SAMPLE = Struct("<qqq6d")  # epoch, stamp, arrival, specific force, angular velocity: `holdfast.kernel.ring`
 
 Request = Message | Geodetic | None
 """What the optimiser may be asked to take in: a message, a datum to begin anew at, or None for a reset."""
@@ -77,12 +77,14 @@ class Records:
 
     def pack_sample(self, epoch: int, sample: ImuSample) -> bytes:
         """Return the row of a sample of the IMU."""
-        return SAMPLE.pack(epoch, sample.stamp_ns, sample.arrival_ns, *sample.values())
+        readings = *sample.specific_force.tolist(), *sample.angular_velocity.tolist()
+        return SAMPLE.pack(epoch, sample.stamp_ns, sample.arrival_ns, *readings)
 
     def unpack_sample(self, row: bytes) -> tuple[int, ImuSample]:
         """Return the epoch and the sample of a row."""
-        epoch, stamp_ns, arrival_ns, *readings = SAMPLE.unpack(row)
-        return epoch, ImuSample.of(stamp_ns, arrival_ns, self._imu, readings)
+        epoch, stamp_ns, arrival_ns, *values = SAMPLE.unpack(row)
+        readings = np.array(values)
+        return epoch, ImuSample(stamp_ns, arrival_ns, self._imu, readings[3:], readings[:3])
 
     def pack_request(self, epoch: int, samples: int, request: Request) -> bytes:
         """Return the row of a message or a request that comes after so many samples."""

@@ -91,7 +91,7 @@ class Replay:
                 if rate is not None:
                     ahead_s = (last_ns - first_ns) * 1e-9 / rate - (perf_counter() - began)
                     if ahead_s > 0.0:
-                        self._wait(ahead_s, last_ns)
+                        sleep(ahead_s)
                 with uninterrupted:
                     self._process(message)
                 if progress is not None and count % 500 == 0:
@@ -105,16 +105,6 @@ class Replay:
             else:
                 self._take(self._realtime.flush(), last_ns)
                 self.timing.update_ns.extend(self._realtime.take_update_times())
-
-    def _wait(self, duration_s: float, now_ns: int) -> None:
-        if self._realtime is not None:  # as a live program does while it waits
-            until_s = perf_counter() + duration_s
-            refresh_in_s = self._realtime.refresh_in_s
-            if refresh_in_s is not None and refresh_in_s < duration_s:
-                sleep(refresh_in_s)
-                self._take(self._realtime.refresh(), now_ns)
-            duration_s = max(0.0, until_s - perf_counter())
-        sleep(duration_s)
 
     def _process(self, message: Message) -> None:
         began_ns = perf_counter_ns()

@@ -2,40 +2,47 @@
 
 Between two samples the readings are taken as linear in time, so that an interval may be cut at any instant. A drop-out
 (missing samples, or samples that a logger drew as a straight line) is a gap: a constant-twist motion model stands in.
+The samples lie in the records of `holdfast.kernel`, whose functions take them in and cut them.
 """
 
-from bisect import bisect_left, bisect_right
-from collections.abc import Iterator
-from math import isfinite, sqrt
-from statistics import median
+from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from holdfast.config.sensors import InertialConfig
+from holdfast.kernel import layout
+from holdfast.kernel.density import LENGTH, find_density
+from holdfast.kernel.samples import (
+    IS_LINE,
+    STEPPED,
+    SUSPECT_LINE,
+    fill_steps,
+    find_piece,
+    find_rate,
+    find_row_after,
+    take_in,
+)
 from holdfast.messages import Array, ImuSample
-from holdfast.sensors.preintegration import CALM, Density, Step
-from holdfast.sensors.vibration import BLOCK, block_density
+from holdfast.sensors.preintegration import Density, Step
 from holdfast.state import Outcome
 
-SUSPECT_LINE = 3  # so many steps on one line happen by chance once in a long while
-FROZEN_FACTOR = 10  # a reading that does not change at all for this many gap lengths is a dead sensor
-PERIOD_WINDOW = 64
-LINE_TOLERANCE = 1e-3  # of the change per sample; six channels of a living sensor never agree that well
 CLOCK_JUMP_NS = 250_000_000  # a stamp that differs from its arrival by this much more than those before is suspect
 SUSPECTS_ACCEPTED = 3
-DELAY_WINDOW = 64  # samples over whose shortest delay the next are judged; twice as many at most
+ROWS = 4096  # for samples at first
+NEWEST, ARRIVAL = (layout.BUFFER.names.index(name) for name in ("newest_ns", "arrival_ns"))  # type: ignore[union-attr]
+KEPT_ROWS, KEPT_NS = 1000, 10_000_000_000  # so many samples, or so long, are dropped at once
 
 
 class Added(NamedTuple):
     """What a sample made certain.
 
     Attributes:
-        step: to it from the sample before; None where the IMU was silent.
+        has_step: the IMU measured all along since the sample before.
         line_since_ns: start of the straight line that the samples until now lie on, if this one makes it certain.
     """
 
-    step: Step | None
+    has_step: bool
     line_since_ns: int | None
 
 
@@ -47,57 +54,60 @@ class Piece(NamedTuple):
     is_gap: bool
 
 
-_Reading = tuple[float, float, float, float, float, float]  # specific force, angular velocity
-
-
 class ImuBuffer:
-    """The usable samples of the last seconds, cut at will and aware of drop-outs."""
+    """The usable samples of the last seconds, cut at will and aware of drop-outs.
+
+    Attributes:
+        record: (1,) of `BUFFER`; so that `holdfast.kernel.imu_path` works on them, as are
+        samples: the rows, of which `first` to `end` are held; replaced by a larger array where they do not suffice
+        blocks: what they show of the noise.
+    """
 
     def __init__(self, config: InertialConfig) -> None:
         self._config = config
         self.offset_ns = round(config.time_offset_s * 1e9)
-        self._stamps: list[int] = []
-        self._forces: list[Array] = []
-        self._rates: list[Array] = []
-        self._mean_steps: list[Step | None] = []  # to each sample from the one before, None over a silence
-        self._readings: list[_Reading] = []  # the same as floats, ten times faster to compare
-        self._dropped = 0  # samples since the last `clear` that are held no more
-        self._densities: dict[int, Density] = {}  # by block
-        self._is_gap: list[bool] = []  # of the interval that ends at the sample of the same index
-        self._gaps = 0  # intervals with is_gap set: lets `pieces` skip the search in the usual case
-        self._periods_ns: list[int] = []
-        self._max_gap_ns = round(config.max_gap_s * 1e9)
-        self._ranges = config.accelerometer_range, config.gyroscope_range
-        self._line_start = 0
-        self._arrival_ns = 0
+        self.record: Any = np.zeros(1, layout.BUFFER)
+        self._one = self.record[0]
+        self._numbers = memoryview(self.record.view(np.int64).data)  # the same, five times faster to read
+        self._one["least_gap_ns"] = self._one["max_gap_ns"] = round(config.max_gap_s * 1e9)
+        self._one["accelerometer_range"] = config.accelerometer_range
+        self._one["gyroscope_range"] = config.gyroscope_range
+        self.samples: Any = np.zeros(ROWS, layout.SAMPLE)
+        self.blocks: Any = np.zeros(ROWS // LENGTH + 2, layout.BLOCK)
         self._suspect_ns = self._suspect_arrival_ns = self._suspect_delay_ns = self._suspects = 0
         self._repeats = self._repeats_since_ns = 0
-        self._delay_ns = self._older_delay_ns = self._delays = 0
 
     @property
     def arrival_ns(self) -> int:
         """When the newest sample arrived."""
-        return self._arrival_ns
+        number: int = self._numbers[ARRIVAL]
+        return number
 
     @property
     def latest_ns(self) -> int:
         """Stamp of the newest sample, time offset applied; 0 before the first."""
-        return self._stamps[-1] if self._stamps else 0
+        number: int = self._numbers[NEWEST]
+        return number
 
     @property
     def oldest_ns(self) -> int:
         """Stamp of the oldest sample that is still held; 0 before the first."""
-        return self._stamps[0] if self._stamps else 0
+        first, end = self._held()
+        return int(self.samples[first]["stamp_ns"]) if first < end else 0
 
     @property
     def max_gap_ns(self) -> int:
         """Silence longer than this is a drop-out: the configured bound, or 2.5 sample periods if that is more."""
-        return self._max_gap_ns
+        return int(self._one["max_gap_ns"])
+
+    def _held(self) -> tuple[int, int]:
+        """Return the rows that are held: first, and one past the last."""
+        return int(self._one["first"]), int(self._one["end"])
 
     def is_trusted(self, start_ns: int, end_ns: int) -> bool:
         """Whether the IMU measured all along, and not in a way that may yet turn out to be a straight line."""
-        on_line = len(self._stamps) - 1 - self._line_start >= SUSPECT_LINE
-        if on_line and end_ns > self._stamps[self._line_start]:
+        line_start, end = int(self._one["line_start"]), int(self._one["end"])
+        if end - 1 - line_start >= SUSPECT_LINE and end_ns > self.samples[line_start]["stamp_ns"]:
             return False
         return not any(piece.is_gap for piece in self.pieces(start_ns, end_ns))
 
@@ -105,19 +115,22 @@ class ImuBuffer:
         """Say whether a sample can be used; physics and order only, no statistics."""
         fx, fy, fz = sample.specific_force.tolist()  # floats compare ten times faster than arrays reduce
         wx, wy, wz = sample.angular_velocity.tolist()
-        force, rate = self._ranges
+        force, rate = self._config.accelerometer_range, self._config.gyroscope_range
         # NaN and infinity fail every comparison
         in_range = -force <= fx <= force and -force <= fy <= force and -force <= fz <= force
         if not (in_range and -rate <= wx <= rate and -rate <= wy <= rate and -rate <= wz <= rate):
             finite = all(map(isfinite, (fx, fy, fz, wx, wy, wz)))
             return Outcome.OUT_OF_RANGE if finite else Outcome.NOT_FINITE
-        if not self._stamps:
+        first, end = self._held()
+        if first == end:
             return Outcome.USED
-        ahead_ns = sample.stamp_ns + self.offset_ns - self._stamps[-1]
-        if 0 < ahead_ns <= self._max_gap_ns:
+        ahead_ns = sample.stamp_ns + self.offset_ns - self.latest_ns
+        if 0 < ahead_ns <= self.max_gap_ns:
             self._suspects = self._repeats = 0
             return Outcome.USED
-        return self._judge(sample, ahead_ns)
+        outcome = self._judge(sample, ahead_ns)
+        self._one["is_suspicious"] = self._suspects or self._repeats
+        return outcome
 
     def _judge(self, sample: ImuSample, ahead_ns: int) -> Outcome:
         """One stamp that contradicts its arrival is an error; several that follow each other are a new clock.
@@ -130,15 +143,15 @@ class ImuBuffer:
             self._suspects = self._repeats = 0
             return Outcome.USED  # a silence
         before_ns, self._suspect_ns, self._suspect_arrival_ns = self._suspect_ns, stamp_ns, sample.arrival_ns
-        if stamp_ns not in (before_ns, self._stamps[-1]):
+        if stamp_ns not in (before_ns, self.latest_ns):
             self._repeats = 0
         elif self._repeats == 0:
-            self._repeats_since_ns = self._arrival_ns
-        self._repeats += stamp_ns in (before_ns, self._stamps[-1])
-        follows = self._suspects > 0 and 0 < stamp_ns - before_ns <= self._max_gap_ns
+            self._repeats_since_ns = self.arrival_ns
+        self._repeats += stamp_ns in (before_ns, self.latest_ns)
+        follows = self._suspects > 0 and 0 < stamp_ns - before_ns <= self.max_gap_ns
         self._suspects = self._suspects + 1 if follows else 1
         self._suspect_delay_ns = min(delay_ns, self._suspect_delay_ns) if follows else delay_ns
-        if abs(ahead_ns) <= CLOCK_JUMP_NS and sample.arrival_ns - self._arrival_ns <= self._max_gap_ns:
+        if abs(ahead_ns) <= CLOCK_JUMP_NS and sample.arrival_ns - self.arrival_ns <= self.max_gap_ns:
             self._suspects = 0  # samples in the wrong order
         if self._suspects >= SUSPECTS_ACCEPTED:
             return Outcome.USED
@@ -149,7 +162,7 @@ class ImuBuffer:
     @property
     def delay_ns(self) -> int:
         """The shortest time from stamp to arrival of the last samples, whatever their clocks are."""
-        return min(self._delay_ns, self._older_delay_ns)
+        return min(int(self._one["delay_ns"]), int(self._one["older_delay_ns"]))
 
     @property
     def has_new_clock(self) -> bool:
@@ -160,7 +173,7 @@ class ImuBuffer:
     def is_stuck(self) -> bool:
         """Whether the samples that `check` refused last all had one stamp while time passed: their clock stands."""
         passed_ns = self._suspect_arrival_ns - self._repeats_since_ns
-        return self._repeats >= SUSPECTS_ACCEPTED and 2 * passed_ns > self._max_gap_ns
+        return self._repeats >= SUSPECTS_ACCEPTED and 2 * passed_ns > self.max_gap_ns
 
     @property
     def new_clock_behind_ns(self) -> int:
@@ -169,203 +182,91 @@ class ImuBuffer:
 
     def clear(self) -> None:
         """Forget every sample: they are of another clock, or of long ago."""
-        for series in self._series():
-            series.clear()
-        self._dropped = 0
-        self._densities.clear()
-        self._gaps = self._line_start = self._suspects = self._repeats = self._delays = 0
-
-    def _series(self) -> tuple[list[Any], ...]:
-        readings = self._forces, self._rates, self._mean_steps, self._readings
-        return self._stamps, *readings, self._is_gap
+        for name in ("first", "end", "dropped", "newest_ns", "gaps", "line_start", "is_suspicious", "delays"):
+            self._one[name] = 0
+        self.blocks["number"] = 0
+        self._suspects = self._repeats = 0
 
     def add(self, sample: ImuSample) -> Added:
         """Append a checked sample."""
-        stamp, force, rate = sample.stamp_ns + self.offset_ns, sample.specific_force, sample.angular_velocity
-        reading: _Reading = (*force.tolist(), *rate.tolist())
-        self._arrival_ns, self._suspects = sample.arrival_ns, 0
-        self._learn_delay(sample.arrival_ns - stamp)
-        step, is_gap = None, False
-        if self._stamps:
-            dt_ns = stamp - self._stamps[-1]
-            is_gap = dt_ns > self._max_gap_ns
-            if not is_gap:
-                step = _mean_step(dt_ns * 1e-9, reading, self._readings[-1])
-                self._learn_period(dt_ns)
-        self._stamps.append(stamp)
-        self._forces.append(force)
-        self._rates.append(rate)
-        self._mean_steps.append(step)
-        self._readings.append(reading)
-        self._is_gap.append(is_gap)
-        self._gaps += is_gap
-        is_line, line_since_ns = self._on_straight_line(is_gap)
-        return Added(None if is_line else step, line_since_ns)
+        self.make_room()
+        reading = (*sample.specific_force.tolist(), *sample.angular_velocity.tolist())
+        stamp_ns = sample.stamp_ns + self.offset_ns
+        flags = take_in(self.record, self.samples, stamp_ns, sample.arrival_ns, reading)
+        return Added(flags & STEPPED != 0, self.line_since_ns if flags & IS_LINE else None)
 
-    def _learn_delay(self, delay_ns: int) -> None:
-        if self._delays % DELAY_WINDOW == 0:
-            self._older_delay_ns = self._delay_ns if self._delays else delay_ns
-            self._delay_ns = delay_ns
-        elif delay_ns < self._delay_ns:
-            self._delay_ns = delay_ns
-        self._delays += 1
+    @property
+    def line_since_ns(self) -> int:
+        """Start of the run of samples on one line that the newest is on."""
+        return int(self.samples[self._one["line_start"]]["stamp_ns"])
 
-    def _learn_period(self, dt_ns: int) -> None:
-        self._periods_ns.append(dt_ns)
-        if len(self._periods_ns) == PERIOD_WINDOW:
-            self._max_gap_ns = max(round(self._config.max_gap_s * 1e9), round(2.5 * median(self._periods_ns)))
-            self._periods_ns.clear()
+    def make_room(self) -> None:
+        """Let there be a row for another sample, which has been checked."""
+        self._suspects = 0
+        first, end = self._held()
+        if end < len(self.samples):
+            return
+        held, blocks = self.samples[first:end], self.blocks
+        if end - first > 0.75 * end:
+            self.samples = np.zeros(2 * len(self.samples), layout.SAMPLE)
+            self.blocks = np.zeros(len(self.samples) // LENGTH + 2, layout.BLOCK)
+            for block in blocks[blocks["number"] > 0]:
+                self.blocks[(block["number"] - 1) % len(self.blocks)] = block
+        self.samples[: end - first] = held
+        for name, change in (("first", -first), ("end", -first), ("line_start", -first), ("dropped", first)):
+            self._one[name] += change
 
     def density(self, start_ns: int, end_ns: int) -> Density:
         """Return the white noise that the samples in a time show, or those just before it if it is short.
 
         Only samples until the end of that time count, in blocks: the answer does not depend on when it is asked for.
         """
-        first = (self._dropped + bisect_left(self._stamps, start_ns)) // BLOCK
-        last = (self._dropped + bisect_right(self._stamps, end_ns)) // BLOCK - 1
-        found = [density for block in range(min(first, last), last + 1) if (density := self._block(block)) is not None]
-        if not found:
-            return CALM
-        return Density(*(sqrt(sum(one * one for one in each) / len(found)) for each in zip(*found, strict=True)))
-
-    def _block(self, block: int) -> Density | None:
-        """Return what a block shows; None where the IMU was silent in it, or its samples are gone."""
-        if block not in self._densities:
-            k = block * BLOCK - self._dropped
-            if k < 0 or any(self._is_gap[k : k + BLOCK]):
-                return None
-            self._densities[block] = block_density(self._stamps[k : k + BLOCK], self._readings[k : k + BLOCK])
-        return self._densities[block]
-
-    def _on_straight_line(self, after_gap: bool) -> tuple[bool, int | None]:
-        """Follow the run of samples that lie on one line in all six channels, and mark it as a gap once it is certain.
-
-        Returns:
-            Whether the newest sample is on such a line, and the start of the line if that has just become certain.
-        """
-        last = len(self._stamps) - 1
-        if after_gap or last < 2:
-            self._line_start = last
-            return False, None
-        before, middle, newest = self._readings[-3:]
-        if _bends(before, middle, newest, 1.0):
-            t0, t1, t2 = self._stamps[-3:]
-            if t2 - t1 == t1 - t0 or _bends(before, middle, newest, (t2 - t1) / (t1 - t0)):
-                self._line_start = last - 1  # on a line neither by index nor by time, whichever a logger goes by
-                return False, None
-        start = self._line_start
-        needed = self._max_gap_ns
-        if not (self._rates[-1] - self._rates[start]).any() and not (self._forces[-1] - self._forces[start]).any():
-            needed *= FROZEN_FACTOR
-        if last - start < 3 or self._stamps[last] - self._stamps[start] <= needed:
-            return False, None
-        line_since_ns = None if self._is_gap[last - 1] else self._stamps[start]
-        for k in range(last, start, -1):
-            if self._is_gap[k]:
-                break
-            self._is_gap[k] = True
-            self._gaps += 1
-        return True, line_since_ns
+        return Density(*find_density(self.record, self.samples, self.blocks, start_ns, end_ns))
 
     def forget_before(self, stamp_ns: int) -> None:
-        """Drop samples that no interval after `stamp_ns` needs; cheap, because it drops many at a time."""
-        k = bisect_right(self._stamps, stamp_ns) - 1
-        if k > 1000 or (k > 0 and self._stamps[k] - self._stamps[0] > 10_000_000_000):
-            self._gaps -= sum(self._is_gap[:k])
-            self._line_start = max(0, self._line_start - k)
-            for series in self._series():
-                del series[:k]
-            self._dropped += k
-            oldest = self._dropped // BLOCK
-            self._densities = {block: one for block, one in self._densities.items() if block >= oldest}
+        """Drop samples that no interval after `stamp_ns` needs, many at a time."""
+        first, _ = self._held()
+        row = self._row_after(stamp_ns) - 1
+        stamps = self.samples["stamp_ns"]
+        if row - first > KEPT_ROWS or (row > first and stamps[row] - stamps[first] > KEPT_NS):
+            self._one["gaps"] -= self.samples["is_gap"][first:row].sum()
+            self._one["first"], self._one["line_start"] = row, max(row, self._one["line_start"])
+
+    def _row_after(self, stamp_ns: int) -> int:
+        row: int = find_row_after(self.record, self.samples, stamp_ns)
+        return row
 
     def stamps_between(self, start_ns: int, end_ns: int) -> list[int]:
         """Return the stamps in (start, end)."""
-        return self._stamps[bisect_right(self._stamps, start_ns) : bisect_left(self._stamps, end_ns)]
+        stamps: list[int] = self.samples["stamp_ns"][self._row_after(start_ns) : self._row_after(end_ns - 1)].tolist()
+        return stamps
 
     def pieces(self, start_ns: int, end_ns: int) -> list[Piece]:
         """Cut [start, end] where the IMU falls silent or speaks again; past the newest sample all is gap."""
-        if not self._gaps and end_ns <= self.latest_ns and start_ns >= self.oldest_ns:
+        if not self._one["gaps"] and end_ns <= self.latest_ns and start_ns >= self.oldest_ns:
             return [Piece(start_ns, end_ns, False)]
         cuts: list[Piece] = []
-        at = start_ns
-        for k in range(bisect_right(self._stamps, start_ns), len(self._stamps)):
-            if at >= end_ns:
-                break
-            until, is_gap = min(self._stamps[k], end_ns), k == 0 or self._is_gap[k]
-            if cuts and cuts[-1].is_gap == is_gap:
-                cuts[-1] = Piece(cuts[-1].start_ns, until, is_gap)
-            else:
-                cuts.append(Piece(at, until, is_gap))
-            at = until
-        if at < end_ns:
-            start = cuts.pop().start_ns if cuts and cuts[-1].is_gap else at
-            cuts.append(Piece(start, end_ns, True))
+        at_ns = start_ns
+        while at_ns < end_ns:
+            until_ns, is_gap = find_piece(self.record, self.samples, at_ns, end_ns)
+            cuts.append(Piece(at_ns, until_ns, is_gap))
+            at_ns = until_ns
         return cuts
 
     def steps(self, start_ns: int, end_ns: int) -> list[Step]:
         """Return the steps that fill [start, end], which must hold no gap."""
-        return list(self._steps(start_ns, end_ns))
-
-    def _steps(self, start_ns: int, end_ns: int) -> Iterator[Step]:
-        at = start_ns
-        for k in range(bisect_right(self._stamps, start_ns), len(self._stamps)):
-            if at >= end_ns:
-                return
-            until = min(self._stamps[k], end_ns)
-            before, after = self._stamps[k - 1], self._stamps[k]
-            whole = self._mean_steps[k]
-            if whole is not None and at == before and until == after:
-                yield whole
-                at = until
-                continue
-            middle = 0.5 * ((at - before) + (until - before)) / (after - before)
-            force = (1.0 - middle) * self._forces[k - 1] + middle * self._forces[k]
-            rate = (1.0 - middle) * self._rates[k - 1] + middle * self._rates[k]
-            yield Step((until - at) * 1e-9, force, rate)
-            at = until
-        if at < end_ns:  # a node on the grid may lie a little past the newest sample
-            yield Step((end_ns - at) * 1e-9, self._forces[-1], self._rates[-1])
-
-    def latest_force(self) -> Array:
-        """Return the specific force (3,) [m/s^2] of the newest sample."""
-        return self._forces[-1]
-
-    def latest_rate(self) -> Array:
-        """Return the reading of the gyroscope (3,) [rad/s] of the newest sample."""
-        return self._rates[-1]
+        steps = np.empty(self._row_after(end_ns) - self._row_after(start_ns) + 2, layout.STEP)
+        steps = steps[: fill_steps(self.record, self.samples, start_ns, end_ns, steps)]
+        return [Step(*one) for one in zip(steps["dt_s"].tolist(), steps["force"], steps["rate"], strict=True)]
 
     def angular_velocity(self, stamp_ns: int) -> Array:
         """Return the reading of the gyroscope (3,) [rad/s] at a time: interpolated, or the last one before it."""
-        k = bisect_right(self._stamps, stamp_ns)
-        if k == len(self._stamps) or self._is_gap[k]:
-            return self._rates[k - 1]
-        if k == 0:
-            return self._rates[0]
-        fraction = (stamp_ns - self._stamps[k - 1]) / (self._stamps[k] - self._stamps[k - 1])
-        return (1.0 - fraction) * self._rates[k - 1] + fraction * self._rates[k]
+        return np.array(find_rate(self.record, self.samples, stamp_ns))
 
     def window(self, start_ns: int, end_ns: int) -> tuple[Array, Array] | None:
         """Return specific force and angular velocity (N, 3) in [start, end], or None if the IMU was silent in it."""
-        i, j = bisect_left(self._stamps, start_ns), bisect_right(self._stamps, end_ns)
-        if j - i < 4 or start_ns < self.oldest_ns or any(self._is_gap[i:j]):
+        i, j = self._row_after(start_ns - 1), self._row_after(end_ns)
+        held = self.samples[i:j]
+        if j - i < 4 or start_ns < self.oldest_ns or held["is_gap"].any():
             return None
-        return np.array(self._forces[i:j]), np.array(self._rates[i:j])
-
-
-def _mean_step(dt_s: float, one: _Reading, other: _Reading) -> Step:
-    ax, ay, az, ux, uy, uz = one
-    bx, by, bz, vx, vy, vz = other
-    force = np.array((0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)))
-    return Step(dt_s, force, np.array((0.5 * (ux + vx), 0.5 * (uy + vy), 0.5 * (uz + vz))))
-
-
-def _bends(before: _Reading, middle: _Reading, last: _Reading, ratio: float) -> bool:
-    """Whether three readings do not lie on a line; `ratio` is the second interval over the first (1: by index)."""
-    for k in (0, 3):
-        ax, ay, az = middle[k] - before[k], middle[k + 1] - before[k + 1], middle[k + 2] - before[k + 2]
-        bx, by, bz = last[k] - middle[k], last[k + 1] - middle[k + 1], last[k + 2] - middle[k + 2]
-        allowed = LINE_TOLERANCE * max(abs(bx), abs(by), abs(bz)) + 1e-12
-        if abs(bx - ratio * ax) > allowed or abs(by - ratio * ay) > allowed or abs(bz - ratio * az) > allowed:
-            return True
-    return False
+        return held["force"].copy(), held["rate"].copy()

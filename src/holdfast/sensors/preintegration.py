@@ -3,7 +3,7 @@
 A drop-out of the IMU is crossed by a constant-twist motion model in the form of such a measurement.
 """
 
-from math import hypot, sin, sqrt
+from math import hypot, sqrt
 from typing import NamedTuple
 
 import gtsam
@@ -11,10 +11,10 @@ import numpy as np
 
 from holdfast.config.model import MotionModelConfig
 from holdfast.config.sensors import InertialConfig
+from holdfast.kernel.propagation import MAX_MOTION_STEPS, MOTION_STEP_S
 from holdfast.messages import Array
 
-MOTION_STEP_S = 0.02
-MAX_MOTION_STEPS = 100  # of a longer silence, which are longer then: constant twist is followed to second order
+MOTION_INTEGRATION_SIGMA = 0.1  # of position where the motion model stands in [m/sqrt(s)]
 MOTION_CORRELATION_S = 1.0  # of the error that is proportional to the motion
 EYE = np.eye(3)
 
@@ -96,31 +96,9 @@ def integrate(pim: gtsam.PreintegratedImuMeasurements, step: Step, bias_accel: A
     GTSAM rotates a reading by the attitude at the start of its step, which is wrong by half a step of turning (1.7 m
     after 10 s at 1 rad/s, tilted, and 100 Hz): (4) in docs/math.md. The biases are (3,) [m/s^2] and [rad/s].
     """
-    # floats: after a pause in which all caches went cold, each other function of numpy or GTSAM costs microseconds
     dt_s, force, sensed = step
-    (bx, by, bz), (ux, uy, uz) = bias_accel.tolist(), bias_gyro.tolist()
-    fx, fy, fz = force.tolist()
-    wx, wy, wz = sensed.tolist()
-    fx, fy, fz, wx, wy, wz = fx - bx, fy - by, fz - bz, wx - ux, wy - uy, wz - uz
-    half_s = 0.5 * dt_s
-    first, second = _rodrigues(half_s * sqrt(wx * wx + wy * wy + wz * wz))
-    first, second = first * half_s, second * half_s * half_s
-    cx, cy, cz = wy * fz - wz * fy, wz * fx - wx * fz, wx * fy - wy * fx
-    turned = (
-        fx + first * cx + second * (wy * cz - wz * cy) + bx,
-        fy + first * cy + second * (wz * cx - wx * cz) + by,
-        fz + first * cz + second * (wx * cy - wy * cx) + bz,
-    )
-    pim.integrateMeasurement(np.array(turned), sensed, dt_s)
-
-
-def _rodrigues(angle_rad: float) -> tuple[float, float]:
-    """Return sin(a) / a and (1 - cos(a)) / a^2."""
-    if angle_rad < 1e-4:  # the next terms are below the last bit
-        square = angle_rad * angle_rad
-        return 1.0 - square / 6.0, 0.5 - square / 24.0
-    half = sin(0.5 * angle_rad)
-    return sin(angle_rad) / angle_rad, 2.0 * half * half / (angle_rad * angle_rad)
+    turn = gtsam.Rot3.Expmap(0.5 * dt_s * (sensed - bias_gyro))
+    pim.integrateMeasurement(turn.rotate(force - bias_accel) + bias_accel, sensed, dt_s)
 
 
 def preintegrate(
@@ -157,7 +135,9 @@ class MotionModel:
 
     def __init__(self, config: MotionModelConfig, gravity: float) -> None:
         self._gravity = gravity
-        self._params = preintegration_params(config.acceleration_density, config.angular_rate_density, 0.1, gravity)
+        self._params = preintegration_params(
+            config.acceleration_density, config.angular_rate_density, MOTION_INTEGRATION_SIGMA, gravity
+        )
 
     def preintegrate(
         self, duration_s: float, nav: gtsam.NavState, rate: Array, bias: gtsam.imuBias.ConstantBias
