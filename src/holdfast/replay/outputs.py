@@ -74,7 +74,6 @@ class Outputs:
         if output.estimate is not None:
             if (output.base is None) == bool(self._bases):  # a block has the chassis at every estimate or at none
                 self._write_pending()
-            _ = output.estimate.covariance  # it costs more to compute once the state has moved on
             self._estimates.append(output.estimate)
             if output.base is not None:
                 self._bases.append(output.base)
