@@ -277,3 +277,15 @@ def test_fixes_that_wander_while_they_contradict_are_not_accepted():
     for t in np.arange(1.0, 60.0, 0.05):
         judged(gate, (2.0 + 0.1 * t, 0.0, 0.0), t)
         assert not gate.contradicts_for(ACCEPTED_AFTER_S)
+
+
+def test_fixes_that_wander_are_not_accepted_because_the_prediction_gets_better():
+    gate = new_gate()
+    judged(gate)
+    lose(gate)
+    for t in np.arange(1.0, 60.0, 0.05):
+        offset = np.array([8.0 + 0.1 * t, 0.0, 0.0])
+        gate.judge(
+            fix(offset, NOISE, t), Prediction(offset, np.eye(3) * (1.0 - t / 61.0), NOISE, STEADY), now_ns=EPOCH_NS
+        )
+        assert not gate.contradicts_for(ACCEPTED_AFTER_S)

@@ -19,6 +19,7 @@ from holdfast.sensors.sensor import Innovation, Position, State
 from holdfast.state import Outcome
 
 HOLD_BACK = 4.0  # in units of the limit on NIS: twice the gate in sigma
+UNCORRECTED = np.zeros((3, 3))
 AGREEMENT_SIGMA = 4.0  # positions in quarantine are no further from their mean
 COMPARED = 20  # with the mean of so many of the newest
 OUTLIERS = 3  # so many in a row that disagree end a run of agreement
@@ -205,7 +206,7 @@ class ReceiverGate:
 
     def _wait(self, one: Held) -> None:
         """Put a good position into quarantine; if it disagrees with those that wait, they wait no longer."""
-        if self.quarantine and not _agree(self.quarantine, one):
+        if self.quarantine and not _agree(self.quarantine, one, _corrected(self.quarantine, one)):
             self.quarantine.clear()
         self.quarantine.append(one)
 
@@ -224,17 +225,20 @@ class ReceiverGate:
         del against[1:-COMPARED]  # the first tells since when
 
 
-def _agree(others: list[Held], one: Held) -> bool:
-    """Whether an innovation lies near the mean of others, by the noise of both and by what the prediction has done.
+def _agree(others: list[Held], one: Held, corrected: Array = UNCORRECTED) -> bool:
+    """Whether an innovation lies near the mean of others, by the noise of both and the drift of the prediction.
 
-    It drifts with its velocity, and other sensors correct it: by as much as its covariance has shrunk.
+    `corrected` (3, 3) is the covariance of what has been corrected in the prediction meanwhile [m^2].
     """
-    predicted = one.prediction
-    residual = predicted.innovation - np.mean([other.prediction.innovation for other in others], axis=0)
+    residual = one.prediction.innovation - np.mean([other.prediction.innovation for other in others], axis=0)
     since_s = float(np.mean([one.position.stamp_ns - other.position.stamp_ns for other in others])) * 1e-9
-    covariance = one.position.covariance * (1.0 + 1.0 / len(others)) + predicted.of_velocity * since_s**2
-    corrected, axes = np.linalg.eigh(
-        np.mean([other.prediction.of_state for other in others], axis=0) - predicted.of_state
-    )
-    covariance += (axes * np.maximum(corrected, 0.0)) @ axes.T
-    return float(residual @ np.linalg.solve(covariance, residual)) <= AGREEMENT_SIGMA**2
+    covariance = one.position.covariance * (1.0 + 1.0 / len(others)) + one.prediction.of_velocity * since_s**2
+    return float(residual @ np.linalg.solve(covariance + corrected, residual)) <= AGREEMENT_SIGMA**2
+
+
+def _corrected(others: list[Held], one: Held) -> Array:
+    """Return the covariance (3, 3) of what other sensors corrected in a prediction: by as much as it shrank [m^2]."""
+    shrunk = np.mean([other.prediction.of_state for other in others], axis=0) - one.prediction.of_state
+    values, axes = np.linalg.eigh(shrunk)
+    covariance: Array = (axes * np.maximum(values, 0.0)) @ axes.T
+    return covariance
