@@ -40,6 +40,14 @@ def test_quick_is_estimated_better_than_its_fixes(runs):
     assert scores["misled_s"] == 0.0
 
 
+def test_a_liar_is_not_believed_however_long_it_lies():
+    """Fixes that jump, walk away, and stay beside for longer than an estimate without them would be doubted."""
+    scores = scenarios.trials("liar", 0, ["holdfast"])[0].verdict.scores
+    by_key = {measure.key: measure for measure in scenarios.MEASURES}
+    for key in ("misled_s", "horizontal_rms_m", "step_m"):
+        assert by_key[key].is_reached(scores[key], "liar"), (key, scores[key])
+
+
 def test_a_table_has_a_row_per_measure_and_columns_per_preset(runs):
     lines = list(scenarios.scenario_table(runs))
     rows = [line for line in lines if line.startswith("| ")]
