@@ -51,7 +51,7 @@ class Received(NamedTuple):
 def receive(buffer: ImuBuffer, sample: ImuSample, *, begins_anew: bool = False) -> Received:
     """Append a checked sample; where the clock has gone back or one begins anew, nothing of before is kept."""
     before_ns = buffer.latest_ns
-    begins_anew |= _clear_if_behind(buffer, sample, begins_anew=begins_anew)
+    begins_anew = _clear_if_behind(buffer, sample, begins_anew=begins_anew)
     has_step, line_since_ns = buffer.add(sample)
     return Received(sample, has_step, before_ns, line_since_ns, begins_anew)
 

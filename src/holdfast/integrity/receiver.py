@@ -65,9 +65,7 @@ def predict(innovation: Innovation, state: State) -> Prediction:
     """Return what a state expects of a position, given the innovation of that at the state."""
     R_W_I = state.nav.attitude().matrix()
     of_velocity = R_W_I @ state.covariance[6:, 6:] @ R_W_I.T
-    H, J = innovation.H, innovation.J
-    of_state = H @ state.covariance @ H.T + J @ state.parameter_covariance @ J.T
-    return Prediction(innovation.y, of_state, innovation.R, of_velocity)
+    return Prediction(innovation.y, innovation.of_state(state), innovation.R, of_velocity)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,6 +10,7 @@ from typing import Any
 
 from holdfast.kernel.compiling import inner
 from holdfast.kernel.layout import NEVER
+from holdfast.kernel.search import first_after
 
 ROTATION_S = 5.0  # how long the chassis goes on rotating, where nothing else is known
 RATE_WALK2 = 0.1**2  # how its rotation begins and ends [rad^2/s^3]
@@ -81,13 +82,7 @@ def add_rate(joint: Any, stamp_ns: int, rate_rad_s: float, variance: float) -> N
 def rotation_until(joint: Any, rotations: Any, stamp_ns: int) -> float:
     """Return by how much the joint had turned when a reading with a stamp was taken, since long ago [rad]."""
     taken_ns = stamp_ns - round(joint.lag_s * 1e9)
-    low, high = joint.first, joint.end
-    while low < high:
-        middle = (low + high) // 2
-        if rotations[middle].stamp_ns > taken_ns:
-            high = middle
-        else:
-            low = middle + 1
+    low = first_after(rotations, joint.first, joint.end, taken_ns)
     if low == joint.end:
         last = rotations[low - 1]
         return last.angle_rad + joint.joint_rate_rad_s * (taken_ns - last.stamp_ns) * 1e-9

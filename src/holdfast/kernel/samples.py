@@ -4,6 +4,7 @@ from typing import Any
 
 from holdfast.kernel.compiling import entry, inner
 from holdfast.kernel.layout import BUFFER, SAMPLE, STEP, records
+from holdfast.kernel.search import first_after
 from holdfast.kernel.types import INT64, READING, TRIPLE, UNTIL
 
 SUSPECT_LINE = 3  # so many steps on one line happen by chance once in a long while
@@ -124,14 +125,7 @@ def _bends(before: Any, middle: Any, last: Any, ratio: float) -> bool:
 @inner
 def row_after(buffer: Any, samples: Any, stamp_ns: int) -> int:
     """Return the first row that is later than a time."""
-    low, high = buffer.first, buffer.end
-    while low < high:
-        middle = (low + high) // 2
-        if samples[middle].stamp_ns > stamp_ns:
-            high = middle
-        else:
-            low = middle + 1
-    return low
+    return first_after(samples, buffer.first, buffer.end, stamp_ns)
 
 
 @inner

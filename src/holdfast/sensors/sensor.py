@@ -95,10 +95,14 @@ class Innovation(NamedTuple):
 
     def nis(self, state: State) -> float:
         """Return the normalised innovation squared, given the covariances of the state: (21) in docs/math.md."""
-        S = self.H @ state.covariance @ self.H.T + self.R
+        return float(self.y @ np.linalg.solve(self.of_state(state) + self.R, self.y))
+
+    def of_state(self, state: State) -> Array:
+        """Return the covariance (m, m) of the prediction h(x), given those of the state and of the parameter."""
+        covariance: Array = self.H @ state.covariance @ self.H.T
         if self.J.size:
-            S += self.J @ state.parameter_covariance @ self.J.T
-        return float(self.y @ np.linalg.solve(S, self.y))
+            covariance += self.J @ state.parameter_covariance @ self.J.T
+        return covariance
 
 
 class Parameter(NamedTuple):
