@@ -16,7 +16,7 @@ export OMP_NUM_THREADS := 1
 export MPLBACKEND := Agg
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all fuzz check lint bench results scenarios paper paper-quick clean
+.PHONY: help demo test test-all fuzz check lint docs bench results scenarios paper paper-quick clean
 
 help: ## Show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1: /p' Makefile | awk -F': ' '{ printf "  make %-11s %s\n", $$1, $$2 }'
@@ -40,6 +40,10 @@ lint: $(READY) ## Check format, style, types and the direction of imports
 	@$(BIN)/ruff check
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
+
+docs: $(READY) ## Build the documentation site: site/index.html
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --clean
+	@echo "written to site/index.html"
 
 bench: $(READY) ## Measure speed on this machine
 	@$(BIN)/holdfast bench

@@ -33,7 +33,7 @@ class Page:
         forbidden: those of them that the page's own policy has stopped.
     """
 
-    def __init__(self, file: Path, scratch: Path, size: tuple[int, int, bool] = DESKTOP) -> None:
+    def __init__(self, file: Path, scratch: Path, size: tuple[int, int, bool] = DESKTOP, scheme: str = "light") -> None:
         self.errors: list[str] = []
         self.requests: dict[str, str] = {}
         self.forbidden: list[str] = []
@@ -59,6 +59,7 @@ class Page:
         width, height, touch = size
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=touch)
         self.call("Emulation.setTouchEmulationEnabled", enabled=touch)
+        self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
         self.call("Page.navigate", url=file.as_uri())
         self._wait_for("document.readyState === 'complete'")
 

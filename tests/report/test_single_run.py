@@ -1,13 +1,16 @@
 """`holdfast report`: a page about a replay, from its files alone."""
 
 import json
+import re
 import shutil
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import pytest
 from chromium import DESKTOP, PHONE, check_page, needs_chromium
+from chromium import Page as BrowserPage
 from click.testing import CliRunner
 
 from holdfast.cli import holdfast
@@ -15,6 +18,8 @@ from holdfast.errors import ConfigError, HoldfastError, RecordingError
 from holdfast.recording.mcap_writer import McapWriter
 from holdfast.recording.tum import read_tum
 from holdfast.replay.results import read_run
+from holdfast.report.page import render
+from holdfast.report.run_record import Measurements
 from holdfast.report.single_run import single_run_page
 from holdfast.report.timeline import health_intervals, lost_intervals, trust_intervals
 from holdfast.report.words import in_words
@@ -49,7 +54,8 @@ def test_the_errors_are_those_that_evaluate_finds(page, simulated: Path, tmp_pat
     judged = json.loads((tmp_path / "judged.json").read_text())["alignments"]["none"]["scores"]["all"]["ape"]
     table = page[1]["tables"]["errors"]
     found = {(row[0], row[1]): dict(zip(table["columns"], row, strict=True)) for row in table["rows"]}
-    for ours, theirs in (("horizontal [m]", "horizontal_m"), ("vertical [m]", "vertical_m"), ("yaw [deg]", "yaw_deg")):
+    angles = ((f"{name} [deg]", f"{name}_deg") for name in ("roll", "pitch", "yaw"))
+    for ours, theirs in (("horizontal [m]", "horizontal_m"), ("vertical [m]", "vertical_m"), *angles):
         for name in ("mean", "std", "rms", "median", "p95", "max"):
             assert found[ours, "all"][name] == pytest.approx(judged[theirs][name], rel=1e-6)
 
@@ -64,7 +70,7 @@ def test_the_outage_is_where_the_scenario_put_it(page, simulated: Path):
 
 
 def test_every_switch_has_its_reason_in_words(page):
-    texts = [row[1] for row in page[1]["tables"]["switches"]["rows"]]
+    texts = [row[2] for row in page[1]["tables"]["switches"]["rows"]]
     assert any("GNSS is lost" in text and "fallback graph takes over" in text for text in texts)
     assert any("gnss_right is no longer trusted: it is silent" in text for text in texts)
     assert any("GNSS is back" in text for text in texts)
@@ -109,7 +115,9 @@ def test_without_a_reference_there_are_no_errors_but_all_the_rest(simulated: Pat
     call("report", simulated / "out", "-o", tmp_path / "other.html")
     numbers = json.loads((tmp_path / "other.json").read_text(encoding="utf-8"))
     assert "errors" not in numbers["tables"]
-    assert {"track", "health", "correction", "sigmas", "latencies"} <= set(numbers["figures"])
+    assert {"track", "height-and-speed", "attitude", "nis", "health", "correction", "sigmas", "latencies"} <= set(
+        numbers["figures"]
+    )
 
 
 def test_errors_at_held_out_fixes_are_those_of_the_summary(simulated: Path, tmp_path: Path):
@@ -123,6 +131,75 @@ def test_errors_at_held_out_fixes_are_those_of_the_summary(simulated: Path, tmp_
     assert (row["track"], row["when"]) == ("causal", "all")
     assert row["positions"] == held_out["horizontal_m"]["count"] > 50
     assert row["horizontal RMS [m]"] == pytest.approx(held_out["horizontal_m"]["rms"], rel=1e-6)
+
+
+def test_sections_have_the_names_that_an_engineer_searches_for(page):
+    headings = re.findall(r'<h2 id="s\d">([^<]+)</h2>', page[0])
+    assert headings == ["Trajectory", "Accuracy", "Consistency", "Health", "Events", "Timing"]
+    assert re.findall(r'<a href="#s\d">([^<]+)</a>', page[0]) == headings
+
+
+def test_fixes_are_on_the_track_by_what_became_of_them(simulated: Path, tmp_path: Path):
+    call("replay", simulated, "-c", simulated / "config.yaml", "-o", tmp_path, "--hold-out", "gnss=4")
+    run = read_run(tmp_path, None)
+    assert (run.measurements["gnss"].outcomes == "held_out").sum() == 74
+    refused = run.measurements["gnss_right"]
+    refused.outcomes[np.flatnonzero(refused.outcomes == "used")[:3]] = "innovation"
+    (track,) = [block for block in single_run_page(run).sections[0].blocks if getattr(block, "key", "") == "track"]
+    drawn = {trace.name: trace for trace in track.plot.data}
+    assert {"smoothed", "estimate in O", "estimate, as it was published"} <= set(drawn)
+    assert len(drawn["fixes, refused"].x) == 3
+    # the antennas of the machine are within three metres of its IMU
+    for name in ("fixes, used", "fixes, held out"):
+        away = np.hypot(drawn[name].x[:, None] - run.world[:, 0], drawn[name].y[:, None] - run.world[:, 1]).min(axis=1)
+        assert len(away) > 30
+        assert away.max() < 3.0
+
+
+def test_innovations_have_their_chi_square_bounds(page):
+    rows = {row[0]: row for row in page[1]["tables"]["innovations"]["rows"]}
+    assert set(rows) == {"gnss", "gnss_right", "heading"}
+    assert rows["gnss"][5] == pytest.approx(7.8147, abs=1e-3)  # chi-square, 3 degrees of freedom, 95 %
+    assert rows["heading"][5] == pytest.approx(3.8415, abs=1e-3)
+    for name, row in rows.items():
+        assert row[1] > 200, name
+        assert 0.2 < row[2] < 1.5, name
+    names = {trace["name"] for trace in page[1]["figures"]["nis"]["traces"]}
+    assert {"used", "95 % bound", "limit of the gate", "without GNSS"} <= names
+
+
+def test_without_measurements_the_report_says_so_and_has_the_rest(simulated: Path, tmp_path: Path):
+    folder = tmp_path / "out"
+    shutil.copytree(simulated / "out", folder)
+    (folder / "measurements.csv").unlink()
+    call("report", folder)
+    html = (folder / "report.html").read_text(encoding="utf-8")
+    assert "Fixes and innovations are left out" in html
+    assert "innovations" not in json.loads((folder / "report.json").read_text())["tables"]
+
+
+def test_the_page_of_an_hour_is_hardly_larger_than_that_of_a_minute(simulated: Path):
+    run = read_run(simulated / "out", simulated / "truth")
+
+    def lasting(seconds: int) -> int:
+        times_s = np.arange(seconds * 100) * 0.01
+        there = np.column_stack([100.0 * np.sin(times_s / 7.0), times_s, np.cos(times_s)])
+        rng = np.random.default_rng(1)
+        count = seconds * 20
+        fixes = Measurements(
+            stamps_ns=run.start_ns + np.arange(count) * 50_000_000,
+            outcomes=rng.choice(["used", "innovation", "held_out"], count),
+            nis=rng.chisquare(3, count), dof=np.full(count, 3), limit=np.full(count, 64.0),
+            positions=rng.normal(size=(count, 3), scale=100.0),
+        )  # fmt: skip
+        long = replace(
+            run, times_s=times_s, world=there, odometry=there, attitude=there, correction=np.tile(there, 2)[:, :4],
+            smoothed_times_s=times_s, smoothed=there, sigma_times_s=times_s, speeds=times_s,
+            sigmas=dict.fromkeys(run.sigmas, times_s), measurements={"gnss": fixes, "gnss_right": fixes},
+        )  # fmt: skip
+        return len(render(single_run_page(long)))
+
+    assert lasting(3600) < 1.25 * lasting(120) < 9e6
 
 
 def test_biases_are_drawn_where_the_diagnostics_have_them(simulated: Path, tmp_path: Path):
@@ -257,6 +334,43 @@ def test_reasons_for_which_a_receiver_is_lost_have_words(outcome: Outcome):
 
 
 GATED = ("innovation", "too_fast", "baseline", "low_status", "no_covariance", "large_covariance", "walking", "late")
+
+
+RANGES = (
+    "Array.from(document.querySelectorAll('.plot')).filter((box) => box.layout.meta.over_time)"
+    ".map((box) => box.layout.xaxis.range)"
+)
+
+
+@needs_chromium
+def test_plots_over_time_follow_each_other_and_a_click_on_an_event(page, simulated: Path, tmp_path: Path):
+    with BrowserPage(simulated / "out" / "report.html", tmp_path, (1400, 900, False), "dark") as opened:
+        opened.wait_until_drawn(len(page[1]["figures"]))
+        first = "document.querySelector('#attitude .plot')"
+        opened.value_of(f"Plotly.relayout({first}, {{'xaxis.range[0]': 5, 'xaxis.range[1]': 9}})")
+        ranges = opened.value_of(RANGES)
+        assert len(ranges) >= 8
+        assert all(one == [5, 9] for one in ranges)
+        assert opened.value_of(f"{first}.layout.xaxis.ticktext[0]") == "5.0<br>12:26:45.0"
+        rows = page[1]["tables"]["switches"]["rows"]
+        chosen = next(k for k, row in enumerate(rows) if "GNSS is lost" in row[2])
+        at_s = float(rows[chosen][0])
+        opened.value_of(f"document.querySelectorAll('tr[data-time]')[{chosen}].click()")
+        assert all(low < at_s < high for low, high in opened.value_of(RANGES))
+        marked = opened.value_of(f"{first}.layout.shapes.at(-1).x0")
+        assert marked == pytest.approx(at_s, abs=0.01)
+        run = read_run(simulated / "out", None)
+        there = run.world[np.searchsorted(run.times_s, at_s)]
+        cross = opened.value_of("(({x, y}) => [x[0], y[0]])(document.querySelector('#track .plot').data.at(-1))")
+        assert np.hypot(*(there[:2] - cross)) < 0.02
+        opened.value_of("document.getElementById('all').click()")
+        assert all(one == opened.value_of(RANGES)[0] for one in opened.value_of(RANGES))
+        assert opened.value_of(RANGES)[0][0] == 0
+        assert opened.value_of(f"{first}.layout.paper_bgcolor") == "#12181f"
+        assert opened.errors == []
+        # the contents stay in sight
+        opened.value_of("window.scrollTo(0, 5000)")
+        assert 0 <= opened.value_of("document.querySelector('nav').getBoundingClientRect().top") < 100
 
 
 @needs_chromium

@@ -12,7 +12,7 @@ from holdfast.errors import ConfigError
 from holdfast.estimator.imu_path import ImuPath
 from holdfast.estimator.intake import Intake
 from holdfast.estimator.optimiser import Optimiser
-from holdfast.event_log import EventLog
+from holdfast.event_log import EventLog, MeasurementRecord
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.messages import ImuSample, JointAngle, Message
 from holdfast.sensors.imu import ImuBuffer
@@ -92,6 +92,15 @@ class Estimator(Intake):
     def take_events(self) -> list[Event]:
         """Return the events since the last call."""
         return self._path.clock.events(self._log.take_events())
+
+    def keep_records(self) -> None:
+        """Keep a record of what becomes of every measurement from now on; whoever asks for it takes them."""
+        self._log.keep_records()
+
+    def take_records(self) -> list[MeasurementRecord]:
+        """Return the records since the last call."""
+        stamp = self._path.clock.stamp
+        return [record._replace(stamp_ns=stamp(record.stamp_ns)) for record in self._log.take_records()]
 
     def process(self, message: Message) -> Output:
         """Take in one message, in the order of arrival.

@@ -5,6 +5,7 @@ Its phase is an `Initialising` or a `Tracking`; a restart makes a new one, and n
 
 from collections import Counter
 from collections.abc import Iterable
+from math import isfinite
 
 from holdfast.chassis.encoder import JointModel
 from holdfast.chassis.joint_track import JointTrack
@@ -23,7 +24,7 @@ from holdfast.messages import GnssFix, JointAngle, Message
 from holdfast.sensors.gnss import GnssModel
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.registry import inputs_of, sensors_of
-from holdfast.sensors.sensor import Joint, Measurement, Role, StampFilter
+from holdfast.sensors.sensor import Joint, Measurement, Position, Role, StampFilter
 from holdfast.state import EventKind, Health, OptimisedState, Outcome
 
 LATE_NS = 10_000_000_000  # by which a measurement that starts the estimator may be late
@@ -142,6 +143,7 @@ class Optimiser:
             else:
                 self._phase.refuse(message, outcome)
             self._log.count(name, outcome)
+            self._record(message, measurement, outcome)
             if self._astray[name] <= 1 or outcome not in (Outcome.CLOCK_JUMP, Outcome.LATE):
                 self._log.report(EventKind.REJECTED, message.stamp_ns, name, outcome)
             return None
@@ -150,7 +152,19 @@ class Optimiser:
             self._phase.enqueue(measurement, message.arrival_ns)
             return None
         self._log.count(name, Outcome.BEFORE_START)
+        self._record(message, measurement, Outcome.BEFORE_START)
         return self._try_to_start(self._phase, measurement)
+
+    def _record(self, message: Message, measurement: Measurement | Outcome, outcome: Outcome) -> None:
+        """Record what did not come as far as a test, with the position that it claims."""
+        frame, position = self.world.frame, None
+        if isinstance(measurement, Position):
+            position = measurement.p_W_P
+        elif isinstance(message, GnssFix) and frame is not None:
+            point = Geodetic(message.latitude_deg, message.longitude_deg, message.altitude_m)
+            position = frame.to_enu(point) if all(map(isfinite, point)) else None
+        stamp_ns = message.stamp_ns + self._sensors[message.sensor].offset_ns
+        self._log.record(stamp_ns, message.sensor, outcome, p_W_P=position)
 
     def _tell_assumption(self, message: Message) -> None:
         """Report once what is assumed of the fixes of a receiver."""

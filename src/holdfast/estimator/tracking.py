@@ -158,6 +158,7 @@ class Tracking:
         name = measurement.sensor
         if stamp_ns < published.oldest_ns:
             self._log.count(name, Outcome.LATE)
+            self._log.record(stamp_ns, name, Outcome.LATE)
             if name not in self._late:
                 behind_s = (published.newest_ns - stamp_ns) * 1e-9
                 self._log.report(EventKind.LATE, stamp_ns, name, f"{behind_s:.3f} s behind the newest state")
@@ -165,6 +166,7 @@ class Tracking:
             return
         self._late.discard(name)
         if stamp_ns - published.newest_ns > MAX_SILENCE_NS:
+            self._log.record(stamp_ns, name, Outcome.CLOCK_JUMP)
             self._log.count(name, Outcome.CLOCK_JUMP)  # nothing leads there until the IMU begins anew
             return
         self.queue.push(measurement)

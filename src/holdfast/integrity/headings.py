@@ -44,6 +44,7 @@ class Headings:
         """Judge a heading at its node, and add its factor to the main graph if it may enter."""
         judged, smoother = self._judged[heading.sensor], graph.published
         if smoother.node(heading.stamp_ns) is None:
+            self._log.record(heading.stamp_ns, heading.sensor, Outcome.LATE)
             return Outcome.LATE
         if not graph.is_lost:
             return judged.judge(heading, graph.main, [graph.main], now_ns)
@@ -51,6 +52,7 @@ class Headings:
         while self._quarantine and self._quarantine[0].stamp_ns < smoother.oldest_ns:
             self._quarantine.popleft()
         self._quarantine.append(heading)
+        self._log.record(heading.stamp_ns, heading.sensor, Outcome.QUARANTINED)
         return Outcome.QUARANTINED
 
     def admit(self, trial: Smoother, since_ns: int, now_ns: int) -> bool:

@@ -90,6 +90,7 @@ class Odometries:
             reason = f"the IMU did not measure this motion{often}"
             self._log.report(EventKind.ODOMETRY_JUMP, pose.stamp_ns, pose.sensor, reason)
             odometry.monitor.forget_frame()
+        self._log.record(pose.stamp_ns, pose.sensor, outcome)
         return outcome
 
     def review(self, now_ns: int) -> None:

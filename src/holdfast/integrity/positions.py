@@ -83,6 +83,7 @@ class Positions:
         """Judge a position at its node, and add its factor to the main graph if it may enter."""
         smoother, name = graph.published, position.sensor
         if smoother.node(position.stamp_ns) is None:
+            self._log.record(position.stamp_ns, name, Outcome.LATE, p_W_P=position.p_W_P)
             return Outcome.LATE
         gate, scale, claimed = self.gates[name], self._scales[name], position.covariance
         position = replace(position, covariance=claimed * scale.above)
@@ -107,6 +108,8 @@ class Positions:
                 self.used.add(position)
         elif outcome is not Outcome.QUARANTINED:
             self._log.report(EventKind.REJECTED, position.stamp_ns, name, outcome)
+        gate_limit = gate.limit_on_nis
+        self._log.record(position.stamp_ns, name, outcome, prediction.nis, 3, limit=gate_limit, p_W_P=position.p_W_P)
         return outcome
 
     def enter_held(self, smoother: Smoother, held: Sequence[Held], *, is_trial: bool) -> list[Position]:
@@ -132,6 +135,7 @@ class Positions:
         self.used.remove(position)
         smoother.retract(position)
         self._log.recount(position.sensor, Outcome.USED, outcome)
+        self._log.record(position.stamp_ns, position.sensor, outcome)
         self._log.report(EventKind.REJECTED, position.stamp_ns, position.sensor, outcome)
 
     def take_out_all(self, smoother: Smoother, outcome: Outcome) -> None:

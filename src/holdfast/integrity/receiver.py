@@ -100,6 +100,13 @@ class ReceiverGate:
         """The jump [m] that the gate would have seen in the position that it tested last, in every direction."""
         return inf if self._tested is None else self._tested[0].smallest_visible_m(self._tested[1])
 
+    @property
+    def limit_on_nis(self) -> float:
+        """The NIS beyond which a position is refused now: a trusted receiver's weighs less first."""
+        if not self._gate.innovation:
+            return inf
+        return HOLD_BACK * self.limit if self.trust is Trust.TRUSTED else self.limit
+
     def judge(
         self, position: Position, prediction: Prediction, *, now_ns: int, baseline_agrees: bool = True
     ) -> Outcome:
@@ -179,9 +186,8 @@ class ReceiverGate:
         if self._is_too_fast(position):
             return Outcome.TOO_FAST
         if self._gate.innovation:
-            limit = HOLD_BACK * self.limit if self.trust is Trust.TRUSTED else self.limit
-            self._tested = prediction, limit
-            if not prediction.nis <= limit:
+            self._tested = prediction, self.limit_on_nis
+            if not prediction.nis <= self.limit_on_nis:
                 return Outcome.INNOVATION
         if self._gate.baseline and not baseline_agrees:
             return Outcome.BASELINE

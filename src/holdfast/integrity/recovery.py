@@ -104,6 +104,8 @@ class Recovery:
             entered = positions.gates[name].become(Trust.TRUSTED)
             self._log.count(name, Outcome.QUARANTINED, -len(entered))
             self._log.count(name, Outcome.USED, len(entered))
+            for one in entered:
+                self._log.record(one.position.stamp_ns, name, Outcome.USED)
             self._log.report(EventKind.RECEIVER_REGAINED, now_ns, name, f"{len(entered)} good positions in a row")
         return was_lost
 

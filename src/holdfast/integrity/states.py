@@ -67,6 +67,8 @@ class JudgedSensor:
             self._enter(measurement, smoothers, inflation)
         elif outcome is not Outcome.QUARANTINED:
             self._log.report(EventKind.REJECTED, measurement.stamp_ns, measurement.sensor, outcome)
+        tested = () if isinstance(nis, Outcome) or isinstance(found, Outcome) else (nis, len(found[0].y))
+        self._log.record(measurement.stamp_ns, measurement.sensor, outcome, *tested, limit=self.gate.limit)
         return outcome
 
     def held_inflation(self, held: Sequence[Measurement]) -> float:
@@ -88,6 +90,7 @@ class JudgedSensor:
             for measurement in held:
                 if self._enter(measurement, every, inflation):
                     self._log.recount(name, Outcome.QUARANTINED, Outcome.USED)
+                    self._log.record(measurement.stamp_ns, name, Outcome.USED)
             self._log.report(EventKind.SENSOR_REGAINED, now_ns, name, f"{len(held)} good measurements in a row")
 
     def _compare(self, smoother: Smoother, measurement: Measurement) -> tuple[Innovation, State] | Outcome:

@@ -12,8 +12,10 @@ import gtsam
 
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
+from holdfast.event_log import MeasurementRecord
 from holdfast.recording.mcap_writer import McapWriter
 from holdfast.recording.tum import TumWriter
+from holdfast.replay.measurements import MEASUREMENTS, MeasurementWriter
 from holdfast.ros.messages import (
     DIAGNOSTICS,
     DIAGNOSTICS_PERIOD_NS,
@@ -46,6 +48,7 @@ class Outputs:
             try:
                 self._tracks = {name: stack.enter_context(TumWriter(folder / f"{name}.tum")) for name in names}
                 self._mcap = stack.enter_context(McapWriter(folder / ESTIMATES))
+                self._measurements = stack.enter_context(MeasurementWriter(folder / MEASUREMENTS))
                 self._events = stack.enter_context((folder / EVENTS).open("w", encoding="utf-8"))
             except OSError as error:
                 raise ConfigError(f"{error.filename or folder}: cannot be written ({error.strerror})") from None
@@ -91,6 +94,10 @@ class Outputs:
             self._events.write(json.dumps(asdict(event)) + "\n")
         if events:
             self._events.flush()
+
+    def write_measurements(self, records: Iterable[MeasurementRecord], outcome: str = "") -> None:
+        """Write what became of measurements; `outcome` stands in for theirs."""
+        self._measurements.write(records, outcome)
 
     def diagnose(self, estimator: Observed, now_ns: int) -> None:
         """Write a DiagnosticArray once a second."""

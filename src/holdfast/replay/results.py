@@ -15,22 +15,31 @@ from holdfast.evaluation.association import associate
 from holdfast.messages import Array
 from holdfast.recording.raw import RawBag
 from holdfast.recording.tum import read_tum
+from holdfast.replay.measurements import MEASUREMENTS, innovation_scores, read_measurements
 from holdfast.replay.outputs import ESTIMATES, EVENTS, SUMMARY
-from holdfast.report.run_record import Errors, RunRecord
+from holdfast.report.run_record import Errors, Measurements, RunRecord
 from holdfast.ros.messages import BIAS_KEYS
 from holdfast.state import Trajectory
 
+SMOOTHED = "smoothed_in_world.tum"
 TRUTH, TRUE_BIASES = "imu_in_world.tum", "imu_bias.csv"
 TRUE_SENSORS = (("gyroscope", "rad_s"), ("accelerometer", "m_s2"))
 DECIMATION = 10  # one in so many estimates of estimates.mcap is decoded: covariances change slowly
-SHOWN = {"horizontal_m": "horizontal [m]", "vertical_m": "vertical [m]", "yaw_deg": "yaw [deg]"}
+SHOWN = {
+    "horizontal_m": "horizontal [m]",
+    "vertical_m": "vertical [m]",
+    "roll_deg": "roll [deg]",
+    "pitch_deg": "pitch [deg]",
+    "yaw_deg": "yaw [deg]",
+}
 
 
 class Claims(NamedTuple):
-    """What estimates.mcap holds beside the tracks: sigmas (M,) by name, and biases (B, 6), at stamps [ns]."""
+    """What estimates.mcap holds beside the tracks: sigmas (M,) by name, speeds (M,), biases (B, 6), at stamps [ns]."""
 
     stamps_ns: Array
     sigmas: dict[str, Array]
+    speeds: Array
     bias_stamps_ns: Array
     biases: Array
 
@@ -46,6 +55,8 @@ def read_run(folder: Path, reference: Path | None) -> RunRecord:
     world, odometry = (read_tum(folder / f"imu_in_{name}.tum") for name in ("world", "odom"))
     start_ns = int(summary.get("start_ns") or min(int(world.stamps_ns[0]), *(e["stamp_ns"] for e in events)))
     claims, notes = _read_claims(folder / ESTIMATES)
+    smoothed = _read_smoothed(folder / SMOOTHED)
+    measurements, missing = _read_measurements(folder / MEASUREMENTS)
     truth, errors, true_bias_ns, true_biases = None, None, None, None
     if reference is not None and reference.is_dir():
         true_bias_ns, true_biases = _read_true_biases(reference / TRUE_BIASES)
@@ -64,17 +75,23 @@ def read_run(folder: Path, reference: Path | None) -> RunRecord:
         times_s=(world.stamps_ns - start_ns) * np.float64(1e-9),
         world=world.positions,
         odometry=odometry.positions,
+        attitude=_attitude_deg(world),
         correction=_correction(world, odometry),
         sigma_times_s=(claims.stamps_ns - start_ns) * 1e-9,
         sigmas=claims.sigmas,
+        speeds=claims.speeds,
         bias_times_s=(claims.bias_stamps_ns - start_ns) * 1e-9,
         biases=claims.biases,
         true_bias_times_s=None if true_bias_ns is None else (true_bias_ns - start_ns) * np.float64(1e-9),
         true_biases=true_biases,
         reference=None if truth is None else _of_the_time(truth, world),
+        smoothed_times_s=np.zeros(0) if smoothed is None else (smoothed.stamps_ns - start_ns) * np.float64(1e-9),
+        smoothed=np.zeros((0, 3)) if smoothed is None else smoothed.positions,
+        measurements=measurements,
+        scores=[score for name, of in measurements.items() for score in innovation_scores(name, of)],
         errors=errors,
         seed=summary.get("simulation", {}).get("seed", ""),
-        notes=[*notes, *summary["warnings"]],
+        notes=[*notes, *missing, *summary["warnings"]],
     )
 
 
@@ -140,9 +157,8 @@ def _read_claims(file: Path) -> tuple[Claims, list[str]]:
                 if channel.topic.endswith("/odometry/world"):
                     seen += 1
                     if seen % DECIMATION == 1:
-                        covariance = np.diag(codecs[channel].deserialize(raw).pose.covariance.reshape(6, 6))
                         stamps.append(arrival_ns)
-                        rows.append([*np.sqrt([covariance[0] + covariance[1], covariance[2], covariance[5]])])
+                        rows.append(_claimed(codecs[channel].deserialize(raw)))
                 elif channel.topic == "/diagnostics":
                     statuses = codecs[channel].deserialize(raw).status
                     values = {pair.key: pair.value for status in statuses for pair in status.values}
@@ -151,9 +167,38 @@ def _read_claims(file: Path) -> tuple[Claims, list[str]]:
                         biases.append([float(values[key]) for key in BIAS_KEYS])
     except RecordingError as error:
         notes.append(f"Standard deviations and biases are left out: {error}.")
-    table = np.array(rows).reshape(-1, 3)
-    sigmas = {"horizontal [m]": table[:, 0], "vertical [m]": table[:, 1], "yaw [deg]": np.degrees(table[:, 2])}
-    return Claims(np.array(stamps), sigmas, np.array(bias_stamps), np.array(biases).reshape(-1, 6)), notes
+    table = np.array(rows).reshape(-1, len(SHOWN) + 1)
+    sigmas = dict(zip(SHOWN.values(), table.T, strict=False))
+    return Claims(np.array(stamps), sigmas, table[:, -1], np.array(bias_stamps), np.array(biases).reshape(-1, 6)), notes
+
+
+def _claimed(odometry: Any) -> list[float]:
+    """Return the sigmas of `SHOWN` that an Odometry claims, and the speed [m/s].
+
+    Its rotations are about the axes of W; roll and pitch are about those axes turned by the yaw.
+    """
+    covariance = odometry.pose.covariance.reshape(6, 6)
+    at = odometry.pose.pose.orientation
+    yaw = float(quaternions.roll_pitch_yaw_rad(np.array([[at.x, at.y, at.z, at.w]]))[0, 2])
+    axes = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+    tilt = np.diag(axes @ covariance[3:5, 3:5] @ axes.T)
+    variances = np.array([covariance[0, 0] + covariance[1, 1], covariance[2, 2], *tilt, covariance[5, 5]])
+    velocity = odometry.twist.twist.linear
+    in_units = np.sqrt(variances) * [1.0, 1.0, *np.degrees(np.ones(3))]
+    return [*in_units.tolist(), float(np.linalg.norm([velocity.x, velocity.y, velocity.z]))]
+
+
+def _read_smoothed(file: Path) -> Trajectory | None:
+    """Read the smoothed track; None where none was written, or no node has left the window."""
+    return read_tum(file) if file.is_file() and file.stat().st_size else None
+
+
+def _read_measurements(file: Path) -> tuple[dict[str, Measurements], list[str]]:
+    """Read measurements.csv; without it fixes and innovations are left out, and a note is returned."""
+    try:
+        return read_measurements(file), []
+    except RecordingError as error:
+        return {}, [f"Fixes and innovations are left out: {error}."]
 
 
 def _read_true_biases(file: Path) -> tuple[NDArray[np.int64], Array]:
@@ -178,6 +223,13 @@ def _judge(world: Trajectory, truth: Trajectory, source: Path, start_ns: int) ->
     values = ape(pairs)
     shown = {label: values[name] for name, label in SHOWN.items() if name in values}
     return Errors(str(source), (pairs.reference.stamps_ns - start_ns) * np.float64(1e-9), shown)
+
+
+def _attitude_deg(world: Trajectory) -> Array:
+    """Return roll, pitch, yaw (N, 3) [deg]; yaw goes on beyond 180 deg."""
+    angles = quaternions.roll_pitch_yaw_rad(world.quaternions)
+    attitude: Array = np.degrees(np.column_stack([angles[:, :2], np.unwrap(angles[:, 2])]))
+    return attitude
 
 
 def _correction(world: Trajectory, odometry: Trajectory) -> Array:

@@ -12,12 +12,14 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.errors import EstimatorError
 from holdfast.estimator.estimator import Estimator
+from holdfast.event_log import MeasurementRecord
 from holdfast.messages import Message
-from holdfast.replay.held_out import HeldOutJudge, HoldOut, HoldOutFilter
+from holdfast.replay.held_out import HeldOutJudge, HoldOut, HoldOutFilter, Judgement
 from holdfast.replay.interrupts import Uninterrupted
+from holdfast.replay.measurements import HELD_OUT
 from holdfast.replay.outputs import Outputs
 from holdfast.report.track import JudgedTrack
-from holdfast.state import Estimate, EventKind, Health, Output
+from holdfast.state import Estimate, EventKind, Health, Outcome, Output
 
 if TYPE_CHECKING:  # starting processes is left to whoever wants them
     from holdfast.realtime.engine import RealtimeEstimator
@@ -59,6 +61,8 @@ class Replay:
     ) -> None:
         self.estimator: Estimator | RealtimeEstimator = realtime or Estimator(config)
         self._realtime = realtime
+        if outputs is not None and isinstance(self.estimator, Estimator):
+            self.estimator.keep_records()
         self.timing = Timing()
         self.health: Counter[Health] = Counter()  # estimates by health
         self.warnings: list[str] = []  # what the estimator had to assume; known once events are written
@@ -66,6 +70,7 @@ class Replay:
         self.smoothed = HeldOutJudge(config, self.estimator.noise)
         self._filter = HoldOutFilter(hold_out, config)
         self._outputs = outputs
+        self._judged = 0  # held-out positions that were written
         self._imu_name = config.imu_name
         self._kept: list[tuple[int, float, float, float]] | None = [] if keep_track else None
 
@@ -121,6 +126,8 @@ class Replay:
             self._outputs.write(output)
             self._outputs.diagnose(self.estimator, now_ns)
             self.write_events()
+            if isinstance(self.estimator, Estimator):
+                self._outputs.write_measurements(self.estimator.take_records())
         if output.estimate is not None:
             self.health[self.estimator.health] += 1
         self._judge(output)
@@ -149,6 +156,13 @@ class Replay:
             self.causal.add_optimised(output.optimised, frame)
         for stamp_ns, nav in output.smoothed:
             self.smoothed.add_smoothed(stamp_ns, nav, frame)
+        self._write_held_out()
+
+    def _write_held_out(self) -> None:
+        """Write the positions that were judged since the last call."""
+        judged, self._judged = self.causal.judgements[self._judged :], len(self.causal.judgements)
+        if self._outputs is not None:
+            self._outputs.write_measurements((_held_out_record(one) for one in judged), HELD_OUT)
 
     def _keep(self, estimate: Estimate) -> None:
         assert self._kept is not None
@@ -183,3 +197,7 @@ class Replay:
             in_outage=np.array([j.in_outage for j in judged], dtype=np.bool_),
         )
         return track, start_ns
+
+
+def _held_out_record(one: Judgement) -> MeasurementRecord:
+    return MeasurementRecord(one.stamp_ns, one.sensor, Outcome.IGNORED, one.nees, 3, p_W_P=one.position)

@@ -22,6 +22,8 @@ from holdfast.report.png import encode_png
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9", "#7a5195", "#5f6b7a")
 GREY, INK, RULE = "#9aa5b1", "#1d2630", "#e6e9ee"
 MAX_POINTS_PER_LINE = 2000  # about as many as there are pixels
+PIXELS = 700  # of the longer side of a map
+TIME = "time [s]"
 MARGIN_FRACTION = 0.04  # of the longer side of a map
 GAP_STEPS = 5.0  # a line is broken where points are so many usual steps apart
 
@@ -39,6 +41,7 @@ class Line:
         dash: of the stroke, in plotly's words.
         points: draw points, no stroke.
         is_on_top: other lines do not hide it.
+        is_framed: a map is made large enough for it.
     """
 
     name: str
@@ -49,6 +52,7 @@ class Line:
     width: float = 1.5
     points: bool = False
     is_on_top: bool = False
+    is_framed: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,9 +91,9 @@ class Span:
     text: str
 
 
-def over_time(panels: Sequence[Panel], bands: Sequence[Band] = (), label: str = "time [s]") -> go.Figure:
+def over_time(panels: Sequence[Panel], bands: Sequence[Band] = (), label: str = TIME) -> go.Figure:
     """Return plots one below the other over one axis of time; lines of one name have one colour and legend entry."""
-    figure = go.Figure(layout=_layout(120 + 190 * len(panels)))
+    figure = go.Figure(layout=_layout(120 + 190 * len(panels)) | _meta(over_time=label == TIME))
     colours = _colours([line for panel in panels for line in panel.lines])
     height, named = 1.0 / len(panels), set()
     for k, panel in enumerate(panels):
@@ -108,17 +112,28 @@ def over_time(panels: Sequence[Panel], bands: Sequence[Band] = (), label: str = 
     return figure
 
 
-def track_map(tracks: Sequence[Line], marks: Mapping[str, tuple[float, float]] | None = None) -> go.Figure:
-    """Return tracks from above on a metric grid, east to the right, equal scales; `marks` are named positions [m]."""
-    figure = go.Figure(layout=_layout(560))
+def track_map(
+    tracks: Sequence[Line],
+    marks: Mapping[str, tuple[float, float]] | None = None,
+    moving: tuple[Array, Array, Array] | None = None,
+) -> go.Figure:
+    """Return tracks from above on a metric grid, east to the right, equal scales.
+
+    Args:
+        tracks: strokes and points, one of them framed at least.
+        marks: named positions, east and north [m].
+        moving: times [s], east and north [m], each (N,), of what is marked at the time that a reader picks.
+    """
+    shown = np.concatenate([np.column_stack([track.x, track.y]) for track in tracks if track.is_framed])
+    low, high = np.nanmin(shown, axis=0), np.nanmax(shown, axis=0)
+    size_m = max(*(high - low), 1.0)
+    figure = go.Figure(layout=_layout(560) | _meta(track=None if moving is None else _thin_track(*moving)))
     colours = _colours(tracks)
     for track in tracks:
-        thin = slice(None, None, -(-len(track.x) // (2 * MAX_POINTS_PER_LINE)) or 1)  # strokes so short hide nothing
-        figure.add_trace(_trace(track, (track.x[thin], track.y[thin]), colours[track.name], True))
+        kept = _one_per_pixel(track, size_m) if track.points else _stride(len(track.x))
+        figure.add_trace(_trace(track, (track.x[kept], track.y[kept]), colours[track.name], True))
     _square(figure)
-    shown = np.concatenate([np.column_stack([track.x, track.y]) for track in tracks])
-    low, high = np.nanmin(shown, axis=0), np.nanmax(shown, axis=0)
-    margin = MARGIN_FRACTION * max(*(high - low), 1.0)
+    margin = MARGIN_FRACTION * size_m
     figure.update_layout(
         xaxis_range=[low[0] - margin, high[0] + margin], yaxis_range=[low[1] - margin, high[1] + margin]
     )
@@ -140,7 +155,7 @@ def time_line(rows: Sequence[str], spans: Sequence[Span], legend: Mapping[str, s
         legend: what a colour means, by name -> colour.
         end_s: of the axis of time [s].
     """
-    figure = go.Figure(layout=_layout(130 + 34 * len(rows)))
+    figure = go.Figure(layout=_layout(130 + 34 * len(rows)) | _meta(over_time=True))
     for colour in dict.fromkeys(span.colour for span in spans):  # few traces are drawn fast, however many spans
         chosen = [span for span in spans if span.colour == colour]
         figure.add_bar(
@@ -153,7 +168,7 @@ def time_line(rows: Sequence[str], spans: Sequence[Span], legend: Mapping[str, s
         figure.add_bar(x=[None], y=[rows[0]], orientation="h", name=name, marker={"color": colour})
     figure.update_layout(
         barmode="overlay",
-        xaxis=_axis("time [s]") | {"range": [0.0, end_s]},
+        xaxis=_axis(TIME) | {"range": [0.0, end_s]},
         yaxis=_axis("") | {"categoryorder": "array", "categoryarray": list(reversed(rows)), "showgrid": False},
     )
     return figure
@@ -161,14 +176,14 @@ def time_line(rows: Sequence[str], spans: Sequence[Span], legend: Mapping[str, s
 
 def counts_over_time(times_s: Mapping[str, Array], end_s: float, label: str, bins: int = 120) -> go.Figure:
     """Return how often named things happened over time, stacked."""
-    figure = go.Figure(layout=_layout(320))
+    figure = go.Figure(layout=_layout(320) | _meta(over_time=True))
     edges = np.linspace(0.0, max(end_s, 1e-9), bins + 1)
     for k, (name, times) in enumerate(times_s.items()):
         figure.add_bar(
             x=(edges[:-1] + edges[1:]) / 2.0, y=np.histogram(times, edges)[0], name=name,
             width=float(edges[1] - edges[0]), marker={"color": COLOURS[k % len(COLOURS)], "line": {"width": 0}},
         )  # fmt: skip
-    figure.update_layout(barmode="stack", xaxis=_axis("time [s]"), yaxis=_axis(label))
+    figure.update_layout(barmode="stack", xaxis=_axis(TIME), yaxis=_axis(label))
     return figure
 
 
@@ -271,6 +286,25 @@ def decimated(x: Array, y: Array, limit: int = MAX_POINTS_PER_LINE) -> tuple[Arr
     return np.insert(x, gaps, x[gaps] if len(gaps) else 0.0), np.insert(y, gaps, np.nan)
 
 
+def _stride(count: int) -> slice:
+    """Return every n-th of so many points: strokes so short hide nothing."""
+    return slice(None, None, -(-count // (2 * MAX_POINTS_PER_LINE)) or 1)
+
+
+def _one_per_pixel(points: Line, size_m: float) -> NDArray[np.intp]:
+    """Return which points of a map are kept: the first in each pixel, and not too many of those."""
+    pixels = np.column_stack([points.x, points.y]) // (size_m / PIXELS)
+    _, first = np.unique(pixels, axis=0, return_index=True)
+    kept: NDArray[np.intp] = np.sort(first)[_stride(len(first))]
+    return kept
+
+
+def _thin_track(times_s: Array, east: Array, north: Array) -> dict[str, list[float]]:
+    kept = _stride(2 * len(times_s))
+    named = {"t": times_s, "x": east, "y": north}
+    return {name: np.round(values[kept], 3).tolist() for name, values in named.items()}
+
+
 def _extremes(y: Array, start: int, end: int) -> tuple[int, int]:
     piece = y[start:end]
     if np.isnan(piece).all():
@@ -326,6 +360,11 @@ def _axis(label: str) -> dict[str, Any]:
         "automargin": True,
         "exponentformat": "power",
     }
+
+
+def _meta(*, over_time: bool = False, track: dict[str, list[float]] | None = None) -> dict[str, Any]:
+    """Return what the script of the page has to know: whether x is the time of the run, or where it was when."""
+    return {"meta": {"over_time": over_time} | ({} if track is None else {"track": track})}
 
 
 def _layout(height_px: int) -> dict[str, Any]:

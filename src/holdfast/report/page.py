@@ -30,7 +30,7 @@ NUMBER = re.compile(r"[-–]|-?(\d[\d.e+-]*|inf|never)( ± [\d.e+-]+)?")
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """How the numbers were made; stands below every figure and table.
+    """How the numbers were made; stands once on a page, and beside what was made otherwise.
 
     Attributes:
         command: that makes them again.
@@ -71,6 +71,7 @@ class Table:
         digits: significant digits of numbers that are not whole.
         marks: (row, column) -> how a cell stands out.
         provenance: None for the page's own.
+        times_s: of the rows, where each is something that happened; a click on it moves the plots there.
     """
 
     key: str
@@ -81,6 +82,7 @@ class Table:
     digits: int = 3
     marks: Mapping[tuple[int, int], Mark] = field(default_factory=dict)
     provenance: Provenance | None = None
+    times_s: Sequence[float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,18 +115,33 @@ class Section:
 
 
 @dataclass(frozen=True, slots=True)
+class Clock:
+    """The time of a page about one run: all its plots over time then show the same stretch.
+
+    Attributes:
+        start_s: since 1970, from which times count.
+        end_s: last time that is shown first.
+    """
+
+    start_s: float
+    end_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class Page:
     """A whole report.
 
     Attributes:
         lead: what a reader should know who reads nothing else.
         provenance: of everything that does not bring its own.
+        clock: None where plots over time have nothing to do with each other.
     """
 
     title: str
     lead: str
     provenance: Provenance
     sections: Sequence[Section]
+    clock: Clock | None = None
 
 
 def digest(config: Mapping[str, Any]) -> str:
@@ -155,17 +172,23 @@ def render(page: Page) -> str:
     _check_keys(page)
     room = files("holdfast.report")
     style, script = (room.joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
+    clock = page.clock
+    times = "" if clock is None else f' data-start="{clock.start_s:.6f}" data-end="{clock.end_s:.6f}"'
+    whole = "" if clock is None else '<button type="button" id="all">show all</button>'
     links = "".join(f'<a href="#s{k}">{escape(section.title)}</a>' for k, section in enumerate(page.sections))
-    body = "".join(_section(k, section, page.provenance) for k, section in enumerate(page.sections))
+    body = "".join(_section(k, section) for k, section in enumerate(page.sections))
     return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        "<!DOCTYPE html>\n"
+        f'<html lang="en"{times}>\n<head>\n<meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<meta name="color-scheme" content="light dark">\n'
         f"<title>{escape(page.title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
         f"<h1>{escape(page.title)}</h1>\n<p>{escape(page.lead)}</p>\n"
-        f'<p class="provenance">{escape(page.provenance.line())}</p>\n<nav>{links}</nav>\n'
+        f'<p class="provenance">{escape(page.provenance.line())}</p>\n'
+        f'<nav aria-label="Contents">{links}{whole}</nav>\n<main>\n'
         "<noscript><p class=note>The figures need JavaScript; the tables do not.</p></noscript>\n"
-        f"{body}\n<script>{_plotly_script()}</script>\n<script>\n{script}</script>\n</body>\n</html>\n"
+        f"{body}\n</main>\n<script>{_plotly_script()}</script>\n<script>\n{script}</script>\n</body>\n</html>\n"
     )
 
 
@@ -193,23 +216,20 @@ def shown(value: Cell, digits: int = 3) -> str:
     return text if "e" in text else text.removesuffix(".")
 
 
-def _section(index: int, section: Section, provenance: Provenance) -> str:
-    blocks = "\n".join(_block(block, provenance) for block in section.blocks)
+def _section(index: int, section: Section) -> str:
+    blocks = "\n".join(_block(block) for block in section.blocks)
     return f'<section>\n<h2 id="s{index}">{escape(section.title)}</h2>\n{blocks}\n</section>\n'
 
 
-def _block(block: Block, provenance: Provenance) -> str:
+def _block(block: Block) -> str:
     if isinstance(block, Text):
         return f"<p{' class=note' if block.note else ''}>{escape(block.text)}</p>"
     if isinstance(block, Row):
-        return f'<div class="row">{"".join(_block(figure, provenance) for figure in block.figures)}</div>'
+        return f'<div class="row">{"".join(_block(figure) for figure in block.figures)}</div>'
     inner = _table(block) if isinstance(block, Table) else _plot(block)
     caption = f"<figcaption>{escape(block.caption)}</figcaption>" if block.caption else ""
-    made = escape((block.provenance or provenance).line())
-    return (
-        f'<figure id="{escape(block.key)}">\n<h3>{escape(block.title)}</h3>\n{inner}\n{caption}\n'
-        f'<div class="provenance" tabindex="0">{made}</div>\n</figure>'
-    )
+    made = "" if block.provenance is None else f'<div class="provenance">{escape(block.provenance.line())}</div>\n'
+    return f'<figure id="{escape(block.key)}">\n<h3>{escape(block.title)}</h3>\n{inner}\n{caption}\n{made}</figure>'
 
 
 def _table(table: Table) -> str:
@@ -224,7 +244,12 @@ def _table(table: Table) -> str:
         for k, (value, is_number) in enumerate(zip(row, numeric, strict=True)):
             style = " ".join(filter(None, ["number" * is_number, table.marks.get((i, k), "")]))
             cells.append(f'<td class="{style}">{escape(shown(value, table.digits))}</td>')
-        rows.append(f"<tr>{''.join(cells)}</tr>")
+        time = (
+            ""
+            if table.times_s is None
+            else f' data-time="{table.times_s[i]:.6f}" tabindex="0" title="show this time in every plot"'
+        )
+        rows.append(f"<tr{time}>{''.join(cells)}</tr>")
     return (
         f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>\n'
         + "\n".join(rows)

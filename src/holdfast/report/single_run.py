@@ -1,17 +1,13 @@
-"""The report of one replay: the track, its errors, the health, and why the estimator switched.
+"""The report of one replay: trajectory, accuracy, consistency, health, events, timing.
 
 From plain arrays only: the files of a replay are read by a higher room. Importing it needs plotly.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
-from numpy.typing import NDArray
 
 from holdfast.messages import Array
+from holdfast.report.consistency import consistency
 from holdfast.report.figures import (
-    COLOURS,
-    Band,
     Line,
     Panel,
     Span,
@@ -20,14 +16,15 @@ from holdfast.report.figures import (
     over_time,
     quantiles,
     time_line,
-    track_map,
 )
-from holdfast.report.page import Block, Cell, Figure, Page, Provenance, Section, Table, Text, digest
+from holdfast.report.outages import LOST, outage_bands, outages, within
+from holdfast.report.page import Block, Cell, Clock, Figure, Page, Provenance, Section, Table, digest
 from holdfast.report.run_record import RunRecord
-from holdfast.report.timeline import Interval, health_intervals, lost_intervals, trust_intervals
+from holdfast.report.timeline import Interval, health_intervals, trust_intervals
+from holdfast.report.trajectory import trajectory
 from holdfast.report.words import ROUTINE, in_words
 
-LOST, WARNING, GOOD, START = "#d55e00", "#e69f00", "#009e73", "#9aa5b1"
+WARNING, GOOD, START = "#e69f00", "#009e73", "#9aa5b1"
 HEALTH_COLOURS = {
     "nominal": GOOD,
     "gnss_degraded": "#56b4e9",
@@ -40,6 +37,7 @@ HEALTH_COLOURS = {
     "optimiser_reset": "#1d2630",
     "initialising": START,
 }
+IN_THE_LEAD = ("horizontal [m]", "vertical [m]", "yaw [deg]")
 STATISTICS = ("mean", "std", "rms", "median", "p95", "max")
 POSITIONS = {"gnss", "prism"}
 UNTESTED = {"imu", "base_imu", "joint", "odometry"}  # kinds of sensors that are not lost and regained by a test
@@ -49,22 +47,22 @@ def single_run_page(run: RunRecord) -> Page:
     """Return the report of one replay."""
     provenance = Provenance(run.command, run.summary["versions"], digest(run.summary["config"]), run.seed)
     sections = [
-        Section("Track", _track(run)),
-        Section("Errors", [*_errors(run), *_held_out(run)]),
-        Section("Health", _health(run)),
-        Section("Events", _switches(run)),
-        Section("Measurements", _measurements(run)),
-        Section("Odometry frame", _odometry(run)),
-        Section("Standard deviations and biases", _claims(run)),
-        Section("Speed", _speed(run)),
+        Section("Trajectory", trajectory(run)),
+        Section("Accuracy", [*_errors(run), *_held_out(run)]),
+        Section("Consistency", consistency(run)),
+        Section("Health", [*_health(run), *_measurements(run)]),
+        Section("Events", _events(run)),
+        Section("Timing", _timing(run)),
     ]
     lead = _lead(run)
-    return Page(f"Replay of {run.name}", lead, provenance, [section for section in sections if section.blocks])
+    clock = Clock(run.start_ns * 1e-9, run.end_s)
+    filled = [section for section in sections if section.blocks]
+    return Page(f"Replay of {run.name}", lead, provenance, filled, clock)
 
 
 def _lead(run: RunRecord) -> str:
     distance_m = float(np.linalg.norm(np.diff(run.world, axis=0), axis=1).sum())
-    lost = lost_intervals(run.events, run.start_ns, run.end_s)
+    lost = outages(run)
     without_s = sum(interval.end_s - interval.start_s for interval in lost)
     lead = f"{run.end_s - run.times_s[0]:.0f} s of estimates over {distance_m:.0f} m, "
     if not POSITIONS & set(run.kinds.values()):
@@ -75,27 +73,10 @@ def _lead(run: RunRecord) -> str:
         lead += "GNSS was never lost."
     if run.errors is not None:
         found = run.errors.values
-        rms = [f"{name.split(' [')[0]} {_rms(found[name]):.3g} {_unit(name)}" for name in list(found)[:3]]
+        told = [name for name in IN_THE_LEAD if name in found]
+        rms = [f"{name.split(' [')[0]} {_rms(found[name]):.3g} {_unit(name)}" for name in told]
         lead += f" RMS error against {run.errors.source}: {', '.join(rms)}."
     return lead if run.summary["finished"] else f"{lead} The replay did not come to its end."
-
-
-def _track(run: RunRecord) -> list[Block]:
-    tracks = [Line("estimate, as it was published", run.world[:, 0], run.world[:, 1])]
-    if run.reference is not None:
-        tracks.insert(0, Line("reference", run.reference[:, 0], run.reference[:, 1], START, width=5.0))
-    inside = _within(run.times_s, lost_intervals(run.events, run.start_ns, run.end_s))
-    if inside.any():
-        without = np.where(inside[:, None], run.world[:, :2], np.nan)
-        tracks.append(Line("estimate without GNSS", without[:, 0], without[:, 1], LOST, width=3.0))
-    (e0, n0), (e1, n1) = run.world[0, :2], run.world[-1, :2]
-    plot = track_map(tracks, {"start": (float(e0), float(n0)), "end": (float(e1), float(n1))})
-    datum = run.summary.get("datum")
-    where = "in the frame in which it started"
-    if datum is not None:
-        where = f"from the datum at {datum['latitude_deg']:.7f} deg N, {datum['longitude_deg']:.7f} deg E"
-    notes: list[Block] = [Text(note, note=True) for note in run.notes]
-    return [*notes, Figure("track", "Track from above", plot, f"Position of the IMU, {where}.")]
 
 
 def _errors(run: RunRecord) -> list[Block]:
@@ -103,8 +84,7 @@ def _errors(run: RunRecord) -> list[Block]:
         return []
     times_s, values = run.errors.times_s, run.errors.values
     panels = [Panel(name, [*_claimed(run, name), Line("error", times_s, of)]) for name, of in values.items()]
-    lost = lost_intervals(run.events, run.start_ns, run.end_s)
-    without = _within(times_s, lost)
+    without = within(times_s, outages(run))
     parts = {"all": np.ones(len(times_s), dtype=np.bool_)}
     parts |= {"GNSS trusted": ~without, "GNSS lost": without} if without.any() else {}
     rows: list[list[Cell]] = [
@@ -115,7 +95,7 @@ def _errors(run: RunRecord) -> list[Block]:
     ]
     return [
         Table("errors", "Errors", ("error", "when", *STATISTICS, "poses"), rows, f"Against {run.errors.source}."),
-        Figure("errors-over-time", "Errors over time", over_time(panels, _bands(lost)),
+        Figure("errors-over-time", "Errors over time", over_time(panels, outage_bands(run)),
                "Dotted: three times the standard deviation that the estimator reports."),
     ]  # fmt: skip
 
@@ -163,12 +143,16 @@ def _health(run: RunRecord) -> list[Block]:
     ]
 
 
-def _switches(run: RunRecord) -> list[Block]:
-    rows: list[list[Cell]] = [
-        [f"{run.seconds(event):.2f}", in_words(event)] for event in run.events if event["kind"] not in ROUTINE
-    ]
-    caption = "Single measurements that were rejected or late are counted below; events.jsonl has each of them."
-    return [Table("switches", "Switches and their reasons", ("time [s]", "event and reason"), rows, caption)]
+def _events(run: RunRecord) -> list[Block]:
+    told = [event for event in run.events if event["kind"] not in ROUTINE]
+    rows: list[list[Cell]] = [[f"{run.seconds(event):.2f}", run.utc(event), in_words(event)] for event in told]
+    caption = (
+        "A click on a row moves every plot there. Single measurements that were rejected or late are counted under "
+        "Health; events.jsonl has each of them. UTC is what the recording's clock says."
+    )
+    times_s = [run.seconds(event) for event in told]
+    columns = ("time [s]", "UTC", "event and reason")
+    return [Table("switches", "Switches and their reasons", columns, rows, caption, times_s=times_s)]
 
 
 def _measurements(run: RunRecord) -> list[Block]:
@@ -190,50 +174,7 @@ def _measurements(run: RunRecord) -> list[Block]:
     return blocks
 
 
-def _odometry(run: RunRecord) -> list[Block]:
-    lost = _bands(lost_intervals(run.events, run.start_ns, run.end_s))
-    names = ("east", "north", "up")
-    where = [Line(name, run.times_s, run.correction[:, k]) for k, name in enumerate(names)]
-    panels = [Panel("T_W_O [m]", where), Panel("T_W_O yaw [deg]", [Line("yaw", run.times_s, run.correction[:, 3])])]
-    departures = {name: _departure(track) for name, track in (("in W", run.world), ("in O", run.odometry))}
-    lines = [Line(name, run.times_s[2:], np.maximum(1e3 * of, 1e-4)) for name, of in departures.items()]
-    rows: list[list[Cell]] = [
-        [name, *(1e3 * float(np.quantile(of, q)) for q in (0.5, 0.99, 1.0))] for name, of in departures.items()
-    ]
-    caption = "T_W_O takes every correction in W: a consumer of poses in O never sees one."
-    why = "Distance of each estimate from the straight continuation of the two before it: acceleration, or a jump."
-    return [
-        Figure("correction", "The odometry frame in the world", over_time(panels, lost), caption),
-        Figure("departure", "Steps", over_time([Panel("departure [mm]", lines, "log")], lost), why),
-        Table("departures", "Departure from the straight continuation",
-              ("frame", "median [mm]", "p99 [mm]", "max [mm]"), rows),
-    ]  # fmt: skip
-
-
-def _claims(run: RunRecord) -> list[Block]:
-    lost = _bands(lost_intervals(run.events, run.start_ns, run.end_s))
-    blocks: list[Block] = []
-    if len(run.sigma_times_s):
-        panels = [Panel(name, [Line("sigma", run.sigma_times_s, of)], "log") for name, of in run.sigmas.items()]
-        blocks.append(Figure("sigmas", "Standard deviations as reported", over_time(panels, lost)))
-    if len(run.bias_times_s):
-        panels = [Panel("gyroscope [rad/s]", _bias_lines(run, 0)), Panel("accelerometer [m/s²]", _bias_lines(run, 3))]
-        caption = "" if run.true_biases is None else "Dotted: the truth of the simulation."
-        blocks.append(Figure("biases", "Biases of the IMU, as estimated", over_time(panels, lost), caption))
-    return blocks
-
-
-def _bias_lines(run: RunRecord, first: int) -> list[Line]:
-    """Return the lines of three axes, and those of the truth where it is known."""
-    lines = []
-    for k, axis in enumerate("xyz"):
-        lines.append(Line(axis, run.bias_times_s, run.biases[:, first + k], COLOURS[k]))
-        if run.true_biases is not None and run.true_bias_times_s is not None:
-            lines.append(Line(f"{axis}, true", run.true_bias_times_s, run.true_biases[:, first + k], COLOURS[k], "dot"))
-    return lines
-
-
-def _speed(run: RunRecord) -> list[Block]:
+def _timing(run: RunRecord) -> list[Block]:
     timing = run.summary["timing"]
     found = {"IMU sample": (timing["imu_us"], 1.0), "message with an update": (timing["update_ms"], 1e3)}
     known = {name: (of, factor) for name, (of, factor) in found.items() if of}
@@ -266,24 +207,6 @@ def _claimed(run: RunRecord, name: str) -> list[Line]:
     signs = (1.0, -1.0) if (run.errors.values[name] < 0.0).any() else (1.0,)
     sigma = run.sigmas[name]
     return [Line("3 sigma, reported", run.sigma_times_s, 3.0 * sign * sigma, "#5f6b7a", "dot", 1.0) for sign in signs]
-
-
-def _within(times_s: Array, intervals: Sequence[Interval]) -> NDArray[np.bool_]:
-    """Return which times (N,) are within one of the intervals."""
-    found = np.zeros(len(times_s), dtype=np.bool_)
-    for interval in intervals:
-        found |= (times_s >= interval.start_s) & (times_s < interval.end_s)
-    return found
-
-
-def _departure(positions: Array) -> Array:
-    """Return |p_k - 2 p_{k-1} + p_{k-2}| (N - 2,) of positions (N, 3) [m]."""
-    departure: Array = np.linalg.norm(np.diff(positions, n=2, axis=0), axis=1)
-    return departure
-
-
-def _bands(intervals: Sequence[Interval]) -> list[Band]:
-    return [Band(interval.start_s, interval.end_s, LOST, "without GNSS") for interval in intervals]
 
 
 def _colour(interval: Interval) -> str:

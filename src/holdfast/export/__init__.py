@@ -1,0 +1,1 @@
+"""Tracks in the coordinates of surveyors: reference systems, site grids, and the formats of their programs."""
