@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "recording"))
-from bags import HUMBLE, drive, write_bag
+from bags import HUMBLE, START_NS, drive, write_bag
+from test_recorded_frames import told, transform
 
 from holdfast.cli import main
 from holdfast.config.load import load_config, parse_config
@@ -143,6 +144,27 @@ def test_init_without_a_file_prints_the_configuration_and_nothing_else(run: Run,
     code, out, _ = run("init", record("/imu", "/gnss/fix"))
     assert code == 0
     assert parse_config(out).imu.topic == "/imu"
+
+
+def test_a_minimal_file_has_ten_lines_and_says_the_same(run: Run, record: Record, tmp_path: Path) -> None:
+    bag, long, short = record("/imu", "/gnss/fix", "/lidar/odometry"), tmp_path / "long.yaml", tmp_path / "short.yaml"
+    assert run("init", bag, "-o", long)[0] == 0
+    assert run("init", bag, "--minimal", "-o", short)[0] == 0
+    assert load_config(short) == load_config(long)
+    assert len(short.read_text().splitlines()) <= 10
+    assert len(long.read_text().splitlines()) > 100
+    assert short.read_text().count("TODO measure") == 2
+
+
+def test_init_tells_what_contradicts_itself_in_the_bag(run: Run, tmp_path: Path) -> None:
+    places = [transform(HUMBLE, START_NS, "cab", "f", (x, 0, 0)) for x in (0.0, 1.0)]
+    rows = [told(HUMBLE, "/tf_static", START_NS, *places), *drive(HUMBLE)]
+    code, out, err = run("init", write_bag(tmp_path / "bag", "mcap", rows))
+    assert (code, err) == (
+        0,
+        "warning: /tf_static: 'f' in 'cab' is given twice, 1.000 m and 0.0 deg apart: it is not used\n",
+    )
+    assert parse_config(out).sensors
 
 
 def test_init_overwrites_only_by_force(run: Run, record: Record, tmp_path: Path) -> None:

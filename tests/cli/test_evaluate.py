@@ -145,6 +145,57 @@ def test_a_mistake_ends_in_one_line_and_its_exit_code(holdfast, tracks, argument
     assert words in errors and errors.startswith("error: ") and errors.count("\n") == 1
 
 
+@pytest.fixture
+def second(tracks):
+    """Another system: twice as far off, and silent in the last quarter."""
+    reference = circle()
+    positions = reference.positions + np.array([0.6, -0.8, 0.0])
+    write_tum(
+        tracks / "second.tum", Trajectory(reference.stamps_ns[:450], positions[:450], reference.quaternions[:450])
+    )
+
+
+def test_several_systems_stand_side_by_side(holdfast, second):
+    code, output, errors = holdfast("estimate.tum", "second.tum", "reference.tum", "--interval", "curve=5:10")
+    assert (code, errors) == (0, "")
+    assert "compared   450 poses that all have" in output
+    lines = [line.split() for line in output.splitlines()]
+    absolute, relative, interval = (
+        [of for of in lines if of[:1] == [name]] for name in ("estimate.tum", "second.tum", "Interval")
+    )
+    assert absolute[0][1:4] == ["600", "0.5000", "0.5000"]
+    assert relative[0][1:4] == ["450", "1.0000", "1.0000"]
+    assert interval == [["Interval", "curve,", "5.0", "to", "9.9", "s"]]
+    assert "\x1b" not in output
+
+
+def test_several_systems_are_written_and_drawn(holdfast, tracks, second):
+    pytest.importorskip("matplotlib")
+    code, *_ = holdfast("estimate.tum", "second.tum", "reference.tum", "--json", "out.json", "--plot", "out.png")
+    assert code == 0
+    content = json.loads((tracks / "out.json").read_text())
+    assert list(content["systems"]) == ["estimate.tum", "second.tum"]
+    assert content["systems"]["second.tum"]["own_pairs"] == 450
+    assert content["systems"]["second.tum"]["scores"]["all"]["ape"]["horizontal_m"]["rms"] == pytest.approx(1.0)
+    assert len(content["systems"]["estimate.tum"]["segments_translation_m"]) == 5
+    assert (tracks / "out.png").read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["estimate.tum"], 2, "Missing argument 'REFERENCE'"),
+        (["estimate.tum", "estimate.tum", "reference.tum"], 2, "estimate.tum: is given twice"),
+        (["estimate.tum", "second.tum", "reference.tum", "--align", "all"], 2, "choose none, yaw or se3"),
+        (["estimate.tum", "absent.tum", "reference.tum"], 3, "absent.tum"),
+    ],
+)
+def test_a_mistake_with_several_ends_in_one_line(holdfast, second, arguments, code, words):
+    ended, output, errors = holdfast(*arguments)
+    assert (ended, output) == (code, "")
+    assert words in errors.splitlines()[-1]
+
+
 def test_help_imports_nothing_heavy():
     program = (
         "import sys\nfrom holdfast.cli import holdfast\n"

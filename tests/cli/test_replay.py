@@ -194,13 +194,10 @@ def test_a_full_disk_ends_in_one_line(short, config, tmp_path, name):
     assert_one_error(done, 2, tmp_path / "out", "cannot be written (No space left on device)")
 
 
-@pytest.mark.parametrize("missing", ["-c", "-o"])
-def test_a_missing_option_is_named(short, config, tmp_path, missing):
-    options = {"-c": config, "-o": tmp_path / "out"}
-    del options[missing]
-    done = holdfast("replay", short, *(part for pair in options.items() for part in pair))
+def test_a_missing_option_is_named(short, config):
+    done = holdfast("replay", short, "-c", config)
     assert done.code == 2
-    assert f"Missing option '{missing}'" in done.err
+    assert "Missing option '-o'" in done.err
 
 
 # --- 3: unreadable recording ------------------------------------------------------------------------------------------

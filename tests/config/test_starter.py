@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from holdfast.config.assignment import Assignment, Rule, assign
 from holdfast.config.kinds import KINDS as SECTIONS
 from holdfast.config.load import parse_config
+from holdfast.config.proposal import propose
 from holdfast.config.sensors import GnssConfig, ImuConfig
-from holdfast.config.starter import starter_yaml
+from holdfast.config.starter import minimal_yaml, starter_yaml
 from holdfast.errors import RecordingError
 from holdfast.recording.decode import IMU, ODOMETRY, POINT, POSE, POSE_COVARIANCE, TWIST, TWIST_COVARIANCE
 from holdfast.recording.kinds import KINDS
@@ -65,7 +66,7 @@ def reason(sensor: str, *topics: Info) -> str:
 
 
 def starter(*topics: Info) -> str:
-    return starter_yaml("x.bag", topics, KINDS.values())
+    return starter_yaml(propose("x.bag", topics, KINDS.values()))
 
 
 def test_one_topic_of_each_kind_finds_its_sensor() -> None:
@@ -277,7 +278,8 @@ def test_a_recording_without_an_imu_is_refused_in_one_line_that_lists_its_topics
     ),
 )
 def test_whatever_the_topics_are_called_the_starter_loads(imu: str, others: list[Info]) -> None:
-    text = starter_yaml("x\n.bag", [Info(imu, IMU), *others], KINDS.values())
+    text = starter_yaml(propose("x\n.bag", [Info(imu, IMU), *others], KINDS.values()))
     config = parse_config(text)
+    assert parse_config(minimal_yaml(propose("x\n.bag", [Info(imu, IMU), *others], KINDS.values()))) == config
     assert config.imu.topic == imu
     assert all(section.default_sigma_m is None for section in config.sensors_of(GnssConfig).values())

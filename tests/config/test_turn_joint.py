@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from holdfast.config.load import parse_config, resolved_yaml
+from holdfast.config.proposal import propose
 from holdfast.config.review import sensor_rows, warnings
 from holdfast.config.starter import starter_yaml
 from holdfast.errors import ConfigError
@@ -134,9 +135,9 @@ def test_what_turns_against_the_imu_has_no_lever_arm() -> None:
 
 def test_a_starter_proposes_the_turn_joint_with_the_encoder_and_shows_how_to_write_it_without() -> None:
     imu, joint = TopicInfo("/imu", IMU, 9), TopicInfo("/joint_states", JOINT_STATE, 9)
-    config = parse_config(starter_yaml("x.bag", [imu, joint], KINDS.values()))
+    config = parse_config(starter_yaml(propose("x.bag", [imu, joint], KINDS.values())))
     assert config.turn_joint is not None
     assert (config.turn_joint.parent, config.turn_joint.child) == ("base_link", "cabin")
-    text = starter_yaml("x.bag", [imu], KINDS.values())
+    text = starter_yaml(propose("x.bag", [imu], KINDS.values()))
     assert parse_config(text).turn_joint is None
     assert re.search(r"^# turn_joint:.*\n#   parent: base_link", text, re.MULTILINE)

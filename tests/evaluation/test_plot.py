@@ -8,7 +8,7 @@ import pytest
 from holdfast.errors import ConfigError
 from holdfast.evaluation.accuracy import Interval, Metrics, evaluate
 from holdfast.evaluation.association import Association
-from holdfast.evaluation.plot import _broken_at_gaps, check_plot, plot_accuracy
+from holdfast.evaluation.plot import broken_at_gaps, check_plot, plot_accuracy
 
 BEGINNINGS = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
 
@@ -40,7 +40,7 @@ def test_the_same_verdict_gives_the_same_svg(wander, tmp_path):
 
 
 def test_no_line_is_drawn_over_a_gap():
-    time_s, values = _broken_at_gaps(np.array([0.0, 0.1, 0.2, 9.0, 9.1]), np.arange(5.0))
+    time_s, values = broken_at_gaps(np.array([0.0, 0.1, 0.2, 9.0, 9.1]), np.arange(5.0))
     assert np.isnan(time_s[3]) and np.isnan(values[3])
     assert len(time_s) == 6
 

@@ -15,6 +15,7 @@ from holdfast.config.assignment import Measured, Rule
 from holdfast.config.kinds import KINDS as SECTIONS
 from holdfast.config.load import parse_config
 from holdfast.config.model import Config, register_kind
+from holdfast.config.proposal import propose
 from holdfast.config.section import Topic
 from holdfast.config.sensors import MountedConfig
 from holdfast.config.starter import starter_yaml
@@ -147,7 +148,7 @@ def test_a_kind_of_this_file_is_proposed_by_config_init_and_known_to_info(tmp_pa
     rows = "".join(f"{second * 10**9},1\n" for second in (*range(20), 60, 61))
     (tmp_path / "my_sonar.csv").write_text("stamp_ns,range_m\n" + rows)
     with open_recording(tmp_path) as recording:
-        config = parse_config(starter_yaml("x", recording.topics, KINDS.values()))
+        config = parse_config(starter_yaml(propose("x", recording.topics, KINDS.values())))
         problems = list_problems(inspect(recording))
     assert config.sensors["sonar"].topic == "my_sonar"
     assert [problem for problem in problems if problem.startswith("my_sonar")]

@@ -23,6 +23,7 @@ COMMANDS = {
     "evaluate": ("holdfast.cli.evaluate", "Judge a trajectory against a reference."),
     "report": ("holdfast.cli.report", "Write a page about a replay that can be opened offline."),
     "export": ("holdfast.cli.export", "Write a track for surveyors: CSV, GeoJSON, KML, LAS."),
+    "compare": ("holdfast.cli.compare", "Show what differs between two replays, on one page."),
     "batch": ("holdfast.cli.batch", "Replay many recordings or variations side by side."),
     "simulate": ("holdfast.cli.simulate", "Simulate a machine on a site; its truth is known."),
     "lidar-odometry": ("holdfast.cli.lidar_odometry", "Turn the point clouds of a recording into poses."),

@@ -51,28 +51,32 @@ def schema() -> None:
 @config.command()
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Write to this file instead of the screen.")
+@click.option("--minimal", is_flag=True, help="Only what differs from the defaults: a line per sensor and per mount.")
 @click.option("--force", is_flag=True, help="Overwrite the file if it exists.")
-def init(recording: Path, output: Path | None, force: bool) -> None:
+def init(recording: Path, output: Path | None, minimal: bool, force: bool) -> None:
     """Write a commented configuration for RECORDING, guessing which topic is which sensor.
 
     Its first two minutes are read: rates, latencies, the IMU at its quietest and the claims of the receivers stand
-    beside the keys. So do the clocks of the receivers against the IMU, of up to five minutes.
+    beside the keys. So do the clocks of the receivers against the IMU, of up to five minutes. Mounts are those of
+    /tf_static and of what stays the same on /tf, by the frame_id of the messages; others are marked TODO.
     """
-    from holdfast.cli.progress import progress_bar
-    from holdfast.recording.first_config import LOOKED_AT_S, first_config
+    from holdfast.cli.progress import reading_bar
+    from holdfast.config.starter import minimal_yaml, starter_yaml
+    from holdfast.recording.first_config import LOOKED_AT_S, first_proposal
     from holdfast.recording.source import open_recording
 
     _check_output(output, force)
-    with open_recording(recording) as opened:
-        begin_ns = opened.start_ns
-        end_ns = None if begin_ns is None else begin_ns + round(LOOKED_AT_S * 1e9)
-        with progress_bar("reading", begin_ns, end_ns) as progress:
-            text = first_config(opened, progress)
+    with open_recording(recording) as opened, reading_bar("reading", opened, 0.0, LOOKED_AT_S) as progress:
+        proposal = first_proposal(opened, progress)
+    text = minimal_yaml(proposal) if minimal else starter_yaml(proposal)
+    for warning in proposal.warnings:
+        click.echo(f"warning: {warning}", err=True)
     if output is None:
         click.echo(text, nl=False)
         return
     _write(output, text)
-    click.echo(f"{output}: written; measure what is marked TODO, then run `holdfast config check {output}`")
+    todo = "measure what is marked TODO, then run" if "TODO" in text else "nothing is left to measure; now run"
+    click.echo(f"{output}: written; {todo} `holdfast config check {output}`")
 
 
 @config.command()

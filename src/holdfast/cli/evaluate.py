@@ -1,11 +1,13 @@
 """`holdfast evaluate`: judge a trajectory against a reference."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import click
+from click.core import ParameterSource
 
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError, RecordingError
@@ -26,8 +28,7 @@ _PIPE_WIDTH = 1000
 
 
 @click.command()
-@click.argument("estimate", type=_FILE)
-@click.argument("reference", type=_FILE)
+@click.argument("trajectories", metavar="ESTIMATE... REFERENCE", nargs=-1, required=True, type=_FILE)
 @click.option(
     "--align",
     "alignment",
@@ -36,7 +37,13 @@ _PIPE_WIDTH = 1000
     show_default=True,
     help="Move the estimate onto the reference first: not at all, by yaw and translation, or rigidly.",
 )
-@click.option("--rpe-distance", multiple=True, type=float, default=[10.0], help="Relative error over metres [10].")
+@click.option(
+    "--rpe-distance",
+    multiple=True,
+    type=float,
+    default=[10.0],
+    help="Relative error over metres [10; of several estimates 10, 20, ... 50 % of the distance].",
+)
 @click.option("--rpe-time", multiple=True, type=float, default=[1.0], help="Relative error over seconds [1].")
 @click.option("--rpe-pairs", type=click.Choice(["all", "consecutive"]), default="all", show_default=True)
 @click.option("--kitti", is_flag=True, help="Add the segments of the KITTI odometry benchmark, 100 to 800 m.")
@@ -57,22 +64,70 @@ _PIPE_WIDTH = 1000
 @click.option("--position-only", is_flag=True, help="Do not use the reference's orientation.")
 @click.option("--json", "json_file", type=_FILE, help="Write every number to this file.")
 @click.option("--plot", "plot_file", type=_FILE, help="Draw tracks and errors: .png, .svg or .pdf.")
+@click.pass_context
 def evaluate(
-    estimate: Path,
-    reference: Path,
+    context: click.Context,
+    /,
+    trajectories: tuple[Path, ...],
     alignment: str,
     json_file: Path | None,
     plot_file: Path | None,
     **options: Any,
 ) -> None:
-    """Judge the trajectory ESTIMATE against REFERENCE, two TUM files, over all and in named intervals."""
-    from holdfast.evaluation.association import associate
-    from holdfast.evaluation.plot import check_plot, plot_accuracy
-    from holdfast.recording.tum import read_tum
+    """Judge the trajectory ESTIMATE against REFERENCE, TUM files, over all and in named intervals.
 
+    Several estimates are judged side by side, at the stamps of the reference at which all of them have a pose: one
+    table, relative errors over segments, and with --plot the tracks, the errors and a box plot over segments.
+    """
+    from holdfast.evaluation.plot import check_plot
+
+    *estimates, reference = trajectories
+    if not estimates:
+        raise click.UsageError("Missing argument 'REFERENCE': give at least one estimate, and the reference last.")
     metrics = _metrics(**options)
     if plot_file is not None:
         check_plot(plot_file)
+    if len(estimates) == 1:
+        _evaluate_one(estimates[0], reference, alignment, metrics, (json_file, plot_file))
+        return
+    is_given = context.get_parameter_source("rpe_distance") is not ParameterSource.DEFAULT
+    lengths_m = metrics.rpe_distances_m if is_given else ()
+    _evaluate_several(estimates, reference, alignment, metrics, lengths_m, (json_file, plot_file))
+
+
+def _evaluate_several(  # noqa: PLR0917
+    estimates: Sequence[Path],
+    reference: Path,
+    alignment: str,
+    metrics: "Metrics",
+    lengths_m: Sequence[float],
+    files: tuple[Path | None, Path | None],
+) -> None:
+    from holdfast.cli.evaluate_systems import judge_systems, print_systems, write_systems
+    from holdfast.cli.names import names_of
+    from holdfast.evaluation.plot_systems import plot_systems
+
+    if len(set(estimates)) < len(estimates):
+        twice = next(one for one in estimates if estimates.count(one) > 1)
+        raise ConfigError(f"{twice}: is given twice")
+    named = dict(zip(names_of(*estimates), estimates, strict=True))
+    systems = judge_systems(named, reference, alignment, metrics, lengths_m)
+    print_systems(systems, reference, _console())
+    json_file, plot_file = files
+    if json_file is not None:
+        write_systems(json_file, systems, named, reference, metrics)
+    if plot_file is not None:
+        plot_systems(systems, plot_file, f"{len(systems)} systems against {reference.name}, alignment {alignment}")
+
+
+def _evaluate_one(
+    estimate: Path, reference: Path, alignment: str, metrics: "Metrics", files: tuple[Path | None, Path | None]
+) -> None:
+    from holdfast.evaluation.association import associate
+    from holdfast.evaluation.plot import plot_accuracy
+    from holdfast.recording.tum import read_tum
+
+    json_file, plot_file = files
     try:
         pairs = associate(read_tum(estimate), read_tum(reference), metrics.association)
         verdicts = _verdicts(pairs, alignment, metrics)
@@ -184,11 +239,15 @@ def _write_json(path: Path, verdicts: "list[Accuracy]", estimate: Path, referenc
         path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def _print(verdicts: "list[Accuracy]", estimate: Path, reference: Path) -> None:
+def _console() -> "Console":
     from rich.console import Console
 
     console = Console(highlight=False)
-    console = Console(highlight=False, width=max(console.width, _TABLE_COLUMNS if console.is_terminal else _PIPE_WIDTH))
+    return Console(highlight=False, width=max(console.width, _TABLE_COLUMNS if console.is_terminal else _PIPE_WIDTH))
+
+
+def _print(verdicts: "list[Accuracy]", estimate: Path, reference: Path) -> None:
+    console = _console()
     whole = verdicts[0].scores["all"]
     orientation = "" if verdicts[0].pairs.oriented else "; positions only, there is no orientation to compare"
     console.print(f"estimate   {estimate}", markup=False)
@@ -209,7 +268,7 @@ def _print(verdicts: "list[Accuracy]", estimate: Path, reference: Path) -> None:
             console.print(_interval_table(verdict, console))
 
 
-def _table(title: str, columns: tuple[str, ...], console: "Console") -> "Table":
+def empty_table(title: str, columns: tuple[str, ...], console: "Console") -> "Table":
     """Return an empty table: with rules on a terminal, columns and nothing else in a pipe."""
     from rich import box
     from rich.table import Table
@@ -224,14 +283,14 @@ def _table(title: str, columns: tuple[str, ...], console: "Console") -> "Table":
 
 def _absolute_table(verdict: "Accuracy", console: "Console") -> "Table":
     title = f"Absolute error, alignment {verdict.alignment.name}"
-    table = _table(title, ("error", *_STATISTICS), console)
+    table = empty_table(title, ("error", *_STATISTICS), console)
     for name, statistics in verdict.scores["all"].ape.items():
         table.add_row(_label(name), *_cells(statistics, name))
     return table
 
 
 def _relative_table(verdict: "Accuracy", console: "Console") -> "Table":
-    table = _table("Relative error", ("over", "error", *_STATISTICS), console)
+    table = empty_table("Relative error", ("over", "error", *_STATISTICS), console)
     table.columns[1].justify = "left"
     for delta, summary in verdict.scores["all"].rpe.items():
         if not summary:
@@ -247,7 +306,7 @@ def _interval_table(verdict: "Accuracy", console: "Console") -> "Table":
     rms = ("horiz.\nrms \\[m]", "vert.\nrms \\[m]", "yaw\nrms \\[deg]")
     ends = ("horiz.\nEND \\[m]", "vert.\nEND \\[m]", "yaw\nEND \\[deg]", "distance\nEND \\[%]")
     columns = ("\ninterval", "\nfrom - to \\[s]", "driven\n\\[m]", *rms, *ends)
-    table = _table(f"Intervals, alignment {verdict.alignment.name}", columns, console)
+    table = empty_table(f"Intervals, alignment {verdict.alignment.name}", columns, console)
     for name, score in verdict.scores.items():
         end, yaw = score.end, score.ape.get("yaw_deg")
         values = (

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from holdfast.cli.progress import progress_bar
+from holdfast.cli.progress import reading_bar
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -34,7 +34,7 @@ def info(recording: str, start_s: float, duration_s: float | None, as_json: bool
 
     with (
         open_recording(recording) as opened,
-        progress_bar("reading", opened.start_ns, opened.end_ns) as progress,
+        reading_bar("reading", opened, start_s, duration_s) as progress,
     ):
         inspection = inspect(opened, start_s, duration_s, progress)
     problems = list_problems(inspection)

@@ -2,17 +2,19 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING
 
 import click
 
 from holdfast.cli.columns import aligned
 from holdfast.cli.extras import needing
-from holdfast.cli.progress import count_bar
+from holdfast.cli.progress import count_bar, duration
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
 
 if TYPE_CHECKING:
+    from holdfast.paper.effort import Effort
     from holdfast.paper.results import Results
 
 SEEDS = 10
@@ -34,19 +36,43 @@ def paper(output: Path, quick: bool, seeds: int | None, jobs: int) -> None:
 
     Writes results.json, curves.npz, the maps of the sites, outage.png and report.html, which needs no network. What has
     been run is kept in the folder: the same command goes on where it was interrupted, and more --seeds add to those
-    that there are. --quick takes two to five minutes on two cores, the whole more than an hour.
+    that there are. --quick takes two to five minutes on two idle cores, the whole more than an hour; before it begins
+    the command tells what is left to do and about how long that takes.
     """
     with needing("the paper's evaluation", "sim"):
-        from holdfast.paper.evaluation import evaluate
+        from holdfast.paper.effort import effort
+        from holdfast.paper.evaluation import claim, evaluate
     count = seeds or (1 if quick else SEEDS)
     command = f"holdfast paper -o {output.name}" + " --quick" * quick + f" --seeds {count}"
+    with naming_the_output(output):
+        claim(output, quick)  # before anything is told of what it holds
+    todo, began_s = effort(output, count, quick, jobs), monotonic()
+    click.echo(announced(todo), err=True)
     with naming_the_output(output), count_bar("evaluating") as progress:
         results = evaluate(output, count, quick, jobs, command, progress)
+    if todo.runs:
+        taken_s = monotonic() - began_s
+        cost = taken_s * todo.at_once / todo.recorded_s
+        click.echo(
+            f"{todo.runs} runs took {duration(taken_s)}, {cost:.2f} s of a processor per second recorded", err=True
+        )
     print_tables(results)
     made, failures = _report(results, output, quick, jobs)
     click.echo(f"written to {output}: {', '.join(['results.json', 'curves.npz', *made])}")
     if failures:
         raise ConfigError("\n".join(failures))
+
+
+def announced(todo: "Effort") -> str:
+    """Return in one line what is to be done and how long that may take."""
+    if not todo.runs:
+        return "all runs are there already: tables, maps and pages are made anew"
+    low_s, high_s = todo.range_s()
+    crowded = f"; other work makes that {todo.crowding:.1f} times as long as on an idle machine" * (todo.crowding > 1.5)
+    return (
+        f"{todo.runs} runs on {todo.recorded_s:.0f} s of recordings, {todo.at_once} at a time: roughly "
+        f"{duration(low_s)} to {duration(high_s)}{crowded}. Interrupted, it goes on where it was."
+    )
 
 
 def _report(results: "Results", output: Path, quick: bool, jobs: int) -> tuple[list[str], list[str]]:

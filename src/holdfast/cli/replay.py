@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from holdfast.cli.progress import progress_bar
+from holdfast.cli.progress import reading_bar
 from holdfast.cli.writing import naming_the_output, write_json
 from holdfast.errors import ConfigError, EstimatorError, HoldfastError
 
@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("recording", type=click.Path())
-@click.option("-c", "--config", "config_path", required=True, type=click.Path(), help="Configuration (YAML).")
+@click.option(
+    "-c", "--config", "config_path", type=click.Path(), help="Configuration (YAML). Without it one is guessed, aloud."
+)
 @click.option("-o", "--output", required=True, type=click.Path(), help="Folder for the results.")
 @click.option("--start", "start_s", type=float, default=0.0, metavar="SECONDS", help="Skip the beginning.")
 @click.option("--duration", "duration_s", type=float, metavar="SECONDS", help="Replay only this much.")
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
 @click.option("--outage", multiple=True, metavar="SENSOR=START:END", help="Hold back all messages of this time [s].")
 def replay(  # noqa: PLR0917 (click passes the options by name)
     recording: str,
-    config_path: str,
+    config_path: str | None,
     output: str,
     start_s: float,
     duration_s: float | None,
@@ -49,7 +51,11 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     optimises. What comes out depends a little on how busy this machine is.
 
     With --hold-out gnss=2 every second fix is kept from the estimator and the estimate is judged by it.
+
+    Without -c the configuration is what `holdfast config init` can tell of the recording, less the sensors whose mounts
+    it does not hold. What was assumed is told, and guessed_config.yaml in the output folder is a file to go on from.
     """
+    from holdfast.cli.guessed import FILE, guessed_config
     from holdfast.config.load import load_config
     from holdfast.recording.source import open_recording
     from holdfast.recording.subscriptions import subscriptions
@@ -58,15 +64,21 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     from holdfast.replay.runner import Replay
 
     check_window(start_s, duration_s, rate)
-    config = load_config(config_path)
-    rules = _rules(hold_out, outage, config)  # before the results of an earlier replay are overwritten
+    config = None if config_path is None else load_config(config_path)
     with open_recording(recording) as opened:
+        guess = None
+        if config is None:
+            guess = guessed_config(opened, output)
+            config = guess.config
+        rules = _rules(hold_out, outage, config)  # before the results of an earlier replay are overwritten
         messages = opened.read(subscriptions(config), start_s, duration_s)
         with naming_the_output(output), Outputs(Path(output), config) as outputs, _engine(config, realtime) as engine:
+            if guess is not None:
+                (outputs.folder / FILE).write_text(guess.text, encoding="utf-8")
             run = Replay(config, outputs, rules, realtime=engine)
             failure: BaseException | None = None
             try:
-                with progress_bar("replaying", opened.start_ns, opened.end_ns) as progress:
+                with reading_bar("replaying", opened, start_s, duration_s) as progress:
                     run.run(messages, rate or (1.0 if realtime else None), progress)
             except (HoldfastError, KeyboardInterrupt) as error:
                 failure = error

@@ -78,12 +78,12 @@ class Measured:
     Attributes:
         notes: lines above the section.
         remarks: what stands beside a key.
-        values: of keys whose default the measurement contradicts.
+        values: of keys whose default the messages contradict.
     """
 
     notes: tuple[str, ...] = ()
     remarks: Mapping[str, str] = field(default_factory=dict)
-    values: Mapping[str, float] = field(default_factory=dict)
+    values: Mapping[str, float | str] = field(default_factory=dict)
 
     def joined(self, other: "Measured") -> "Measured":
         """Return both in one."""

@@ -17,25 +17,25 @@ if TYPE_CHECKING:
 SUFFIXES = (".png", ".svg", ".pdf")
 
 # Okabe and Ito's palette: distinguishable with any colour vision
-_REFERENCE = "#9a9a9a"
+REFERENCE = "#9a9a9a"
 _ESTIMATE = "#0072b2"
 _INTERVALS = ("#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9", "#f0e442")
-_GRID = "#e6e6e6"
-_TEXT = "#333333"
-_STYLE: Any = {
+GRID = "#e6e6e6"
+TEXT = "#333333"
+STYLE: Any = {
     "font.size": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
-    "axes.edgecolor": _REFERENCE,
-    "axes.labelcolor": _TEXT,
+    "axes.edgecolor": REFERENCE,
+    "axes.labelcolor": TEXT,
     "axes.titlesize": 10,
     "axes.titlelocation": "left",
     "axes.grid": True,
     "axes.axisbelow": True,
-    "grid.color": _GRID,
-    "xtick.color": _TEXT,
-    "ytick.color": _TEXT,
-    "text.color": _TEXT,
+    "grid.color": GRID,
+    "xtick.color": TEXT,
+    "ytick.color": TEXT,
+    "text.color": TEXT,
     "svg.hashsalt": "holdfast",  # the same verdict gives the same file
 }
 _MAX_POINTS = 20_000  # more points than pixels only make the file large
@@ -65,7 +65,7 @@ def plot_accuracy(accuracy: Accuracy, path: Path, title: str) -> None:
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(12.0, 7.0), dpi=130, layout="constrained")
         _draw(figure, accuracy, title)
         try:
@@ -99,11 +99,11 @@ def _named(accuracy: Accuracy) -> Iterable[str]:
 
 def _draw_tracks(axes: "Axes", accuracy: Accuracy, colours: dict[str, str]) -> None:
     pairs, time_s = accuracy.pairs, accuracy.pairs.since_start_s()
-    thin = _thinned(len(time_s))
+    thin = thinned(len(time_s))
     reference, estimate = pairs.reference.positions[thin], pairs.estimate.positions[thin]
-    axes.plot(*reference[:, :2].T, color=_REFERENCE, linewidth=3.5, label="reference", solid_capstyle="round")
+    axes.plot(*reference[:, :2].T, color=REFERENCE, linewidth=3.5, label="reference", solid_capstyle="round")
     axes.plot(*estimate[:, :2].T, color=_ESTIMATE, linewidth=1.2, label="estimate")
-    axes.plot(*reference[0, :2], marker="o", color=_TEXT, markersize=5, linestyle="none", label="start")
+    axes.plot(*reference[0, :2], marker="o", color=TEXT, markersize=5, linestyle="none", label="start")
     for name, colour in colours.items():
         score = accuracy.scores[name]
         inside = (time_s[thin] >= score.start_s) & (time_s[thin] <= score.end_s)
@@ -126,21 +126,22 @@ def _draw_error(axes: "Axes", accuracy: Accuracy, name: str, label: str, colours
     for interval, colour in colours.items():
         score = accuracy.scores[interval]
         axes.axvspan(score.start_s, score.end_s, color=colour, alpha=0.22, linewidth=0.0)
-    axes.axhline(0.0, color=_REFERENCE, linewidth=0.8)
-    axes.plot(*_broken_at_gaps(time_s, values), color=_ESTIMATE, linewidth=1.0)
+    axes.axhline(0.0, color=REFERENCE, linewidth=0.8)
+    axes.plot(*broken_at_gaps(time_s, values), color=_ESTIMATE, linewidth=1.0)
     axes.set_ylabel(label)
     axes.margins(x=0.01)
     rms = accuracy.scores[WHOLE].ape[name].rms
     axes.set_title(f"rms {rms:.3g} {label.split('[')[1].rstrip(']')}", loc="right", fontsize=8.5, pad=3.0)
 
 
-def _thinned(count: int) -> slice:
+def thinned(count: int) -> slice:
+    """Return which of so many points are drawn."""
     return slice(None, None, max(1, count // _MAX_POINTS))
 
 
-def _broken_at_gaps(time_s: Array, values: Array) -> tuple[Array, Array]:
+def broken_at_gaps(time_s: Array, values: Array) -> tuple[Array, Array]:
     """Thin a line and break it where pairs are missing."""
-    time_s, values = time_s[_thinned(len(time_s))], values[_thinned(len(values))]
+    time_s, values = time_s[thinned(len(time_s))], values[thinned(len(values))]
     step_s = np.diff(time_s)
     gaps = np.flatnonzero(step_s > 5.0 * np.median(step_s)) + 1
     return np.insert(time_s, gaps, np.nan), np.insert(values, gaps, np.nan)

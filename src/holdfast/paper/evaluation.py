@@ -4,7 +4,7 @@ A finished run is kept as a file: an evaluation that was interrupted continues w
 """
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from hashlib import sha256
@@ -42,7 +42,7 @@ SETTINGS, LATENCY = "settings.json", "latency.json"
 LATENCY_S, QUICK_LATENCY_S = 120.0, 30.0
 # neither makes a number: tables, maps and pages are drawn anew from the runs each time
 OTHER_ROOMS = {"cli", "fleet", "lidar_odometry", "live", "report", "viz"}
-DRAWING = {"losses", "maps", "page", "page_figures", "page_tables", "picture", "tables"}
+DRAWING = {"effort", "losses", "maps", "page", "page_figures", "page_tables", "picture", "tables"}
 
 Progress = Callable[[int, int], None]
 """Takes how many runs are done, and how many there are."""
@@ -66,10 +66,7 @@ def evaluate(  # noqa: PLR0917 (what the command line asks for)
         OSError: a file cannot be written.
     """
     planned = plan(seeds, quick)
-    scenarios = {
-        name: resolved_yaml(load_scenario(name, dict(QUICK[name]) if quick else {})) for name in (*TASKS, "tunnel")
-    }
-    _claim(output, quick, scenarios)
+    scenarios = claim(output, quick)
     count = sum(len(job.tasks) for job in planned)
     run_jobs(planned, output, jobs, None if progress is None else lambda done, _: progress(done, count + 1))
     latency = _latency(output, quick)  # the one more
@@ -115,8 +112,17 @@ def run_jobs(planned: Sequence[Job], output: Path, jobs: int, progress: Progress
         run_all(pool, [partial(run_job, job, output, Path(scratch)) for job in open_jobs], report)
 
 
-def _claim(output: Path, quick: bool, scenarios: Mapping[str, str]) -> None:
-    """Refuse a folder whose runs were made with other settings or by other code; write into a new one what is run."""
+def claim(output: Path, quick: bool) -> dict[str, str]:
+    """Refuse a folder whose runs were made with other settings or by other code; write into a new one what is run.
+
+    Returns the scenarios, resolved, by name.
+
+    Raises:
+        ConfigError: the folder holds results of another kind or version.
+    """
+    scenarios = {
+        name: resolved_yaml(load_scenario(name, dict(QUICK[name]) if quick else {})) for name in (*TASKS, "tunnel")
+    }
     digest = sha256("\n".join(scenarios.values()).encode()).hexdigest()
     mine = {
         "quick": quick,
@@ -135,8 +141,9 @@ def _claim(output: Path, quick: bool, scenarios: Mapping[str, str]) -> None:
             raise ConfigError(
                 f"{output}: holds runs with other {' and '.join(changed)}; choose another folder, or remove this one"
             )
-        return
-    write_whole(path, json.dumps(mine, indent=1).encode())
+    else:
+        write_whole(path, json.dumps(mine, indent=1).encode())
+    return scenarios
 
 
 def code_digest(root: Path) -> str:

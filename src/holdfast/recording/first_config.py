@@ -1,20 +1,27 @@
-"""A first configuration for a recording, with what its first minutes tell of the sensors."""
+"""What is proposed as the first configuration of a recording, with what its first minutes tell of the sensors."""
 
 from collections.abc import Callable, Iterator
 
 from holdfast.config.assignment import Measured, assign
-from holdfast.config.starter import starter_yaml
+from holdfast.config.proposal import Proposal, propose
+from holdfast.config.starter import starter_yaml, workable
 from holdfast.recording.inspection import TopicFindings, inspect
 from holdfast.recording.kinds import KINDS
 from holdfast.recording.problems import topic_problems
 from holdfast.recording.receiver_clocks import receiver_clocks
+from holdfast.recording.recorded_frames import read_frames
 from holdfast.recording.source import Recording
 
 LOOKED_AT_S = 120.0
 
 
 def first_config(recording: Recording, progress: Callable[[int], None] | None = None) -> str:
-    """Return a commented configuration that loads as it is; reads the first two minutes, for clocks up to five.
+    """Return the proposal as a commented configuration that loads as it is; see `first_proposal`."""
+    return starter_yaml(first_proposal(recording, progress))
+
+
+def first_proposal(recording: Recording, progress: Callable[[int], None] | None = None) -> Proposal:
+    """Return what is proposed for a recording; reads the first two minutes, for clocks up to five.
 
     Args:
         recording: an open recording.
@@ -27,7 +34,11 @@ def first_config(recording: Recording, progress: Callable[[int], None] | None = 
     measured = {topic.topic: _measured(topic) for topic in inspection.topics if topic.kind is not None and topic.count}
     for topic, clock in receiver_clocks(recording, assign(recording.topics, KINDS.values()).guesses).items():
         measured[topic] = measured.get(topic, Measured()).joined(clock)
-    return starter_yaml(str(recording.path), recording.topics, KINDS.values(), measured)
+    frames = read_frames(recording, LOOKED_AT_S)
+    told, untold = (
+        propose(str(recording.path), recording.topics, KINDS.values(), measured, of) for of in (frames, None)
+    )
+    return workable(told, untold)
 
 
 def _measured(topic: TopicFindings) -> Measured:

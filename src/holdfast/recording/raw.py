@@ -1,6 +1,6 @@
 """Bags as raw messages, and their copy into an MCAP file: bytes pass through undecoded, with their own definitions."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -69,21 +69,29 @@ class RawBag(Closing):
         ]
         self.channels = [channel for _, channels in self._files for channel in channels.values()]
 
-    def messages(self) -> Iterator[RawRow]:
-        """Yield all messages in order of arrival.
+    def messages(self, topics: Collection[str] | None = None, end_ns: int | None = None) -> Iterator[RawRow]:
+        """Yield messages in order of arrival.
+
+        Args:
+            topics: those that are wanted; None for all.
+            end_ns: those that arrived before; None for all.
 
         Raises:
             RecordingError: a file is damaged.
         """
-        return merge_by_arrival([(file.start_ns, partial(_rows, file, channels)) for file, channels in self._files])
+        wanted = [
+            (file, {number: one for number, one in channels.items() if topics is None or one.topic in topics})
+            for file, channels in self._files
+        ]
+        return merge_by_arrival([(file.start_ns, partial(_rows, file, some, end_ns)) for file, some in wanted if some])
 
     def close(self) -> None:
         """Close the files."""
         self.recording.close()
 
 
-def _rows(file: BagFile, channels: dict[int, RawChannel]) -> Iterator[RawRow]:
-    for arrival_ns, number, raw in file.messages(set(channels), None, None):
+def _rows(file: BagFile, channels: dict[int, RawChannel], end_ns: int | None) -> Iterator[RawRow]:
+    for arrival_ns, number, raw in file.messages(set(channels), None, end_ns):
         yield arrival_ns, channels[number], raw
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import numpy as np
 
 from holdfast.config.assignment import Guess, Measured, namespace
-from holdfast.config.starter import antenna_of
+from holdfast.config.proposal import antenna_of
 from holdfast.errors import RecordingError
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.messages import Array, FixStatus, GnssFix, GnssVelocity, ImuSample, Message

@@ -63,7 +63,7 @@ def read_run(folder: Path, reference: Path | None) -> RunRecord:
         reference /= TRUTH
     if reference is not None:
         truth = read_tum(reference)
-        errors = _judge(world, truth, reference, start_ns)
+        errors = errors_against(world, truth, reference, start_ns)
     judged = "" if reference is None else f" --reference {reference}"
     made = summary.get("command") or f"holdfast replay {summary['recording']} -c CONFIG -o {folder}"
     return RunRecord(
@@ -215,7 +215,12 @@ def _read_true_biases(file: Path) -> tuple[NDArray[np.int64], Array]:
         raise RecordingError(f"{file}: is no table of biases (allowed: that of `holdfast simulate`)") from None
 
 
-def _judge(world: Trajectory, truth: Trajectory, source: Path, start_ns: int) -> Errors:
+def errors_against(world: Trajectory, truth: Trajectory, source: Path, start_ns: int) -> Errors:
+    """Return the errors of an estimate against a reference, by the names of `SHOWN`.
+
+    Raises:
+        RecordingError: they do not overlap in time; the text names the `source` of the reference.
+    """
     try:
         pairs = associate(world, truth)
     except RecordingError as error:

@@ -16,7 +16,7 @@ from holdfast.recording.origin import SIMULATION
 from holdfast.recording.tum import write_tum
 from holdfast.sim.datasheets import SimulatedSensor
 from holdfast.sim.ros import Encode, RosMessages
-from holdfast.sim.scenario import BASE
+from holdfast.sim.scenario import BASE, CABIN
 from holdfast.sim.sensors import KINDS
 from holdfast.sim.sensors.joint import SimulatedJoint
 from holdfast.sim.sensors.odometry import SimulatedOdometry
@@ -27,6 +27,9 @@ from holdfast.state import Trajectory
 
 Progress = Callable[[int], None]
 """Receives the arrival [ns] of what was written last."""
+
+TURNS_EVERY = 5  # readings of the joint: its transform is published at 20 Hz, as robot_state_publisher does
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 _Row = tuple[int, int, str, str, Any]  # arrival, number of the sensor, topic, type, message
 
@@ -50,6 +53,8 @@ def write_recording(simulation: Simulation, path: Path, scans: bool, progress: P
             if kind.encode is not None:
                 encode = kind.encode(messages, sheet, delivered.readings)
                 streams.append(_rows(delivered, number, sheet.topic, kind.message_type, encode))
+                if isinstance(sheet, SimulatedJoint) and simulation.scenario.turn_joint is not None:
+                    streams.append(_turning(simulation, delivered, number, messages))
             elif scans and name in scanners:
                 streams.append(_scans(simulation, name, number))
         for count, (arrival_ns, _, topic, type_name, message) in enumerate(merge(*streams, key=lambda row: row[:2])):
@@ -93,7 +98,19 @@ def _mounts(simulation: Simulation, messages: RosMessages) -> _Row:
     for extrinsic in simulation.scenario.extrinsics:
         T = extrinsic.matrix()
         poses[extrinsic.parent, extrinsic.child] = T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat()
-    return START_NS, 0, "/tf_static", "tf2_msgs/msg/TFMessage", messages.transforms(START_NS, poses)
+    return START_NS, 0, "/tf_static", TRANSFORMS, messages.transforms(START_NS, poses)
+
+
+def _turning(simulation: Simulation, delivered: Delivered, number: int, messages: RosMessages) -> Iterator[_Row]:
+    """Yield the cabin on the chassis by what the encoder reads, when that has arrived."""
+    assert simulation.scenario.turn_joint is not None
+    position_m = np.array(simulation.scenario.turn_joint.position_m)
+    half_rad = 0.5 * delivered.readings.values["angle_rad"]
+
+    for row in np.argsort(delivered.arrivals_ns, kind="stable")[::TURNS_EVERY].tolist():
+        rotation = np.array((0.0, 0.0, np.sin(half_rad[row]), np.cos(half_rad[row])))
+        message = messages.transforms(int(delivered.stamps_ns[row]), {(BASE, CABIN): (position_m, rotation)})
+        yield int(delivered.arrivals_ns[row]), number, "/tf", TRANSFORMS, message
 
 
 def write_truth(simulation: Simulation, folder: Path) -> None:
