@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from holdfast.errors import ConfigError as ConfigError
     from holdfast.errors import EstimatorError as EstimatorError
     from holdfast.errors import HoldfastError as HoldfastError
+    from holdfast.errors import MessageError as MessageError
     from holdfast.errors import RecordingError as RecordingError
     from holdfast.estimator.estimator import Estimator as Estimator
     from holdfast.geometry.earth import Geodetic as Geodetic
@@ -50,6 +51,7 @@ _PUBLIC = {
     "HoldfastError": "errors",
     "ImuSample": "messages",
     "JointAngle": "messages",
+    "MessageError": "errors",
     "SensorPose": "messages",
     "Output": "state",
     "RealtimeEstimator": "realtime.engine",

@@ -16,6 +16,12 @@ class ConfigError(HoldfastError):
     exit_code = 2
 
 
+class MessageError(HoldfastError):
+    """A program gave a measurement of a wrong type, shape or range: the text names the argument and what it must be."""
+
+    exit_code = 2
+
+
 class RecordingError(HoldfastError):
     """A recording cannot be read: the text names the file and, where known, the topic and the stamp."""
 

@@ -3,13 +3,16 @@
 `stamp_ns` is the time of measurement on the sensor's clock, `arrival_ns` the time at which the recording or the live
 transport received it; both are nanoseconds since the epoch. `sensor` is the sensor's name in the configuration.
 
+A message whose fields have another type or shape than stands here raises `MessageError`. What is not finite passes,
+and the estimator counts it.
+
 A message knows its own row of numbers, `of(stamp_ns, arrival_ns, sensor, values())`, so that it can cross a border
 between processes without anyone else knowing what it holds; `WIDTH` is the length of that row.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import ClassVar, Protocol, Self
@@ -17,8 +20,12 @@ from typing import ClassVar, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from holdfast.errors import MessageError
+from holdfast.measured_fields import LIMIT_NS, Quantity, check_message, got
+
 Array = NDArray[np.float64]
 Row = tuple[float, ...]
+AXES = (3,)
 
 
 class Message(Protocol):
@@ -61,6 +68,20 @@ class ImuSample:
     angular_velocity: Array
     specific_force: Array
     WIDTH: ClassVar[int] = 6
+    QUANTITIES: ClassVar[Mapping[str, Quantity]] = {
+        "angular_velocity": Quantity((3,), "rad/s"),
+        "specific_force": Quantity((3,), "m/s^2"),
+    }
+
+    def __post_init__(self) -> None:
+        # hundreds a second: of a sound sample no more is asked than this
+        try:
+            is_sound = -LIMIT_NS <= (self.stamp_ns | self.arrival_ns) < LIMIT_NS
+            if is_sound and self.angular_velocity.shape == AXES == self.specific_force.shape:
+                return
+        except (AttributeError, TypeError):
+            pass
+        check_message(self, self.QUANTITIES)
 
     def values(self) -> Row:
         """Return angular velocity and specific force."""
@@ -83,6 +104,9 @@ class FixStatus(IntEnum):
     GBAS = 2
 
 
+STATUSES = frozenset(FixStatus)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class GnssFix:
     """Position of one GNSS antenna on the WGS84 ellipsoid.
@@ -100,6 +124,18 @@ class GnssFix:
     covariance: Array | None
     status: FixStatus
     WIDTH: ClassVar[int] = 4 + 10
+    QUANTITIES: ClassVar[Mapping[str, Quantity]] = {
+        "latitude_deg": Quantity((), "deg"),
+        "longitude_deg": Quantity((), "deg"),
+        "altitude_m": Quantity((), "m"),
+        "covariance": Quantity((3, 3), "m^2", may_be_none=True),
+    }
+
+    def __post_init__(self) -> None:
+        check_message(self, self.QUANTITIES)
+        if not _is_status(self.status):
+            allowed = ", ".join(f"{status.value} {status.name}" for status in FixStatus)
+            raise MessageError(f"GnssFix.status: must be one of {allowed}, {got(self.status)}")
 
     def values(self) -> Row:
         """Return latitude, longitude, altitude, status and the covariance."""
@@ -130,6 +166,13 @@ class GnssVelocity:
     velocity: Array
     covariance: Array | None
     WIDTH: ClassVar[int] = 3 + 10
+    QUANTITIES: ClassVar[Mapping[str, Quantity]] = {
+        "velocity": Quantity((3,), "m/s"),
+        "covariance": Quantity((3, 3), "m^2/s^2", may_be_none=True),
+    }
+
+    def __post_init__(self) -> None:
+        check_message(self, self.QUANTITIES)
 
     def values(self) -> Row:
         """Return the velocity and its covariance."""
@@ -158,6 +201,14 @@ class SensorPose:
     quaternion: Array
     covariance: Array | None
     WIDTH: ClassVar[int] = 7 + 37
+    QUANTITIES: ClassVar[Mapping[str, Quantity]] = {
+        "position": Quantity((3,), "m"),
+        "quaternion": Quantity((4,), "x, y, z, w"),
+        "covariance": Quantity((6, 6), "rad^2, then m^2", may_be_none=True),
+    }
+
+    def __post_init__(self) -> None:
+        check_message(self, self.QUANTITIES)
 
     def values(self) -> Row:
         """Return position, quaternion and the covariance."""
@@ -184,6 +235,13 @@ class Heading:
     yaw_rad: float
     sigma_rad: float | None
     WIDTH: ClassVar[int] = 3
+    QUANTITIES: ClassVar[Mapping[str, Quantity]] = {
+        "yaw_rad": Quantity((), "rad"),
+        "sigma_rad": Quantity((), "rad", may_be_none=True),
+    }
+
+    def __post_init__(self) -> None:
+        check_message(self, self.QUANTITIES)
 
     def values(self) -> Row:
         """Return the yaw and its sigma."""
@@ -205,6 +263,12 @@ class JointAngle:
     sensor: str
     angle_rad: float
     WIDTH: ClassVar[int] = 1
+    QUANTITIES: ClassVar[Mapping[str, Quantity]] = {
+        "angle_rad": Quantity((), "rad"),
+    }
+
+    def __post_init__(self) -> None:
+        check_message(self, self.QUANTITIES)
 
     def values(self) -> Row:
         """Return the angle."""
@@ -233,6 +297,14 @@ class Twist:
     angular: Array
     covariance: Array | None
     WIDTH: ClassVar[int] = 6 + 37
+    QUANTITIES: ClassVar[Mapping[str, Quantity]] = {
+        "linear": Quantity((3,), "m/s"),
+        "angular": Quantity((3,), "rad/s"),
+        "covariance": Quantity((6, 6), "rad^2/s^2, then m^2/s^2", may_be_none=True),
+    }
+
+    def __post_init__(self) -> None:
+        check_message(self, self.QUANTITIES)
 
     def values(self) -> Row:
         """Return linear and angular velocity and the covariance."""
@@ -260,6 +332,13 @@ class PointPosition:
     position: Array
     covariance: Array | None
     WIDTH: ClassVar[int] = 3 + 10
+    QUANTITIES: ClassVar[Mapping[str, Quantity]] = {
+        "position": Quantity((3,), "m"),
+        "covariance": Quantity((3, 3), "m^2", may_be_none=True),
+    }
+
+    def __post_init__(self) -> None:
+        check_message(self, self.QUANTITIES)
 
     def values(self) -> Row:
         """Return the position and its covariance."""
@@ -285,6 +364,13 @@ class Height:
     height_m: float
     sigma_m: float | None
     WIDTH: ClassVar[int] = 3
+    QUANTITIES: ClassVar[Mapping[str, Quantity]] = {
+        "height_m": Quantity((), "m"),
+        "sigma_m": Quantity((), "m", may_be_none=True),
+    }
+
+    def __post_init__(self) -> None:
+        check_message(self, self.QUANTITIES)
 
     def values(self) -> Row:
         """Return the height and its sigma."""
@@ -295,6 +381,10 @@ class Height:
         """Return the height that has a row."""
         height_m, is_known, sigma_m = values
         return cls(stamp_ns, arrival_ns, sensor, height_m, sigma_m if is_known else None)
+
+
+def _is_status(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value in STATUSES
 
 
 def _optional_number(value: float | None) -> Row:

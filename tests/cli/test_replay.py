@@ -1,6 +1,9 @@
 """`holdfast replay` on the command line: exit codes, one clear line per mistake, and nothing lost."""
 
+import html
 import json
+import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -179,19 +182,46 @@ def test_an_output_that_is_a_file_is_refused_and_kept(short, config, tmp_path):
     assert file.read_text() == "mine"
 
 
-def test_an_output_file_that_cannot_be_written_is_named(short, config, tmp_path):
-    blocked = tmp_path / "out" / "events.jsonl"
-    blocked.mkdir(parents=True)
-    assert_one_error(holdfast("replay", short, "-c", config, "-o", tmp_path / "out"), 2, blocked, "cannot be written")
+def test_an_output_that_cannot_be_made_is_named(short, config, tmp_path):
+    (tmp_path / "file").touch()
+    blocked = tmp_path / "file" / "out"
+    assert_one_error(holdfast("replay", short, "-c", config, "-o", blocked), 2, blocked, "cannot be written")
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a full disk is played by /dev/full")
-@pytest.mark.parametrize("name", ["imu_in_world.tum", "estimates.mcap"])
-def test_a_full_disk_ends_in_one_line(short, config, tmp_path, name):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / name).symlink_to("/dev/full")
-    done = run_command(short, "-c", config, "-o", tmp_path / "out")
-    assert_one_error(done, 2, tmp_path / "out", "cannot be written (No space left on device)")
+def test_a_full_disk_ends_in_one_line_and_earlier_results_come_back(short, config, tmp_path):
+    out = tmp_path / "out"
+    assert holdfast("replay", short, "-c", config, "-o", out).code == 0
+    before = {file.name: file.read_bytes() for file in out.iterdir()}
+    done = subprocess.run(
+        [*COMMAND, short, "-c", config, "-o", out],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (400, 400)),
+    )
+    assert_one_error(done, 2, out, "cannot be written (File too large)")
+    assert {file.name: file.read_bytes() for file in out.iterdir()} == before
+    assert [file.name for file in tmp_path.iterdir() if file.name.startswith(".")] == []
+
+
+def test_no_file_of_an_earlier_replay_stays_in_the_output_folder(short, tmp_path):
+    out = tmp_path / "out"
+    with_base = write_config(tmp_path / "with_base.yaml", base=True)
+    assert holdfast("replay", short, "-c", with_base, "-o", out).code == 0
+    assert holdfast("report", out).code == 0
+    assert {"base_in_world.tum", "report.html", "report.json"} < {file.name for file in out.iterdir()}
+    assert holdfast("replay", short, "-c", write_config(tmp_path / "config.yaml"), "-o", out).code == 0
+    assert {file.name for file in out.iterdir()} == FILES
+
+
+@pytest.mark.parametrize("inside", ["", "out", "bag.mcap", "bag.mcap/out"])
+def test_replay_refuses_to_write_into_the_recording(short, config, inside, tmp_path):
+    bag = shutil.copytree(short, tmp_path / "bag")
+    before = {file.name: file.read_bytes() for file in bag.iterdir()}
+    done = holdfast("replay", bag, "-c", config, "-o", bag / inside)
+    assert_one_error(done, 2, bag, "give an output outside" if inside.endswith("out") else "output")
+    assert {file.name: file.read_bytes() for file in bag.iterdir()} == before
 
 
 def test_a_missing_option_is_named(short, config):
@@ -232,6 +262,48 @@ def test_a_bag_without_the_imu_lists_the_topics_that_it_has(config, tmp_path):
     done = holdfast("replay", bag, "-c", config, "-o", tmp_path / "out")
     assert_one_error(done, 3, bag, "has no topic 'imu'", "gnss (sensor_msgs/msg/NavSatFix)")
     assert not (tmp_path / "out").exists()
+
+
+def without(short, topic, tmp_path):
+    messages = [row for row in bag_messages(make_rows(seconds=4.0)) if row[0] != topic]
+    return write_bag(tmp_path / f"without_{topic}", "mcap", messages)
+
+
+def test_a_sensor_that_is_not_needed_to_start_is_missed_loudly_and_named_everywhere(short, config, tmp_path):
+    bag, out = without(short, "lidar", tmp_path), tmp_path / "out"
+    done = holdfast("replay", bag, "-c", config, "-o", out)
+    assert done.code == 0, done.err
+    reason = "the recording has no topic 'lidar'"
+    assert done.err == f"warning: lidar: {reason}: the estimate does without it (--strict refuses)\n"
+    assert f"  lidar      missing: {reason}" in done.out.splitlines()
+    assert summary(out)["missing"] == {"lidar": reason}
+    assert summary(out)["warnings"] == [f"lidar: {reason}"]
+    assert holdfast("report", out).code == 0
+    assert f"lidar: {html.escape(reason)}" in (out / "report.html").read_text()
+
+
+def test_a_topic_without_a_message_is_missed_as_well(config, tmp_path):
+    drive = write_csv(tmp_path / "csv", replace(make_rows(seconds=4.0), lidar=[]))
+    done = holdfast("replay", drive, "-c", config, "-o", tmp_path / "out")
+    assert done.code == 0
+    assert "warning: lidar: topic 'lidar' holds no message: the estimate does without it" in done.err
+    assert summary(tmp_path / "out")["missing"] == {"lidar": "topic 'lidar' holds no message"}
+
+
+def test_strict_refuses_a_recording_that_lacks_any_topic(short, config, tmp_path):
+    bag = without(short, "lidar", tmp_path)
+    done = holdfast("replay", bag, "-c", config, "-o", tmp_path / "out", "--strict")
+    assert_one_error(done, 3, bag, "has no topic 'lidar'")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_last_source_of_positions_is_needed(short, config, tmp_path):
+    bag = without(short, "gnss", tmp_path)
+    assert_one_error(holdfast("replay", bag, "-c", config, "-o", tmp_path / "out"), 3, "has no topic 'gnss'")
+    second = {"kind": "gnss", "topic": "gnss", "frame": "lidar"}
+    both = write_config(tmp_path / "both.yaml", gnss={"topic": "gnss_left"}, gnss_right=second)
+    done = holdfast("replay", short, "-c", both, "-o", tmp_path / "out", "--duration", 1)
+    assert "warning: gnss: the recording has no topic 'gnss_left'; did you mean 'gnss'?" in done.err
 
 
 def test_a_topic_of_another_type_is_named_with_both_types(short, tmp_path):
@@ -338,27 +410,38 @@ def test_standstill_without_a_heading_says_what_to_give(rows, tmp_path):
     assert_one_error(done, 4, "never started", "initialisation.heading_deg")
 
 
+def test_where_the_imu_is_missing_too_gnss_is_not_said_to_be_all_that_is_missing(rows, tmp_path):
+    drive = write_csv(tmp_path / "csv", replace(rows, imu=[], gnss=[]))
+    config = write_config(tmp_path / "config.yaml", datum=False)
+    done = holdfast("replay", drive, "-c", config, "-o", tmp_path / "out")
+    words = "no usable IMU sample has come, and no usable position has come. Received: imu: nothing; gnss: nothing"
+    assert_one_error(done, 4, drive, "never started", words)
+
+
 # --- 130: interrupted -------------------------------------------------------------------------------------------------
 
 
-def test_ctrl_c_in_the_middle_keeps_what_was_done(drive, config, tmp_path):
-    out = tmp_path / "out"
+def interrupted_replay(number, *arguments):
+    """Send a signal to a replay that has begun to write; return exit code, stdout and stderr."""
     process = subprocess.Popen(
-        [*COMMAND, drive, "-c", config, "-o", out, "--rate", "1"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        # a shell that runs the tests in the background leaves SIGINT ignored
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509 (runs no thread)
+        [*COMMAND, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-    track = out / "imu_in_world.tum"
+    track = arguments[arguments.index("-o") + 1] / "imu_in_world.tum"
     deadline = time.monotonic() + 30
     while time.monotonic() < deadline and not (track.exists() and track.stat().st_size):
         time.sleep(0.02)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     stdout, stderr = process.communicate(timeout=30)
-    assert process.returncode == 130
-    assert stderr.split() == ["interrupted"]  # after the end of the line in which the terminal shows ^C
+    return process.returncode, stdout, stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_an_interrupt_in_the_middle_keeps_what_was_done_and_says_where(drive, config, tmp_path, number):
+    out = tmp_path / "out"
+    code, stdout, stderr = interrupted_replay(number, drive, "-c", config, "-o", out, "--rate", "1")
+    assert code == 128 + number
+    # after the end of the line in which the terminal shows ^C
+    assert stderr.strip() == f"interrupted: what was done until then is in {out}"
     assert stdout == ""
     result = summary(out)
     assert result["finished"] is False
@@ -367,11 +450,20 @@ def test_ctrl_c_in_the_middle_keeps_what_was_done(drive, config, tmp_path):
     assert 100 < used < SECONDS * 100
     for file in out.glob("*.tum"):
         assert file.read_bytes().endswith(b"\n") or not file.stat().st_size
-    assert read_tum(track).stamps_ns[-1] == EPOCH_NS + (used - 1) * 10_000_000
+    assert read_tum(out / "imu_in_world.tum").stamps_ns[-1] == EPOCH_NS + (used - 1) * 10_000_000
     assert "initialised" in [event["kind"] for event in events(out)]
     reread = run_info(out / "estimates.mcap")
     assert reread.returncode == 0
     assert "/holdfast/odometry/world" in reread.stdout
+
+
+def test_a_kill_leaves_what_was_written_and_the_next_replay_replaces_it(drive, short, config, tmp_path):
+    out = tmp_path / "out"
+    code, _, _ = interrupted_replay(signal.SIGKILL, drive, "-c", config, "-o", out, "--rate", "1")
+    assert code == -signal.SIGKILL
+    assert len(read_tum(out / "imu_in_world.tum").stamps_ns) >= 64
+    assert holdfast("replay", short, "-c", config, "-o", out).code == 0
+    assert {file.name for file in out.iterdir()} == FILES
 
 
 def run_info(path):

@@ -8,7 +8,7 @@ import pytest
 
 sys.path += [str(Path(__file__).parents[1] / room) for room in ("replay", "recording")]
 
-from small_drive import Rows, events, holdfast, make_rows, pose, stamp, write_config, write_csv, write_mcap
+from small_drive import Rows, events, holdfast, make_rows, pose, stamp, summary, write_config, write_csv, write_mcap
 
 from holdfast.recording.tum import read_tum
 
@@ -26,6 +26,20 @@ def stepped(with_arrivals):
         return at + by_ns, arrival + (by_ns if with_arrivals else 0), values
 
     return Rows(*([shown(row) for row in series] for series in (rows.imu, rows.gnss, rows.lidar)))
+
+
+def test_an_estimator_that_begins_anew_at_the_end_is_not_said_to_have_never_started(tmp_path):
+    rows = stepped(with_arrivals=True)
+    until = Rows(
+        *([row for row in series if row[0] < stamp(STEP_S + 0.5)] for series in (rows.imu, rows.gnss, rows.lidar))
+    )
+    drive, out = write_csv(tmp_path / "drive", until), tmp_path / "out"
+    done = holdfast("replay", drive, "-c", write_config(tmp_path / "config.yaml"), "-o", out)
+    assert done.code == 0, done.err
+    assert len(read_tum(out / "imu_in_world.tum").stamps_ns) > 400
+    (warning,) = summary(out)["warnings"]
+    assert "the estimator had begun anew, and was not running at the end: " in warning
+    assert "never started" not in done.err
 
 
 @pytest.mark.parametrize("write", [write_csv, write_mcap])

@@ -128,7 +128,7 @@ def test_a_mistake_gets_one_line(arguments: tuple[str, ...], report: str):
 
 def test_an_output_that_is_a_file_gets_one_line(tmp_path: Path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(ConfigError, match="cannot be written"):
+    with pytest.raises(ConfigError, match="is a file: the output must be a folder"):
         CliRunner().invoke(
             holdfast, ["simulate", "quick", "-o", str(tmp_path / "file")], catch_exceptions=False, standalone_mode=False
         )

@@ -131,6 +131,39 @@ def test_ctrl_c_keeps_what_is_done_and_the_next_batch_goes_on(simulated: Path, t
     assert f"3 of 3 runs done, {done} of them before; 0 failed" in again.stdout
 
 
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_no_replay_outlives_its_batch_and_each_leaves_its_summary(simulated: Path, tmp_path: Path, number: int):
+    arguments = [simulated, "-c", simulated / "config.yaml", "-o", tmp_path / "out"]
+    process = subprocess.Popen([*MAIN, "batch", *map(str, arguments)], stderr=subprocess.PIPE, text=True)
+    track = tmp_path / "out" / "yard" / "imu_in_world.tum"
+    deadline = time.monotonic() + LIMIT_S
+    while not (track.exists() and track.stat().st_size) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert len(replays_of(tmp_path)) == 1
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=LIMIT_S)
+    while replays_of(tmp_path) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not replays_of(tmp_path), "a replay goes on although its batch is gone"
+    assert json.loads((track.parent / "summary.json").read_text())["finished"] is False
+    if number == signal.SIGTERM:
+        assert process.returncode == 128 + number
+        assert errors.strip().endswith(f"interrupted: what was done until then is in {tmp_path / 'out'}")
+    again = run(*arguments)
+    assert again.returncode == 0, again.stderr
+    assert "1 of 1 runs done, 0 of them before; 0 failed" in again.stdout
+
+
+def test_the_drive_that_ships_with_gtsam_can_be_in_a_batch(tmp_path: Path):
+    from holdfast.cli.demo import CONFIG
+
+    (tmp_path / "config.yaml").write_text(CONFIG, encoding="utf-8")
+    done = run("kitti", "-c", tmp_path / "config.yaml", "-o", tmp_path / "out", "--duration", "20")
+    assert done.returncode == 0, done.stderr
+    assert table(tmp_path / "out")["kitti"]["recording"] == "kitti"
+    assert json.loads((tmp_path / "out/kitti/summary.json").read_text())["recording"] == "kitti"
+
+
 def replays_of(folder: Path) -> list[str]:
     commands = []
     for file in Path("/proc").glob("[0-9]*/cmdline"):

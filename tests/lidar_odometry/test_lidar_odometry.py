@@ -253,7 +253,7 @@ def test_nothing_is_overwritten_unasked(bag, tmp_path):
     assert out.read_bytes() == b"precious"
     convert(bag, out, "--replace", "--force")
     assert len(read(out, "/lidar/odometry")) == SWEEPS
-    with pytest.raises(ConfigError, match="is the recording that is read"):
+    with pytest.raises(ConfigError, match="which is read: give another output"):
         convert(bag, bag, "--replace", "--force")
     with pytest.raises(ConfigError, match=r"must end in \.mcap"):
         convert(bag, tmp_path / "out.bag", "--replace")

@@ -68,13 +68,23 @@ def test_a_wrong_type_is_reported_at_once_with_both_names(watched):
 
 def test_a_silent_publisher_is_reported_apart_from_an_absent_one(watched):
     watched.receive(1.0)
-    assert watched.review(5.9) == {}
+    assert watched.review(1.0) == {} == watched.review(5.9)
     found = watched.review(6.1)
     assert {finding.kind for finding in found.values()} == {"silent"}
+    assert found["/lidar"].text == "has a publisher, seen for 5 s, but no message for 5 s"
+
+
+def test_the_silence_of_a_publisher_counts_from_when_it_was_seen(watched):
+    assert set(watched.review(60.0, [])) == set(TOPICS)
+    assert watched.review(61.0) == {} == watched.review(65.9), "it has been there for 5 s only"
+    assert watched.review(68.0)["/lidar"].text == "has a publisher, seen for 7 s, but no message has come"
+    watched.review(69.0, [])
+    assert watched.review(70.0) == {}, "another one"
 
 
 def test_a_best_effort_driver_and_a_reliable_reader_never_meet():
     watched = Watched(reliable=True)
+    assert watched.review(0.5) == {}
     found = watched.review(6.0)
     assert found["/imu/data"].kind == "silent"  # its publisher is reliable
     assert "best-effort" in found["/lidar"].text

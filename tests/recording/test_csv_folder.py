@@ -150,7 +150,10 @@ def test_the_header_of_euroc_is_understood(tmp_path: Path) -> None:
         ("temperature," + IMU, "imu.csv:1: column 'temperature' is unknown or there twice"),
         (IMU + "1,0,0,0,0,0,0\n2,0,zero,0,0,0,0\n", "imu.csv:3: column wy_rad_s is 'zero' (allowed: a number"),
         (IMU + "1,0,0,0,0,0,0\n2,0,,0,0,0,0\n", "imu.csv:3: column wy_rad_s is '' (allowed: a number"),
-        (IMU + "1.5,0,0,0,0,0,0\n", "imu.csv:2: column stamp_ns is '1.5' (allowed: a whole number of nanoseconds)"),
+        (
+            IMU + "1.5,0,0,0,0,0,0\n",
+            "imu.csv:2: column stamp_ns is '1.5' (allowed: a whole number of nanoseconds in 64 bits)",
+        ),
         (IMU + "1,0,0,0,0,0\n", "imu.csv:2: has 6 columns (allowed: 7, as above)"),
         (IMU, "holds no messages"),
     ],

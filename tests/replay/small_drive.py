@@ -36,7 +36,8 @@ IMU_DELAY_NS, GNSS_DELAY_NS, LIDAR_DELAY_NS = 1_000_000, 63_000_000, 21_000_000
 HEADING_DEG = float(np.degrees((gtsam.Rot3.Yaw(YAW_RAD) * R_V_I).rpy()[2]))
 
 TRACKS = ("imu_in_world", "imu_in_odom", "optimized_in_world", "smoothed_in_world")
-FILES = {*(f"{track}.tum" for track in TRACKS), "estimates.mcap", "events.jsonl", "measurements.csv", "summary.json"}
+WRITTEN = {"estimates.mcap", "events.jsonl", "measurements.csv", "summary.json", ".holdfast"}
+FILES = {*(f"{track}.tum" for track in TRACKS), *WRITTEN}
 
 
 def distance(t):

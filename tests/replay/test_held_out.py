@@ -29,8 +29,9 @@ from holdfast.messages import FixStatus, GnssFix, PointPosition
 from holdfast.recording.source import open_recording
 from holdfast.recording.subscriptions import subscriptions
 from holdfast.recording.tum import read_tum
-from holdfast.replay.held_out import HeldOutJudge, HoldOut, HoldOutFilter
+from holdfast.replay.held_out import HeldOutJudge, HoldOut, HoldOutFilter, Judgement
 from holdfast.replay.runner import Replay
+from holdfast.replay.summary import by_circumstance, held_out_summary
 from holdfast.state import Estimate
 
 FIXES = round(SECONDS * 5)
@@ -136,6 +137,20 @@ def test_the_last_judgement_of_an_outage_is_its_end_error(clean_drive, clean_row
     antennas = [track[s].transformFrom(ARM) for s in (before, after)]
     expected = (1 - fraction) * antennas[0] + fraction * antennas[1] - LocalFrame(DATUM).to_enu(Geodetic(*values[:3]))
     np.testing.assert_allclose(end.error, expected, rtol=0, atol=1e-5)
+
+
+def test_the_seconds_after_an_outage_are_a_part_of_their_own_for_report_and_demo_alike():
+    at_s = {"nominal": [0, 2, 31], "imu_gap": [4, 33], "outage": [6, 10, 16, 20], "recovery": [12, 14, 22, 24, 30]}
+    everything = [judged_at(s, part == "outage") for part, seconds in at_s.items() for s in seconds]
+    found = by_circumstance(everything, {at * 10**9 for at in (4, 33, 20, 14)})
+    assert {part: [one.stamp_ns // 10**9 for one in ones] for part, ones in found.items()} == at_s
+    summed = held_out_summary(everything, set())
+    assert summed["all"]["horizontal_m"]["count"] == len(everything)
+    assert summed["recovery"]["horizontal_m"]["count"] == len(at_s["recovery"])
+
+
+def judged_at(at_s, in_outage):
+    return Judgement(at_s * 10**9, "gnss", in_outage, np.ones(3), 3.0, np.zeros(3), False)
 
 
 def test_normalised_error_is_near_one_where_the_noise_is_as_claimed(tmp_path):

@@ -7,6 +7,7 @@ import sys
 import time
 from functools import partial
 from multiprocessing import active_children
+from pathlib import Path
 
 import pytest
 
@@ -79,3 +80,47 @@ def test_ctrl_c_ends_all_without_words_of_the_workers(tmp_path):
         started.kill()
     assert printed.count("Traceback") == 1  # of the one that answers
     assert printed.rstrip().endswith("KeyboardInterrupt")
+
+
+@pytest.mark.skipif(not Path("/proc").exists(), reason="asks /proc who is there")
+def test_no_process_of_a_pool_outlives_the_one_that_started_it(tmp_path):
+    script = tmp_path / "sleepers.py"
+    script.write_text(SLEEPERS)
+    parent = subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    assert parent.stdout.readline() == "ready\n"
+    until_s = time.monotonic() + 60.0
+    while len(workers_of(script)) < 2 and time.monotonic() < until_s:
+        time.sleep(0.05)
+    assert parent.stdout.readline() == "polled\n"
+    children = workers_of(script)
+    assert len(children) == 2
+    parent.kill()
+    parent.wait()
+    while alive(children) and time.monotonic() < until_s:
+        time.sleep(0.05)
+    assert not alive(children)
+
+
+def workers_of(script):
+    """Processes that `multiprocessing` spawned for a script: it names the parent's number in their arguments."""
+    found = set()
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+            if str(script).encode() in Path(f"/proc/{parent}/cmdline").read_bytes():
+                command = (folder / "cmdline").read_bytes()
+                found |= {int(folder.name)} if b"spawn_main" in command else set()
+        except (OSError, ValueError):
+            continue
+    return found
+
+
+def alive(numbers):
+    states = []
+    for number in numbers:
+        try:
+            states.append(Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[0])
+        except OSError:
+            continue
+    return [state for state in states if state != "Z"]

@@ -4,7 +4,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from types import FrameType
 
@@ -12,6 +12,8 @@ import click
 
 from holdfast import __version__
 from holdfast.errors import HoldfastError
+
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 # name -> (module, one-line help); the module has a click command of that name
 COMMANDS = {
@@ -66,42 +68,51 @@ def _one_line(message: Warning | str, *_: object, **__: object) -> str:
 
 
 @contextmanager
-def _interruptible() -> Iterator[None]:
-    """Turn what Ctrl-C became back into `KeyboardInterrupt`: compiled modules make an `ImportError` of it."""
-    caught = []
+def _interruptible() -> Iterator[list[int]]:
+    """Turn Ctrl-C, the end that a service manager asks for and a closed terminal into `KeyboardInterrupt`.
+
+    Yields the signals that came. Compiled modules make an `ImportError` of the exception: it is turned back.
+    """
+    caught: list[int] = []
 
     def note(number: int, _: FrameType | None) -> None:
+        is_again = number in caught
         caught.append(number)
-        raise KeyboardInterrupt
+        if number == signal.SIGINT or not is_again:  # a closed terminal says so twice: results are being written
+            raise KeyboardInterrupt
 
-    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:  # nohup, or a program of which we are a part
-        yield
-        return
-    signal.signal(signal.SIGINT, note)
+    default = (signal.default_int_handler, signal.SIG_DFL)  # else: nohup, or a program of which we are a part
+    before = {number: signal.getsignal(number) for number in STOPS if signal.getsignal(number) in default}
+    for number in before:
+        signal.signal(number, note)
     try:
-        yield
+        yield caught
     except Exception as error:
-        if caught and not isinstance(error, click.exceptions.Exit):
+        if caught and not isinstance(error, click.exceptions.Exit | click.Abort):
             raise KeyboardInterrupt from error
         raise
     finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def main() -> None:
     """Run the command line; a mistake of the user ends in one line and an exit code, not in a traceback."""
     warnings.formatwarning = _one_line
+    caught: list[int] = []
     try:
-        with _interruptible():
+        with _interruptible() as caught:
             holdfast(standalone_mode=False)
     except click.exceptions.Exit as error:
         sys.exit(error.exit_code)
     except click.ClickException as error:
         error.show()
         sys.exit(2)
-    except (click.Abort, KeyboardInterrupt):
-        click.echo("interrupted", err=True)
-        sys.exit(130)
+    except (click.Abort, KeyboardInterrupt) as error:
+        interrupt = error.__cause__ if isinstance(error.__cause__, KeyboardInterrupt) else error
+        with suppress(OSError):  # the terminal was closed
+            click.echo(": ".join(["interrupted", *map(str, interrupt.args)]), err=True)
+        sys.exit(128 + (caught[0] if caught else signal.SIGINT))
     except HoldfastError as error:
         for line in str(error).splitlines():
             click.echo(f"error: {line}", err=True)

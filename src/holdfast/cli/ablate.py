@@ -14,6 +14,7 @@ from holdfast.cli.extras import needing
 from holdfast.cli.progress import count_bar
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
+from holdfast.output_folder import replaced
 from holdfast.trial.variations import VARIATIONS
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def ablate(scenario: str, output: Path, seeds: int, jobs: int, only: tuple[str, 
         from holdfast.trial.ablation import run_ablation
     loaded = load_scenario(scenario)
     chosen = [name for name in VARIATIONS if not only or name in only]
-    with naming_the_output(output):
+    with naming_the_output(output), replaced(output, "ablate", [scenario]):
         with count_bar("ablating") as progress:
             rows = run_ablation(loaded, output, range(seeds), chosen, jobs, progress)
         write_tables(rows, output)

@@ -10,6 +10,7 @@ import click
 
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError, HoldfastError
+from holdfast.output_folder import continued
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -30,6 +31,7 @@ STYLES = {"done": "green", "failed": "red", "running": "yellow"}
 @click.option("--scheduler", metavar="tcp://...", help="Run on a dask.distributed cluster that sees the same files.")
 @click.option("--hold-out", multiple=True, metavar="SENSOR=N", help="As for `holdfast replay`.")
 @click.option("--duration", type=float, metavar="SECONDS", help="As for `holdfast replay`.")
+@click.option("--strict", is_flag=True, help="As for `holdfast replay`.")
 def batch(  # noqa: PLR0917 (click passes the options by name)
     recordings: tuple[Path, ...],
     config: Path,
@@ -39,6 +41,7 @@ def batch(  # noqa: PLR0917 (click passes the options by name)
     scheduler: str | None,
     hold_out: tuple[str, ...],
     duration: float | None,
+    strict: bool,
 ) -> None:
     """Replay RECORDINGS, each under every variation, side by side in processes of their own.
 
@@ -56,11 +59,12 @@ def batch(  # noqa: PLR0917 (click passes the options by name)
         raise ConfigError("--jobs: with --scheduler the cluster decides how many run at a time")
     options = [word for rule in hold_out for word in ("--hold-out", rule)]
     options += [] if duration is None else ["--duration", f"{duration:g}"]
+    options += ["--strict"] * strict
     planned = plan(recordings, config, [Variation.parse(text) for text in vary], output, options)
     outcomes = {job.name: kept_outcome(job) for job in planned}
     todo = [job for job in planned if outcomes[job.name].state != "done"]
     skipped = len(planned) - len(todo)
-    with naming_the_output(output):
+    with naming_the_output(output), continued(output, "batch", [*recordings, config]):
         _run(planned, todo, outcomes, output, jobs or 1, scheduler)
     failed = [outcome for outcome in outcomes.values() if outcome.state == "failed"]
     done = sum(outcome.state == "done" for outcome in outcomes.values())
@@ -82,7 +86,6 @@ def _run(  # noqa: PLR0917
     from holdfast.fleet.schedulers import run_locally, run_on_cluster
     from holdfast.fleet.table import rows_of, write_table
 
-    output.mkdir(parents=True, exist_ok=True)
     coming = run_locally(todo, output, jobs) if scheduler is None else run_on_cluster(todo, output, scheduler)
     write_table(rows_of(planned, outcomes), output)
     with _table_on_screen(planned, outcomes), closing(coming):

@@ -6,6 +6,7 @@ import click
 
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
+from holdfast.output_folder import check_output_file
 
 
 @click.group()
@@ -66,6 +67,8 @@ def init(recording: Path, output: Path | None, minimal: bool, force: bool) -> No
     from holdfast.recording.source import open_recording
 
     _check_output(output, force)
+    if output is not None and output.exists():
+        check_output_file(output, [recording])
     with open_recording(recording) as opened, reading_bar("reading", opened, 0.0, LOOKED_AT_S) as progress:
         proposal = first_proposal(opened, progress)
     text = minimal_yaml(proposal) if minimal else starter_yaml(proposal)

@@ -7,13 +7,14 @@ import click
 
 from holdfast.cli.progress import progress_bar
 from holdfast.cli.replay import write_summary
+from holdfast.cli.writing import naming_the_output
 from holdfast.errors import HoldfastError
+from holdfast.output_folder import replaced
 
 if TYPE_CHECKING:
     from holdfast.replay.runner import Replay
 
 OUTAGE_S = (380.0, 440.0)
-RECOVERY_S = 10.0  # with a fix every 2 s, of which several must agree
 CONFIG = """\
 # The KITTI drive that ships with gtsam (raw data 2011_10_03_0027): IMU and GNSS of an OXTS RT3003.
 sensors:
@@ -54,16 +55,17 @@ def demo(output: str) -> None:
         f"GNSS is cut from {OUTAGE_S[0]:.0f} to {OUTAGE_S[1]:.0f} s: the estimate has the IMU alone then."
     )
     rules = [HoldOut("gnss", every=2), HoldOut("gnss", None, *OUTAGE_S)]
-    with open_recording("kitti") as recording, Outputs(folder, config) as outputs:
-        run = Replay(config, outputs, rules, keep_track=True)
-        with progress_bar("driving", recording.start_ns, recording.end_ns) as progress:
-            run.run(recording.read(subscriptions(config)), None, progress)
+    with naming_the_output(output), replaced(output, "demo"):
+        with open_recording("kitti") as recording, Outputs(folder, config) as outputs:
+            run = Replay(config, outputs, rules, keep_track=True)
+            with progress_bar("driving", recording.start_ns, recording.end_ns) as progress:
+                run.run(recording.read(subscriptions(config)), None, progress)
         summary = write_summary(run, "kitti", recording.warnings, folder, True)
-    (folder / "config.yaml").write_text(CONFIG, encoding="utf-8")
-    timing = summary["timing"]
-    click.echo(f"\n{timing['recorded_s']:.0f} s of driving took {timing['wall_s']:.1f} s.")
-    _print_table(run)
-    _draw(run, folder / "track.png")
+        (folder / "config.yaml").write_text(CONFIG, encoding="utf-8")
+        timing = summary["timing"]
+        click.echo(f"\n{timing['recorded_s']:.0f} s of driving took {timing['wall_s']:.1f} s.")
+        _print_table(run)
+        _draw(run, folder / "track.png")
     click.echo(f"written to {folder}: trajectories (TUM), estimates.mcap, events.jsonl, summary.json, config.yaml")
 
 
@@ -72,21 +74,21 @@ def _print_table(run: "Replay") -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from holdfast.replay.summary import by_circumstance
+
     table = Table(title="Error at fixes that the estimator never saw, horizontal [m]", title_justify="left")
     for column in ("", "fixes", "RMS", "median", "p95", "max"):
         table.add_column(column, justify="left" if not column else "right")
     causal, smoothed = run.causal.judgements, run.smoothed.judgements
     silent = {judgement.stamp_ns for judgement in causal if judgement.imu_silent}
-    ended_ns = max((judgement.stamp_ns for judgement in causal if judgement.in_outage), default=0)
-    recovering = {j.stamp_ns for j in causal if 0 < j.stamp_ns - ended_ns <= RECOVERY_S * 1e9}
-    apart = silent | recovering
+    parts = by_circumstance(causal, silent)
     rows = [
-        ("as published, GNSS and IMU available", [j for j in causal if not j.in_outage and j.stamp_ns not in apart]),
-        ("  ... in the IMU's drop-outs (*)", [j for j in causal if not j.in_outage and j.stamp_ns in silent]),
-        ("smoothed, 3 s later", [j for j in smoothed if not j.in_outage and j.stamp_ns not in apart]),
+        ("as published, GNSS and IMU available", parts["nominal"]),
+        ("  ... in the IMU's drop-outs (*)", parts["imu_gap"]),
+        ("smoothed, 3 s later", by_circumstance(smoothed, silent)["nominal"]),
         ("in the outage, first 10 s", _first(causal, 10.0)),
         ("in the outage, whole minute", _first(causal, 60.0)),
-        ("after it, first 10 s (**)", [j for j in causal if j.stamp_ns in recovering]),
+        ("after it, first 10 s (**)", parts["recovery"]),
     ]
     for name, judgements in rows:
         if judgements:

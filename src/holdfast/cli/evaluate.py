@@ -11,6 +11,7 @@ from click.core import ParameterSource
 
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError, RecordingError
+from holdfast.output_folder import add_results, check_output_file
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -85,14 +86,18 @@ def evaluate(
     if not estimates:
         raise click.UsageError("Missing argument 'REFERENCE': give at least one estimate, and the reference last.")
     metrics = _metrics(**options)
+    written = [file for file in (json_file, plot_file) if file is not None]
+    for file in written:
+        check_output_file(file, trajectories)
     if plot_file is not None:
         check_plot(plot_file)
     if len(estimates) == 1:
         _evaluate_one(estimates[0], reference, alignment, metrics, (json_file, plot_file))
-        return
-    is_given = context.get_parameter_source("rpe_distance") is not ParameterSource.DEFAULT
-    lengths_m = metrics.rpe_distances_m if is_given else ()
-    _evaluate_several(estimates, reference, alignment, metrics, lengths_m, (json_file, plot_file))
+    else:
+        is_given = context.get_parameter_source("rpe_distance") is not ParameterSource.DEFAULT
+        lengths_m = metrics.rpe_distances_m if is_given else ()
+        _evaluate_several(estimates, reference, alignment, metrics, lengths_m, (json_file, plot_file))
+    add_results(*written)
 
 
 def _evaluate_several(  # noqa: PLR0917

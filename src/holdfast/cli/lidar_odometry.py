@@ -8,6 +8,7 @@ import click
 from holdfast.cli.progress import progress_bar
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
+from holdfast.output_folder import add_results, check_output_file
 
 
 @click.command("lidar-odometry")
@@ -72,7 +73,7 @@ def lidar_odometry(  # noqa: PLR0917 (click passes the options by name)
         raise ConfigError(f"--config: {method} takes no gyroscope (allowed: with {DEFAULT_METHOD})")
     check_installed(method)
     config = None if config_path is None else load_config(config_path)
-    _check_output(output, bag, force)
+    _check_output(output, bag, config_path, force)
     began_s = perf_counter()
     with RawBag(bag) as opened:
         chosen = choose_topic(opened, options)
@@ -82,6 +83,7 @@ def lidar_odometry(  # noqa: PLR0917 (click passes the options by name)
             output.parent.mkdir(parents=True, exist_ok=True)
             with McapWriter(output) as writer, progress_bar("registering", begin_ns, end_ns) as progress:
                 summary = run(opened, chosen, writer, options, gyroscope, progress)
+            add_results(output)
     for warning in summary.warnings:
         click.echo(f"warning: {warning}", err=True)
     milliseconds = (perf_counter() - began_s) / summary.poses * 1e3
@@ -89,12 +91,9 @@ def lidar_odometry(  # noqa: PLR0917 (click passes the options by name)
     click.echo(f"written to {output}")
 
 
-def _check_output(output: Path, bag: Path, force: bool) -> None:
+def _check_output(output: Path, bag: Path, config_path: str | None, force: bool) -> None:
     if output.suffix != ".mcap":
         raise ConfigError(f"{output}: must end in .mcap")
-    if not output.exists():
-        return
-    if bag.exists() and (output.samefile(bag) or bag in output.parents):
-        raise ConfigError(f"{output}: is the recording that is read")
-    if not force:
+    check_output_file(output, [bag] if config_path is None else [bag, config_path])
+    if output.exists() and not force:
         raise ConfigError(f"{output}: exists already: --force overwrites it")

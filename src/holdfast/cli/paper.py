@@ -12,6 +12,7 @@ from holdfast.cli.extras import needing
 from holdfast.cli.progress import count_bar, duration
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
+from holdfast.output_folder import continued
 
 if TYPE_CHECKING:
     from holdfast.paper.effort import Effort
@@ -44,23 +45,24 @@ def paper(output: Path, quick: bool, seeds: int | None, jobs: int) -> None:
         from holdfast.paper.evaluation import claim, evaluate
     count = seeds or (1 if quick else SEEDS)
     command = f"holdfast paper -o {output.name}" + " --quick" * quick + f" --seeds {count}"
-    with naming_the_output(output):
+    with naming_the_output(output), continued(output, "paper"):
         claim(output, quick)  # before anything is told of what it holds
-    todo, began_s = effort(output, count, quick, jobs), monotonic()
-    click.echo(announced(todo), err=True)
-    with naming_the_output(output), count_bar("evaluating") as progress:
-        results = evaluate(output, count, quick, jobs, command, progress)
-    if todo.runs:
-        taken_s = monotonic() - began_s
-        cost = taken_s * todo.at_once / todo.recorded_s
-        click.echo(
-            f"{todo.runs} runs took {duration(taken_s)}, {cost:.2f} s of a processor per second recorded", err=True
-        )
-    print_tables(results)
-    made, failures = _report(results, output, quick, jobs)
+        todo, began_s = effort(output, count, quick, jobs), monotonic()
+        click.echo(announced(todo), err=True)
+        with count_bar("evaluating") as progress:
+            results = evaluate(output, count, quick, jobs, command, progress)
+        if todo.runs:
+            _tell_what_it_took(todo, monotonic() - began_s)
+        print_tables(results)
+        made, failures = _report(results, output, quick, jobs)
     click.echo(f"written to {output}: {', '.join(['results.json', 'curves.npz', *made])}")
     if failures:
         raise ConfigError("\n".join(failures))
+
+
+def _tell_what_it_took(todo: "Effort", taken_s: float) -> None:
+    cost = taken_s * todo.at_once / todo.recorded_s
+    click.echo(f"{todo.runs} runs took {duration(taken_s)}, {cost:.2f} s of a processor per second recorded", err=True)
 
 
 def announced(todo: "Effort") -> str:

@@ -1,7 +1,7 @@
 """`holdfast replay`: a recording in, trajectories, ROS messages, events and a summary out."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,12 +10,17 @@ import click
 from holdfast.cli.progress import reading_bar
 from holdfast.cli.writing import naming_the_output, write_json
 from holdfast.errors import ConfigError, EstimatorError, HoldfastError
+from holdfast.fleet.parent import end_with_parent
+from holdfast.output_folder import replaced
 
 if TYPE_CHECKING:
     from holdfast.config.model import Config
     from holdfast.realtime.engine import RealtimeEstimator
+    from holdfast.recording.source import Recording, Subscription
     from holdfast.replay.held_out import HoldOut
     from holdfast.replay.runner import Replay
+
+SLOWEST_RATE = 1e-6
 
 
 @click.command()
@@ -30,6 +35,8 @@ if TYPE_CHECKING:
 @click.option("--realtime", is_flag=True, help="At the pace of the recording, through the engine of two processes.")
 @click.option("--hold-out", multiple=True, metavar="SENSOR=N", help="Hold back every N-th message, to judge by it.")
 @click.option("--outage", multiple=True, metavar="SENSOR=START:END", help="Hold back all messages of this time [s].")
+@click.option("--strict", is_flag=True, help="Refuse a recording that lacks a sensor of the configuration.")
+@click.option("--child", is_flag=True, hidden=True, help="Of `batch`: the folder is ready; end with standard input.")
 def replay(  # noqa: PLR0917 (click passes the options by name)
     recording: str,
     config_path: str | None,
@@ -40,12 +47,17 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     realtime: bool,
     hold_out: tuple[str, ...],
     outage: tuple[str, ...],
+    strict: bool,
+    child: bool,
 ) -> None:
     """Estimate the trajectory of RECORDING.
 
     Writes to the output folder: imu_in_world.tum and imu_in_odom.tum (what was published at each IMU sample; base_*.tum
     if the extrinsics reach the base), optimized_in_world.tum (newest node after each update), smoothed_in_world.tum
-    (each node as it leaves the window), estimates.mcap, events.jsonl and summary.json.
+    (each node as it leaves the window), estimates.mcap, events.jsonl and summary.json. The folder is replaced as a
+    whole; one that holds anything else is refused.
+
+    Sensors of which RECORDING holds nothing are missed with a warning, except the primary IMU and the last position.
 
     With --realtime the recording plays as it would live: samples of the IMU are answered while another process
     optimises. What comes out depends a little on how busy this machine is.
@@ -58,42 +70,67 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     from holdfast.cli.guessed import FILE, guessed_config
     from holdfast.config.load import load_config
     from holdfast.recording.source import open_recording
-    from holdfast.recording.subscriptions import subscriptions
     from holdfast.replay.never_started import never_started
     from holdfast.replay.outputs import Outputs
     from holdfast.replay.runner import Replay
 
+    if child:
+        end_with_parent()
     check_window(start_s, duration_s, rate)
     config = None if config_path is None else load_config(config_path)
-    with open_recording(recording) as opened:
+    reads = [recording] if config_path is None else [recording, config_path]
+    folder = nullcontext() if child else replaced(output, "replay", reads)
+    with open_recording(recording) as opened, naming_the_output(output):
         guess = None
         if config is None:
             guess = guessed_config(opened, output)
             config = guess.config
         rules = _rules(hold_out, outage, config)  # before the results of an earlier replay are overwritten
-        messages = opened.read(subscriptions(config), start_s, duration_s)
-        with naming_the_output(output), Outputs(Path(output), config) as outputs, _engine(config, realtime) as engine:
-            if guess is not None:
-                (outputs.folder / FILE).write_text(guess.text, encoding="utf-8")
-            run = Replay(config, outputs, rules, realtime=engine)
-            failure: BaseException | None = None
-            try:
-                with reading_bar("replaying", opened, start_s, duration_s) as progress:
-                    run.run(messages, rate or (1.0 if realtime else None), progress)
-            except (HoldfastError, KeyboardInterrupt) as error:
-                failure = error
-            run.write_events()
-        warnings = [*opened.warnings, *run.warnings]
-        summary = write_summary(run, recording, warnings, Path(output), failure is None)
-    for warning in warnings:
-        click.echo(f"warning: {warning}", err=True)
-    if failure is not None:
-        raise failure
-    if not run.estimator.initialised:
+        wanted, missing = _wanted(opened, config, strict)
+        messages = opened.read(wanted, start_s, duration_s)
+        with folder:
+            with Outputs(Path(output), config) as outputs, _engine(config, realtime) as engine:
+                if guess is not None:
+                    (outputs.folder / FILE).write_text(guess.text, encoding="utf-8")
+                run = Replay(config, outputs, rules, realtime=engine)
+                failure: BaseException | None = None
+                try:
+                    with reading_bar("replaying", opened, start_s, duration_s) as progress:
+                        run.run(messages, rate or (1.0 if realtime else None), progress)
+                except (HoldfastError, KeyboardInterrupt) as error:
+                    failure = error
+                run.write_events()
+            found = [*opened.warnings, *run.warnings, *_stopped(run)]
+            warnings = [*(f"{sensor}: {reason}" for sensor, reason in missing.items()), *found]
+            summary = write_summary(run, recording, warnings, Path(output), failure is None, missing)
+            for warning in found:
+                click.echo(f"warning: {warning}", err=True)
+            if failure is not None:
+                raise failure
+    if not run.has_started:
         estimator = run.estimator
         why = never_started(estimator.waiting_for, estimator.counts, config)
         raise EstimatorError(f"{recording}: the estimator never started: {why}")
     print_summary(summary, output)
+
+
+def _wanted(opened: "Recording", config: "Config", strict: bool) -> "tuple[list[Subscription], dict[str, str]]":
+    """Return what the recording can serve, and for each sensor that is missing the reason, after a warning."""
+    from holdfast.recording.subscriptions import available, subscriptions
+
+    if strict:
+        return subscriptions(config), {}
+    wanted, missing = available(opened, config)
+    for sensor, reason in missing.items():
+        click.echo(f"warning: {sensor}: {reason}: the estimate does without it (--strict refuses)", err=True)
+    return wanted, missing
+
+
+def _stopped(run: "Replay") -> list[str]:
+    """Return the warning that the estimator was beginning anew when the recording ended, if it was."""
+    if run.estimator.initialised or not run.has_started:
+        return []
+    return [f"the estimator had begun anew, and was not running at the end: {run.estimator.waiting_for}"]
 
 
 def _rules(hold_out: Sequence[str], outage: Sequence[str], config: "Config") -> "list[HoldOut]":
@@ -121,21 +158,30 @@ def check_window(start_s: float, duration_s: float | None, rate: float | None = 
     Raises:
         ConfigError: names the option.
     """
-    if not start_s >= 0:
-        raise ConfigError(f"--start {start_s:g}: must be >= 0")
-    if duration_s is not None and not duration_s > 0:
-        raise ConfigError(f"--duration {duration_s:g}: must be > 0")
-    if rate is not None and not rate > 0:
-        raise ConfigError(f"--rate {rate:g}: must be > 0")
+    from holdfast.recording.source import LONGEST_S
+
+    if not 0 <= start_s <= LONGEST_S:
+        raise ConfigError(f"--start {start_s:g}: must be >= 0 and <= {LONGEST_S:g}")
+    if duration_s is not None and not 0 < duration_s <= LONGEST_S:
+        raise ConfigError(f"--duration {duration_s:g}: must be > 0 and <= {LONGEST_S:g}")
+    if rate is not None and not rate >= SLOWEST_RATE:
+        raise ConfigError(f"--rate {rate:g}: must be > 0, at least {SLOWEST_RATE:g}")
 
 
-def write_summary(run: "Replay", recording: str, warnings: list[str], folder: Path, finished: bool) -> dict[str, Any]:
+def write_summary(  # noqa: PLR0917
+    run: "Replay",
+    recording: str,
+    warnings: list[str],
+    folder: Path,
+    finished: bool,
+    missing: "Mapping[str, str] | None" = None,
+) -> dict[str, Any]:
     """Write summary.json and return its content."""
     from holdfast.cli.command_line import command_line
     from holdfast.replay.outputs import SUMMARY
     from holdfast.replay.summary import summarise_replay
 
-    summary = summarise_replay(run, recording, warnings, finished, command_line())
+    summary = summarise_replay(run, recording, warnings, finished, command_line(), missing or {})
     write_json(folder / SUMMARY, summary)
     return summary
 
@@ -149,6 +195,8 @@ def print_summary(summary: dict[str, Any], output: str) -> None:
     )
     for sensor, outcomes in summary["counts"].items():
         click.echo(f"  {sensor:10s} " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()))
+    for sensor, reason in summary["missing"].items():
+        click.echo(f"  {sensor:10s} missing: {reason}")
     for track, parts in summary["held_out"].items():
         for part, errors in (parts or {}).items():
             horizontal, vertical, nees = errors["horizontal_m"], errors["vertical_m"], errors["nees_per_dof"]

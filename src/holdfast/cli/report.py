@@ -6,6 +6,7 @@ import click
 
 from holdfast.cli.extras import needing
 from holdfast.errors import ConfigError
+from holdfast.output_folder import add_results, check_output_file
 
 
 @click.command()
@@ -32,5 +33,7 @@ def report(folder: Path, reference: Path | None, output: Path | None) -> None:
     file = folder / "report.html" if output is None else output
     if file.suffix.lower() not in (".html", ".htm"):
         raise ConfigError(f"--output {file}: the name must end in .html")
+    check_output_file(file, [] if reference is None else [reference])
     write_page(single_run_page(read_run(folder, reference)), file)
+    add_results(file, file.with_suffix(".json"))
     click.echo(f"written to {file} and {file.with_suffix('.json').name}")

@@ -1,5 +1,6 @@
 """`holdfast simulate`: a recording whose truth is known."""
 
+from math import inf
 from pathlib import Path
 
 import click
@@ -8,6 +9,7 @@ from holdfast.cli.extras import needing
 from holdfast.cli.progress import progress_bar
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError, HoldfastError
+from holdfast.output_folder import SIMULATE, replaced
 
 
 @click.command()
@@ -35,13 +37,12 @@ def simulate(scenario: str, output: Path, seed: int, scans: bool, duration_s: fl
     from holdfast.sim.configuration import configuration
     from holdfast.sim.scenario import load_scenario
 
-    if duration_s is not None and not duration_s > 1:
-        raise ConfigError(f"--duration {duration_s:g}: must be > 1")
+    if duration_s is not None and not 1 < duration_s < inf:
+        raise ConfigError(f"--duration {duration_s:g}: must be > 1 and finite")
     loaded = load_scenario(scenario, {} if duration_s is None else {"duration_s": duration_s})
     name = Path(scenario).stem
     asked = ("" if duration_s is None else f" --duration {duration_s:g}") + " --scans" * scans
-    with naming_the_output(output):
-        output.mkdir(parents=True, exist_ok=True)
+    with naming_the_output(output), replaced(output, SIMULATE, [scenario]):
         simulation = run(loaded, seed)
         (output / "scenario.yaml").write_text(resolved_yaml(loaded), encoding="utf-8")
         config = resolved_yaml(configuration(loaded, seed), given_only=True)
@@ -53,12 +54,12 @@ def simulate(scenario: str, output: Path, seed: int, scans: bool, duration_s: fl
             counts = write_recording(simulation, output / "recording.mcap", scans, progress)
         command = f"holdfast simulate {scenario} -o {output.name} --seed {seed}{asked}"
         (output / "README.md").write_text(account(simulation, name, command, counts), encoding="utf-8")
-    try:
-        from holdfast.sim.plan_view import draw_plan
+        try:
+            from holdfast.sim.plan_view import draw_plan
 
-        draw_plan(simulation, output / "plan.png")
-    except HoldfastError as error:
-        click.echo(f"no figure: {error}", err=True)
+            draw_plan(simulation, output / "plan.png")
+        except HoldfastError as error:
+            click.echo(f"no figure: {error}", err=True)
     click.echo(
         f"{name}: {loaded.duration_s:g} s, {simulation.motion.distance_m:.0f} m driven, "
         f"{sum(counts.values())} messages, seed {seed}"

@@ -7,6 +7,7 @@ import click
 
 from holdfast.cli.progress import progress_bar
 from holdfast.errors import ConfigError
+from holdfast.output_folder import add_results
 
 
 @click.command()
@@ -37,6 +38,7 @@ def view(recording: str, output: str | None, connect: str | None) -> None:
         show.draw_recording(path, sink, progress)
     sink.disconnect()
     if output is not None:
+        add_results(Path(output))
         click.echo(f"written to {output}")
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from holdfast.errors import ConfigError
+from holdfast.output_folder import add_results
 
 
 @contextmanager
@@ -40,3 +41,4 @@ def write_json(path: str | Path, content: dict[str, Any]) -> None:
     """
     with naming_the_output(path):
         Path(path).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        add_results(Path(path))

@@ -1,10 +1,11 @@
 """What pydantic found wrong, in plain words, at a line of the file."""
 
+import json
 import re
 from difflib import get_close_matches
 from typing import Any, get_args
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from holdfast.config.document import Document, Fault, Path, path_text, value_text
@@ -25,6 +26,18 @@ def note_validation_error(document: Document, root: Place, error: ValidationErro
         path = _path_in_file(document, root, detail["loc"], detail["type"])
         if not document.is_refused(path):
             _note(document, root, path, detail)
+
+
+def faults_in_words(section: type[BaseModel], data: dict[str, Any], error: ValidationError) -> str:
+    """Return what is wrong with the data of which a program would make a section, one line per fault."""
+    document = Document(section.__name__, json.loads(json.dumps(data, default=_plain)))
+    note_validation_error(document, Place(section, None), error)
+    faults = dict.fromkeys(f"{fault.where}{': ' * bool(fault.where)}{fault.what}" for fault in document.faults)
+    return "\n".join(f"{section.__name__}: {fault}" for fault in faults)
+
+
+def _plain(value: object) -> object:
+    return value.model_dump(mode="json") if isinstance(value, BaseModel) else repr(value)
 
 
 def _path_in_file(document: Document, root: Place, location: Path, kind: str) -> Path:
@@ -52,6 +65,8 @@ def _note(document: Document, root: Place, path: Path, detail: ErrorDetails) -> 
         document.fault(path, missing_text(at))
     elif kind == "extra_forbidden":
         document.fault(path, unknown_key_text(str(path[-1]), place(path[:-1], document, root) or root))
+    elif kind.startswith("union_tag") and at is not None:
+        document.fault(path, kind_fault(at, document.at(path)) or detail["msg"])
     elif kind == "value_error":
         _note_validator(document, root, path, str(context.get("error", detail["msg"])))
     else:

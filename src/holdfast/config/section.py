@@ -2,8 +2,10 @@
 
 from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError
 from pydantic_core import CoreSchema, core_schema
+
+from holdfast.errors import ConfigError
 
 
 def quantity(unit: str, default: Any = ..., *, doc: str, **bounds: float) -> Any:
@@ -19,6 +21,22 @@ class Section(BaseModel):
     """Base of all sections: immutable, unknown keys and NaN refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    def __init__(self, /, **data: Any) -> None:
+        """Make a section of plain data or other sections.
+
+        Raises:
+            ConfigError: the data break the model's rules, one line each.
+        """
+        try:
+            super().__init__(**data)
+        except ValidationError as error:
+            from holdfast.config.faults import faults_in_words  # which asks this model
+
+            raise ConfigError(faults_in_words(type(self), data, error)) from None
+
+    # pydantic's own mark of an `__init__` that adds nothing: validation of a file goes past it
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
 
 class OpenUnion:

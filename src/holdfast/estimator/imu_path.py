@@ -17,6 +17,7 @@ from holdfast.kernel.imu_path import (
     REFUSED,
 )
 from holdfast.kernel.samples import IS_LINE, STEPPED
+from holdfast.measured_fields import check_message
 from holdfast.messages import ImuSample, JointAngle
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.state import BaseState, Estimate, EventKind, OptimisedState, Outcome
@@ -108,10 +109,17 @@ class ImuPath:
             sample: in the order of arrival.
             number: of its row in the ring.
             epoch: for that row.
+
+        Raises:
+            MessageError: the readings are no numbers.
         """
         clock, before_ns = self.clock, self._buffer.latest_ns
         read = clock.read_sample(sample) if clock.offset_ns else sample
-        flags = self._predictor.process(read, number, epoch)
+        try:
+            flags = self._predictor.process(read, number, epoch)
+        except (TypeError, ValueError):  # an array of the right shape that is not made of numbers
+            check_message(sample, sample.QUANTITIES)
+            raise
         if flags == REFUSED:
             return self._process_unusual(sample, read)
         return self._received(read, before_ns, flags, is_usual=True)

@@ -45,7 +45,7 @@ BIAS_DRIFT_RAD_S = 1e-3  # from a standstill to the motion after it, with temper
 MOST_STANDSTILLS = 30
 STANDING_S = 5.0, 15.0  # over which positions tell whether the machine stands, longer ones if the first cannot
 Point = TypeVar("Point", Position, Velocity)
-NO_POSITION = "no usable position has come"
+NO_POSITION, NO_IMU = "no usable position has come", "no usable IMU sample has come"
 
 
 class Initialising:
@@ -82,7 +82,14 @@ class Initialising:
         self._window_ns = round(config.initialisation.window_s * 1e9)
         noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
         self._aligner = BatchAligner(buffer, noise, self._points, of_role(sensors, Role.VELOCITY))
-        self.reason = NO_POSITION if self._points else "no IMU sample has come"
+        self.reason = NO_POSITION if self._points else NO_IMU
+
+    @property
+    def waiting_for(self) -> str:
+        """Everything that is missing."""
+        if self._buffer.latest_ns or self.reason == NO_IMU:
+            return self.reason
+        return f"{NO_IMU}, and {self.reason}" if self.reason.startswith(NO_POSITION) else NO_IMU
 
     def add(self, measurement: Measurement) -> bool:
         """Take in a checked measurement; say whether it is one with which a start can be attempted."""

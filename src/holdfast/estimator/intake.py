@@ -3,11 +3,12 @@
 from time import monotonic_ns, time_ns
 from typing import Protocol
 
-import numpy as np
+from numpy import asarray, float64
 from numpy.typing import ArrayLike
 
 from holdfast.config.model import Config
 from holdfast.config.sensors import BaseImuConfig, GnssConfig, HeadingConfig, JointConfig, OdometryConfig
+from holdfast.measured_fields import array_of
 from holdfast.messages import Array, FixStatus, GnssFix, Heading, ImuSample, JointAngle, Message, SensorPose
 from holdfast.state import Output
 
@@ -29,9 +30,17 @@ class Intake(Protocol):
 
         Here as in what follows, `arrival_ns` is the time at which it came; now, if it is left out. `sensor` is the name
         in the configuration; it may be left out where there is one of the kind. Other kinds go through `process`.
+
+        Raises:
+            MessageError: an argument has another type or shape; the text names it.
+            ConfigError: the configuration has no such sensor, or several.
+            EstimatorError: the estimator is closed.
         """
-        readings = _array(angular_velocity), _array(specific_force)
-        return self.process(ImuSample(stamp_ns, arrival_ns or _now_ns(), self.config.imu_name, *readings))
+        try:  # what is wrong is found by the sample
+            rate, force = asarray(angular_velocity, float64), asarray(specific_force, float64)
+        except (TypeError, ValueError):
+            rate, force = _readings(angular_velocity, specific_force)
+        return self.process(ImuSample(stamp_ns, arrival_ns or _now_ns(), self.config.imu_name, rate, force))
 
     def add_gnss(
         self,
@@ -47,7 +56,7 @@ class Intake(Protocol):
     ) -> Output:
         """Take in a fix of an antenna, with its covariance (3, 3) [m^2], as in `GnssFix`."""
         name, point = self.config.only(GnssConfig, sensor), (latitude_deg, longitude_deg, altitude_m)
-        known = None if covariance is None else _array(covariance).reshape(3, 3)
+        known = None if covariance is None else array_of(covariance, (3, 3), "covariance", "m^2")
         return self.process(GnssFix(stamp_ns, arrival_ns or _now_ns(), name, *point, known, status))
 
     def add_heading(
@@ -75,8 +84,8 @@ class Intake(Protocol):
     ) -> Output:
         """Take in a pose of an odometry: (3,) [m], (4,) x, y, z, w, covariance (6, 6), as in `SensorPose`."""
         name = self.config.only(OdometryConfig, sensor)
-        pose = _array(position), _array(quaternion)
-        known = None if covariance is None else _array(covariance).reshape(6, 6)
+        pose = array_of(position, (3,), "position", "m"), array_of(quaternion, (4,), "quaternion", "x, y, z, w")
+        known = None if covariance is None else array_of(covariance, (6, 6), "covariance", "rad^2, then m^2")
         return self.process(SensorPose(stamp_ns, arrival_ns or _now_ns(), name, *pose, known))
 
     def add_joint(self, stamp_ns: int, angle_rad: float, arrival_ns: int | None = None) -> Output:
@@ -89,7 +98,7 @@ class Intake(Protocol):
         self, stamp_ns: int, angular_velocity: ArrayLike, specific_force: ArrayLike, arrival_ns: int | None = None
     ) -> Output:
         """Take in a sample of the IMU on the chassis, as `add_imu`."""
-        name, readings = self.config.only(BaseImuConfig, None), (_array(angular_velocity), _array(specific_force))
+        name, readings = self.config.only(BaseImuConfig, None), _readings(angular_velocity, specific_force)
         return self.process(ImuSample(stamp_ns, arrival_ns or _now_ns(), name, *readings))
 
 
@@ -97,5 +106,6 @@ def _now_ns() -> int:
     return CLOCK_NS + monotonic_ns()
 
 
-def _array(values: ArrayLike) -> Array:
-    return np.asarray(values, dtype=np.float64)
+def _readings(angular_velocity: ArrayLike, specific_force: ArrayLike) -> tuple[Array, Array]:
+    rate = array_of(angular_velocity, (3,), "angular_velocity", "rad/s")
+    return rate, array_of(specific_force, (3,), "specific_force", "m/s^2")

@@ -83,7 +83,7 @@ class Optimiser:
     @property
     def waiting_for(self) -> str:
         """What keeps the estimator from starting."""
-        return self._phase.reason if isinstance(self._phase, Initialising) else ""
+        return self._phase.waiting_for if isinstance(self._phase, Initialising) else ""
 
     @property
     def waiting(self) -> Counter[str]:

@@ -1,7 +1,7 @@
 """Which pose of the estimate is compared with which pose of the reference."""
 
 from dataclasses import dataclass, replace
-from math import isfinite
+from math import inf, isfinite
 from typing import Literal, Self
 
 import numpy as np
@@ -13,6 +13,8 @@ from holdfast.messages import Array
 from holdfast.state import Trajectory
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
+
+MAX_OFFSET_S = 4e9  # more than the time since the epoch, and stamps stay within 64 bits
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +32,7 @@ class Association:
         position_only: the orientation of the reference is not to be used.
 
     Raises:
-        ConfigError: a number is not finite, or max_gap_s or max_difference_s is negative.
+        ConfigError: a number is not finite or beyond all times, or max_gap_s or max_difference_s is negative.
     """
 
     method: Literal["interpolate", "nearest"] = "interpolate"
@@ -42,9 +44,15 @@ class Association:
 
     def __post_init__(self) -> None:
         """Refuse numbers with which nothing can be paired."""
-        numbers = (self.max_gap_s, self.max_difference_s, self.reference_offset_s, *self.reference_lever_arm)
-        if not all(map(isfinite, numbers)) or self.max_gap_s < 0.0 or self.max_difference_s < 0.0:
-            raise ConfigError(f"{self}: the numbers must be finite, the gap and the difference not negative")
+        for name, value in (("max_gap_s", self.max_gap_s), ("max_difference_s", self.max_difference_s)):
+            if not 0.0 <= value < inf:
+                raise ConfigError(f"{name} = {value:g}: must be >= 0 and finite")
+        if not abs(self.reference_offset_s) <= MAX_OFFSET_S:
+            raise ConfigError(
+                f"reference_offset_s = {self.reference_offset_s:g}: must be finite and within +-{MAX_OFFSET_S:g}"
+            )
+        if not all(map(isfinite, self.reference_lever_arm)):
+            raise ConfigError(f"reference_lever_arm = {self.reference_lever_arm}: must be finite")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,6 +16,7 @@ from holdfast.config.load import read_yaml, resolved_yaml, validate
 from holdfast.config.model import Config
 from holdfast.config.presets import with_preset
 from holdfast.errors import ConfigError, RecordingError
+from holdfast.recording.source import is_shipped
 
 SAFE = set("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._=+-@")
 
@@ -82,15 +83,16 @@ def plan(
     configs = [_varied(config, changes) for changes in _choices(variations)]
     names = _names(recordings)
     jobs = []
-    for recording, name in zip(recordings, names, strict=True):
+    for given, name in zip(recordings, names, strict=True):
+        recording = given if is_shipped(given) else given.resolve()
         state = _state(recording)
         for changes, text in configs:
             of = "".join(f"@{key}={value}" for key, value in changes)
             full = "".join(letter if letter in SAFE else "_" for letter in name + of)
             folder = output.resolve() / full
-            made_of = [__version__, str(recording.resolve()), state, text, *arguments]
+            made_of = [__version__, str(recording), state, text, *arguments]
             fingerprint = sha256(json.dumps(made_of).encode()).hexdigest()[:16]
-            jobs.append(Job(full, recording.resolve(), folder, text, changes, tuple(arguments), fingerprint))
+            jobs.append(Job(full, recording, folder, text, changes, tuple(arguments), fingerprint))
     twice = sorted({job.name for job in jobs if sum(other.name == job.name for other in jobs) > 1})
     if twice:
         raise ConfigError(
@@ -140,6 +142,8 @@ def _names(recordings: Sequence[Path]) -> list[str]:
 
 def _state(recording: Path) -> list[tuple[str, int, int]]:
     """Return the names, sizes and times of change of a recording's files, which identify it."""
+    if is_shipped(recording):
+        return []
     try:
         files = sorted(file for file in recording.iterdir() if file.is_file()) if recording.is_dir() else [recording]
         return [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files]

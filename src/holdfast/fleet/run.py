@@ -10,15 +10,16 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from holdfast.errors import RecordingError
+from holdfast.errors import HoldfastError, RecordingError
 from holdfast.fleet.plan import Job
+from holdfast.output_folder import replaced
 
 STATE, LOG, CONFIG, ESTIMATE = "run.json", "run.log", "config.yaml", "imu_in_world.tum"
 TRUTH = Path("truth") / ESTIMATE
 POLL_S = 0.1
 STOP_TIMEOUT_S = 10.0  # in which an interrupted replay writes its results
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-INTERRUPTED_EXIT_CODE = 130
+STOPPED = {128 + number for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
 MAIN = "from holdfast.cli import main; main()"
 
 State = Literal["waiting", "running", "done", "failed", "stopped"]
@@ -48,15 +49,17 @@ def run_job(job: Job, stop_file: Path) -> Outcome:
     """
     began = time.monotonic()
     try:
-        job.folder.mkdir(parents=True, exist_ok=True)
-        _keep(job, Outcome(job.name, "running", job.fingerprint))
-        (job.folder / CONFIG).write_text(job.config_yaml, encoding="utf-8")
-        state, reason = _replay(job, stop_file)
-        errors = _errors(job) if state == "done" else {}
-        outcome = Outcome(job.name, state, job.fingerprint, reason, time.monotonic() - began, errors)
-        _keep(job, outcome)
-    except OSError as error:
-        reason = f"{error.filename or job.folder}: {error.strerror or error}"
+        with replaced(job.folder, "batch", [job.recording]):
+            _keep(job, Outcome(job.name, "running", job.fingerprint))
+            (job.folder / CONFIG).write_text(job.config_yaml, encoding="utf-8")
+            state, reason = _replay(job, stop_file)
+            errors = _errors(job) if state == "done" else {}
+            outcome = Outcome(job.name, state, job.fingerprint, reason, time.monotonic() - began, errors)
+            _keep(job, outcome)
+    except (OSError, HoldfastError) as error:
+        reason = (
+            f"{error.filename or job.folder}: {error.strerror or error}" if isinstance(error, OSError) else f"{error}"
+        )
         return Outcome(job.name, "failed", job.fingerprint, reason, time.monotonic() - began)
     return outcome
 
@@ -80,11 +83,14 @@ def _keep(job: Job, outcome: Outcome) -> None:
 
 def _replay(job: Job, stop_file: Path) -> tuple[State, str]:
     command = [sys.executable, "-c", MAIN, "replay", str(job.recording)]
-    command += ["-c", str(job.folder / CONFIG), "-o", str(job.folder), *job.arguments]
-    with (job.folder / LOG).open("wb") as log:
-        process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=os.environ | ONE_THREAD
-        )
+    command += ["-c", str(job.folder / CONFIG), "-o", str(job.folder), "--child", *job.arguments]
+    with (
+        (job.folder / LOG).open("wb") as log,
+        # the pipe ends when this process does, however: then the replay ends too
+        subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=log, stderr=log, env=os.environ | ONE_THREAD
+        ) as process,
+    ):
         try:
             while process.poll() is None:
                 if stop_file.exists():
@@ -94,7 +100,7 @@ def _replay(job: Job, stop_file: Path) -> tuple[State, str]:
             _end(process)
     if process.returncode == 0:
         return "done", ""
-    if process.returncode == INTERRUPTED_EXIT_CODE:  # Ctrl-C in a terminal reaches the replays, too
+    if process.returncode in STOPPED:  # Ctrl-C in a terminal reaches the replays, too
         return "stopped", "the batch was interrupted"
     return "failed", _reason(job.folder / LOG, process.returncode)
 
@@ -102,7 +108,7 @@ def _replay(job: Job, stop_file: Path) -> tuple[State, str]:
 def _end(process: "subprocess.Popen[bytes]") -> None:
     if process.poll() is not None:
         return
-    process.send_signal(signal.SIGINT)
+    process.terminate()
     try:
         process.wait(STOP_TIMEOUT_S)
     except subprocess.TimeoutExpired:

@@ -28,10 +28,10 @@ class RegistrationProcess:
         context = get_context("spawn")
         self._connection, theirs = context.Pipe()
         self._process = context.Process(target=serve, args=(theirs, method, threads), daemon=True)
-        # a Ctrl-C goes to the whole group of processes; the child inherits this block and leaves it to the parent;
+        # a Ctrl-C, or the end of a service, goes to the whole group; the child inherits this block, the parent decides;
         # starting multiprocessing's own tracker of resources would lift the block, so that one comes first
         resource_tracker.ensure_running()
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
         try:
             self._process.start()
         finally:

@@ -61,6 +61,7 @@ class Watch:
         self._max_clock_offset_s = max_clock_offset_s
         self._reliable = reliable
         self.received = {topic: Reception(began_ns) for topic in topics}
+        self._here_since_ns: dict[str, int] = {}  # when the publishers that there are were first seen
         self._malformed: dict[str, int] = {}
 
     def note(self, topic: str, stamp_ns: int, arrival_ns: int, clock_ns: int) -> None:
@@ -97,7 +98,14 @@ class Watch:
         here = [publication for publication in publications if publication.topic == topic]
         fitting = [publication for publication in here if publication.type_name in allowed]
         expected = " or ".join(allowed)
-        silent = (now_ns - self.received[topic].arrival_ns) / NS_PER_S > self._silent_after_s
+        if here:
+            since_ns = self._here_since_ns.setdefault(topic, now_ns)
+        else:
+            self._here_since_ns.pop(topic, None)
+            since_ns = 0
+        reception = self.received[topic]
+        silent_s = (now_ns - max(reception.arrival_ns, since_ns)) / NS_PER_S
+        silent = silent_s > self._silent_after_s
         for other in here:
             if other.type_name not in allowed:
                 also = " as well" if fitting else ""
@@ -112,7 +120,9 @@ class Watch:
                 "reliability", "is published best-effort, but live.reliable_inputs is set: nothing will come"
             )
         if silent:
-            return Finding("silent", f"has a publisher but no message for {self._silent_after_s:g} s")
+            no_message = f"no message for {silent_s:.0f} s" if reception.arrivals_ns else "no message has come"
+            seen_s = (now_ns - since_ns) / NS_PER_S
+            return Finding("silent", f"has a publisher, seen for {seen_s:.0f} s, but {no_message}")
         return self._judge_clock(topic, fitting)
 
     def _judge_clock(self, topic: str, fitting: Sequence[Publication]) -> Finding | None:

@@ -213,7 +213,8 @@ class Worker:
 def main() -> None:
     """Run the optimiser of the engine that started this process."""
     memory, reports, length = (int(text) for text in sys.argv[1:])
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started this process decides when it ends
+    for number in (signal.SIGINT, signal.SIGTERM):  # whoever started this process decides when it ends
+        signal.signal(number, signal.SIG_IGN)
     _die_with_parent()
     outbox = Outbox(reports)
     settings: Settings = pickle.loads(_read_exactly(length))

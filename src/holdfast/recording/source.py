@@ -15,6 +15,10 @@ from holdfast.errors import RecordingError
 from holdfast.messages import Message
 
 NS_PER_S = 1_000_000_000
+LONGEST_S = 1e9
+"""No recording is longer; with what is, arithmetic in nanoseconds overflows."""
+SHIPPED = "kitti"
+"""Name of the drive that ships inside the gtsam wheel; a file or folder of this name goes first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,18 +141,26 @@ def open_recording(path: str | Path) -> Recording:
         RecordingError: there is nothing that can be read; one line with what was found and what is allowed.
     """
     path = Path(path)
-    if path.exists():
-        reader, files = _choose_folder_reader(path) if path.is_dir() else _choose_file_reader(path)
-    elif str(path) == "kitti":
-        reader, files = "kitti", []
-    else:
-        raise RecordingError(f"{path}: no such file or folder")
-    module = import_module(f"holdfast.recording.{reader}")
     try:
+        reader, files = _choose_reader(path)
+        module = import_module(f"holdfast.recording.{reader}")
         recording: Recording = module.open_files(path, files)
     except OSError as error:
         raise RecordingError(f"{error.filename or path}: cannot be opened ({error.strerror or error})") from None
     return recording
+
+
+def _choose_reader(path: Path) -> tuple[str, list[Path]]:
+    if path.exists():
+        return _choose_folder_reader(path) if path.is_dir() else _choose_file_reader(path)
+    if is_shipped(path):
+        return "kitti", []
+    raise RecordingError(f"{path}: no such file or folder")
+
+
+def is_shipped(path: Path) -> bool:
+    """Whether a path is the name of the drive that needs no file."""
+    return str(path) == SHIPPED and not path.exists()
 
 
 def _choose_file_reader(path: Path) -> tuple[str, list[Path]]:
@@ -185,7 +197,8 @@ def find_topic(recording: Recording, topic: str) -> TopicInfo:
     close = get_close_matches(topic, topics, n=1)
     guess = f"did you mean {close[0]!r}? " if close else ""
     there = ", ".join(f"{info.topic} ({info.type})" for info in topics.values())
-    raise RecordingError(f"{recording.path}: has no topic {topic!r}; {guess}it has {there}")
+    left_out = [warning for warning in recording.warnings if f"{topic}.csv:" in warning]
+    raise RecordingError("; ".join([f"{recording.path}: has no topic {topic!r}", *left_out, f"{guess}it has {there}"]))
 
 
 def arrival_window(recording: Recording, start_s: float, duration_s: float | None) -> tuple[int | None, int | None]:
@@ -194,10 +207,12 @@ def arrival_window(recording: Recording, start_s: float, duration_s: float | Non
     Raises:
         RecordingError: the window is empty, or begins after the recording ends.
     """
-    if not start_s >= 0:
-        raise RecordingError(f"{recording.path}: start is {start_s} s (allowed: 0 or more)")
-    if duration_s is not None and not duration_s > 0:
-        raise RecordingError(f"{recording.path}: duration is {duration_s} s (allowed: more than 0)")
+    if not 0 <= start_s <= LONGEST_S:
+        raise RecordingError(f"{recording.path}: start is {start_s} s (allowed: 0 or more, up to {LONGEST_S:g})")
+    if duration_s is not None and not 0 < duration_s <= LONGEST_S:
+        raise RecordingError(
+            f"{recording.path}: duration is {duration_s} s (allowed: more than 0, up to {LONGEST_S:g})"
+        )
     first, last = recording.start_ns, recording.end_ns
     if first is None or (start_s == 0 and duration_s is None):
         return None, None

@@ -94,11 +94,14 @@ class TrackRecording(Closing):
         self, track: Track, kind: str, sensor: str, skipped: SkippedMessages
     ) -> Iterator[tuple[int, Track, Message]]:
         latest_ns, backward = 0, 0
-        for message in track.messages(kind, sensor, skipped, self.warnings):
-            if message.arrival_ns < latest_ns:
-                backward += 1
-            latest_ns = max(latest_ns, message.arrival_ns)
-            yield message.arrival_ns, track, message
+        try:
+            for message in track.messages(kind, sensor, skipped, self.warnings):
+                if message.arrival_ns < latest_ns:
+                    backward += 1
+                latest_ns = max(latest_ns, message.arrival_ns)
+                yield message.arrival_ns, track, message
+        except OSError as error:
+            raise RecordingError(f"{track.file}: cannot be read ({error.strerror or error})") from None
         if backward:
             self.warnings.append(
                 f"{track.file}: {backward} row(s) arrived before the row above them; the order of the file was kept"

@@ -7,35 +7,41 @@ from types import FrameType, TracebackType
 from typing import Self
 
 Handler = Callable[[int, FrameType | None], object]
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class Uninterrupted:
     """What happens inside `with` is finished before the handler of Ctrl-C is called; outside it is called at once.
 
-    `start` and `stop` enclose all of it. Where Ctrl-C is ignored, or in another thread, it changes nothing.
+    So it is with the end that a service manager asks for, and a closed terminal, where they have a handler. `start` and
+    `stop` enclose all of it. Where a signal is ignored, or in another thread, it changes nothing.
     """
 
     def __init__(self) -> None:
-        self._is_busy = self._came = False
-        self._before: Handler | None = None
+        self._is_busy = False
+        self._came: int | None = None
+        self._before: dict[int, Handler] = {}
 
     def start(self) -> None:
-        """Handle Ctrl-C from here on."""
-        before = signal.getsignal(signal.SIGINT)
-        if threading.current_thread() is threading.main_thread() and callable(before):
-            self._before = before
-            signal.signal(signal.SIGINT, self._on_interrupt)
+        """Handle the signals from here on."""
+        if threading.current_thread() is not threading.main_thread():
+            return
+        for number in STOPS:
+            before = signal.getsignal(number)
+            if callable(before):
+                self._before[number] = before
+                signal.signal(number, self._on_interrupt)
 
     def stop(self) -> None:
-        """Give Ctrl-C its former handler back."""
-        if self._before is not None:
-            signal.signal(signal.SIGINT, self._before)
+        """Give the signals their former handlers back."""
+        for number, before in self._before.items():
+            signal.signal(number, before)
 
     def _on_interrupt(self, number: int, frame: FrameType | None) -> None:
-        if self._is_busy or self._before is None:
-            self._came = True
+        if self._is_busy:
+            self._came = number
         else:
-            self._before(number, frame)
+            self._before[number](number, frame)
 
     def __enter__(self) -> Self:
         self._is_busy = True
@@ -45,6 +51,6 @@ class Uninterrupted:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._is_busy = False
-        if self._came and self._before is not None:
-            self._came = False
-            self._before(signal.SIGINT, None)
+        if self._came is not None:
+            number, self._came = self._came, None
+            self._before[number](number, None)

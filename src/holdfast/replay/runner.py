@@ -172,6 +172,11 @@ class Replay:
         self._kept.append((estimate.stamp_ns, east, north, variance))
 
     @property
+    def has_started(self) -> bool:
+        """Whether estimates were ever given; the estimator may have begun anew since."""
+        return self.estimator.event_counts[EventKind.INITIALISED] > 0
+
+    @property
     def first_stamp_ns(self) -> int:
         """Stamp of the first message, from which outages count."""
         return self._filter.first_ns or 0

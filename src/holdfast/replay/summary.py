@@ -1,9 +1,10 @@
 """The summary of a replay: counts, timing, held-out accuracy, versions and the resolved configuration, as JSON."""
 
 import platform
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -16,13 +17,28 @@ from holdfast.replay.held_out import Judgement
 from holdfast.replay.published import by_sensor
 from holdfast.replay.runner import Replay, Timing
 
+RECOVERY_NS = 10_000_000_000  # several fixes must agree with each other before they are trusted again
 LOG_BIN_WIDTH = float(np.log(1.2))
 
 
-def summarise_replay(
-    replay: Replay, recording: str, warnings: Sequence[str], finished: bool, command: str = ""
+def summarise_replay(  # noqa: PLR0917
+    replay: Replay,
+    recording: str,
+    warnings: Sequence[str],
+    finished: bool,
+    command: str = "",
+    missing: Mapping[str, str] = MappingProxyType({}),
 ) -> dict[str, Any]:
-    """Return the content of summary.json; `command` is the one that asked for it, empty for a program that did."""
+    """Return the content of summary.json.
+
+    Args:
+        replay: that has run.
+        recording: its path, as it was given.
+        warnings: one line each.
+        finished: whether it ran to the end.
+        command: that asked for it; empty for a program that did.
+        missing: why the recording holds nothing of some sensors, by name.
+    """
     estimator = replay.estimator
     silent = {judgement.stamp_ns for judgement in replay.causal.judgements if judgement.imu_silent}
     return {
@@ -35,6 +51,7 @@ def summarise_replay(
         "waiting_for": None if estimator.initialised else estimator.waiting_for,
         "datum": None if estimator.datum is None else estimator.datum._asdict(),
         "counts": by_sensor(estimator.counts),
+        "missing": dict(missing),
         "events": dict(sorted(estimator.event_counts.items())),
         "health": {str(health): count for health, count in sorted(replay.health.items())},
         "timing": timing_summary(replay.timing),
@@ -85,13 +102,26 @@ def held_out_summary(judgements: Sequence[Judgement], silent: Collection[int]) -
     """
     if not judgements:
         return None
-    parts = {
-        "all": list(judgements),
-        "nominal": [j for j in judgements if not j.in_outage and j.stamp_ns not in silent],
-        "imu_gap": [j for j in judgements if not j.in_outage and j.stamp_ns in silent],
-        "outage": [j for j in judgements if j.in_outage],
-    }
+    parts = {"all": list(judgements), **by_circumstance(judgements, silent)}
     return {name: _errors(part) for name, part in parts.items() if part}
+
+
+def by_circumstance(judgements: Sequence[Judgement], silent: Collection[int]) -> dict[str, list[Judgement]]:
+    """Return the judgements of each circumstance; each is in one of them.
+
+    `outage`: GNSS was cut; `recovery`: less than `RECOVERY_NS` after that; `imu_gap`: in a drop-out of the IMU; and
+    `nominal`, none of these. `silent` holds the stamps in drop-outs.
+    """
+    parts: dict[str, list[Judgement]] = {"nominal": [], "imu_gap": [], "outage": [], "recovery": []}
+    cut_ns = [judgement.stamp_ns for judgement in judgements if judgement.in_outage]
+    for one in judgements:
+        if one.in_outage:
+            parts["outage"].append(one)
+        elif any(0 < one.stamp_ns - stamp_ns <= RECOVERY_NS for stamp_ns in cut_ns):
+            parts["recovery"].append(one)
+        else:
+            parts["imu_gap" if one.stamp_ns in silent else "nominal"].append(one)
+    return parts
 
 
 def _errors(judgements: Sequence[Judgement]) -> dict[str, Any]:

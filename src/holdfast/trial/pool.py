@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import active_children, get_context
+from multiprocessing import active_children, get_context, parent_process
+from threading import Thread
 from typing import TypeVar
 
 from holdfast.errors import HoldfastError
@@ -26,7 +27,7 @@ def processes(jobs: int, if_killed: str) -> Iterator[ProcessPoolExecutor]:
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     others = active_children()
-    pool = ProcessPoolExecutor(jobs, get_context("spawn"))
+    pool = ProcessPoolExecutor(jobs, get_context("spawn"), _end_with_parent)
     is_done = False
     try:
         yield pool
@@ -36,7 +37,7 @@ def processes(jobs: int, if_killed: str) -> Iterator[ProcessPoolExecutor]:
     finally:
         pool.shutdown(wait=is_done, cancel_futures=True)
         for process in [] if is_done else set(active_children()).difference(others):
-            process.terminate()
+            process.kill()
             process.join()
 
 
@@ -57,9 +58,22 @@ def run_all(pool: ProcessPoolExecutor, calls: Sequence[Callable[[], T]], take: C
 
 @contextmanager
 def _ignoring_interrupts() -> Iterator[None]:
-    """Start processes that ignore Ctrl-C: this one handles it, and ends them."""
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)  # is inherited
+    """Start processes that ignore Ctrl-C and its like: this one handles them, and ends the processes."""
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}  # inherited
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, handler)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _end_with_parent() -> None:
+    """Let a process of the pool end with the one that started it, even if that is killed."""
+    Thread(target=_watch, name="parent", daemon=True).start()
+
+
+def _watch() -> None:
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)

@@ -1,5 +1,7 @@
 """Where a scene is shown, and what is drawn into it: a recording, the results of a replay, or a live stream."""
 
+import os
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
@@ -17,6 +19,8 @@ from holdfast.viz.scene import DATUM, FIX, Scene
 APPLICATION = "holdfast"
 FLUSH_ROWS = 20_000
 LIVE_FLUSH_S = 0.25
+DISPLAYS = "DISPLAY", "WAYLAND_DISPLAY"
+WITHOUT_DISPLAY = "write a file *.rrd, or name a viewer that runs, as --help says"
 
 
 def open_sink(target: str, name: str) -> rr.RecordingStream:
@@ -29,6 +33,8 @@ def open_sink(target: str, name: str) -> rr.RecordingStream:
     Raises:
         ConfigError: the target cannot be opened.
     """
+    if target == "window" and sys.platform == "linux" and not any(map(os.environ.get, DISPLAYS)):
+        raise ConfigError(f"window: there is no display ({', '.join(DISPLAYS)} are not set): {WITHOUT_DISPLAY}")
     recording = rr.RecordingStream(APPLICATION)
     recording.send_recording_name(name)
     try:

@@ -1,0 +1,95 @@
+"""What the fields of a message must be, and the error that names the one which is not."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+
+from holdfast.errors import MessageError
+
+LIMIT_NS = 2**63
+TEXT_CHARACTERS = 40
+NUMBERS = (float, int, np.floating, np.integer)
+
+
+class Quantity(NamedTuple):
+    """An array of a shape, or a number where the shape is (); the unit as people write it."""
+
+    shape: tuple[int, ...]
+    unit: str
+    may_be_none: bool = False
+
+    def __str__(self) -> str:
+        if not self.shape:
+            text = "a number"
+        else:
+            text = f"an array ({', '.join(map(str, self.shape))}{',' * (len(self.shape) == 1)}) of numbers"
+        return f"{text} [{self.unit}]" + " or None" * self.may_be_none
+
+    def fits(self, value: object) -> bool:
+        """Whether a value is one; NaN passes, the estimator judges it."""
+        if value is None:
+            return self.may_be_none
+        if not self.shape:
+            return isinstance(value, NUMBERS) and not isinstance(value, bool)
+        return isinstance(value, np.ndarray) and value.shape == self.shape and value.dtype.kind in "fiu"
+
+
+def check_message(message: Any, quantities: Mapping[str, Quantity]) -> None:
+    """Refuse a message of which a field has another type, shape or range.
+
+    Raises:
+        MessageError: names the field, what it must be, and what came.
+    """
+    name = type(message).__name__
+    for field in ("stamp_ns", "arrival_ns"):
+        value = getattr(message, field)
+        if not is_stamp(value):
+            raise MessageError(f"{name}.{field}: must be a whole number of nanoseconds within 64 bits, {got(value)}")
+    if not isinstance(message.sensor, str):
+        raise MessageError(f"{name}.sensor: must be a name of the configuration, {got(message.sensor)}")
+    for field, quantity in quantities.items():
+        value = getattr(message, field)
+        if not quantity.fits(value):
+            raise MessageError(f"{name}.{field}: must be {quantity}, {got(value)}")
+
+
+def is_stamp(value: object) -> bool:
+    """Whether a value is a time as messages have it."""
+    is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    return is_whole and -LIMIT_NS <= value < LIMIT_NS  # type: ignore[operator]
+
+
+def array_of(values: Any, shape: tuple[int, ...], name: str, unit: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return an argument as an array of doubles.
+
+    Raises:
+        MessageError: it has another shape, or is not made of numbers.
+    """
+    try:
+        array = np.asarray(values, np.float64)
+    except (TypeError, ValueError):
+        refuse(values, shape, name, unit)
+    if array.shape != shape:
+        refuse(values, shape, name, unit)
+    return array
+
+
+def refuse(values: object, shape: tuple[int, ...], name: str, unit: str) -> NoReturn:
+    """Raise the error of an argument that is no array of a shape."""
+    raise MessageError(f"{name}: must be {Quantity(shape, unit)}, {got(values)}")
+
+
+def got(value: object) -> str:
+    """Return what came, in a few words."""
+    if isinstance(value, np.ndarray):
+        return f"got an array {value.shape} of {value.dtype}"
+    if isinstance(value, list | tuple):
+        return f"got a {type(value).__name__} of {len(value)}: {_cut(repr(value[:4]))}"
+    if isinstance(value, int) and abs(value) >= LIMIT_NS:
+        return "got a number of more than 64 bits"
+    return f"got {_cut(repr(value))} ({type(value).__name__})"
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= TEXT_CHARACTERS else text[:TEXT_CHARACTERS] + "..."

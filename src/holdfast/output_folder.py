@@ -1,0 +1,209 @@
+"""The folder of a command's results: replaced as a whole, refused where it holds what Holdfast did not write.
+
+Results are made where they belong, so that a run which is killed leaves there what it had computed, and nothing else.
+Those of the run before wait beside them, in `.NAME.earlier`, until the new ones are complete; they come back where the
+new run fails before it has written anything. The file `.holdfast` in a folder lists what Holdfast wrote into it.
+"""
+
+import fcntl
+import json
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from shutil import rmtree
+from typing import NamedTuple
+
+from holdfast.errors import ConfigError
+
+MARK = ".holdfast"
+BAG, BAG_KEY = "metadata.yaml", b"rosbag2_bagfile_information"
+SIMULATE = "simulate"
+HEADERS_BYTES = 4096  # that the files of a run may hold before any result is in them
+SHOWN = 3  # names in an error
+
+
+class Mark(NamedTuple):
+    """What a folder says of itself: the command that wrote it, and what is in it; None while that is being written."""
+
+    command: str
+    files: tuple[str, ...] | None
+
+
+NO_MARK = Mark("", ())
+
+
+@contextmanager
+def replaced(folder: str | Path, command: str, reads: Iterable[str | Path] = ()) -> Iterator[None]:
+    """Make an empty folder for results; what an earlier run left there is gone when the block ends.
+
+    Args:
+        folder: of the results; it need not exist.
+        command: that writes them, such as `replay`.
+        reads: files and folders that are read meanwhile.
+
+    Raises:
+        ConfigError: `folder` is a file, holds or is part of what is read, holds what Holdfast did not write, or is
+            being written by another process.
+        OSError: it cannot be written.
+        KeyboardInterrupt: as it came, with the folder in its text.
+    """
+    place = _checked(folder, reads)
+    with _locked(place, folder):  # nobody else replaces what is about to be moved
+        earlier = _set_aside(place)
+    place.mkdir(parents=True, exist_ok=True)
+    try:
+        with _owned(place, folder, command):
+            yield
+    except BaseException:
+        if earlier is not None and _is_bare(place):
+            rmtree(place)
+            earlier.rename(place)
+        raise
+    finally:
+        if earlier is not None:
+            rmtree(earlier, ignore_errors=True)
+
+
+@contextmanager
+def continued(folder: str | Path, command: str, reads: Iterable[str | Path] = ()) -> Iterator[None]:
+    """Make or take up again a folder whose results are kept and added to; arguments and errors as in `replaced`."""
+    place = _checked(folder, reads)
+    place.mkdir(parents=True, exist_ok=True)
+    with _owned(place, folder, command):
+        yield
+
+
+def check_output_file(file: str | Path, reads: Iterable[str | Path] = ()) -> None:
+    """Refuse an output file that would overwrite what is read, or lie in a recording.
+
+    Raises:
+        ConfigError: names both.
+    """
+    _check_reads(_real(file), file, reads)
+
+
+def add_results(*files: Path) -> None:
+    """Note files that were written into a folder of results afterwards, so that they are replaced with it."""
+    for file in files:
+        mark = _read_mark(file.parent)
+        if mark is not None and mark.files is not None:
+            _write_mark(file.parent, Mark(mark.command, tuple(sorted({*mark.files, file.name}))))
+
+
+def _checked(folder: str | Path, reads: Iterable[str | Path]) -> Path:
+    place = _real(folder)
+    if place.exists() and not place.is_dir():
+        raise ConfigError(f"{folder}: is a file: the output must be a folder")
+    _check_reads(place, folder, reads)
+    strange = _strangers(place) if place.exists() else []
+    if strange:
+        names = ", ".join(strange[:SHOWN]) + ", ..." * (len(strange) > SHOWN)
+        raise ConfigError(f"{folder}: holds what Holdfast did not write ({names}): give another folder or an empty one")
+    return place
+
+
+def _real(path: str | Path) -> Path:
+    return Path(os.path.realpath(path))  # a loop of links is an error of whoever opens it
+
+
+def _check_reads(place: Path, name: str | Path, reads: Iterable[str | Path]) -> None:
+    for read in reads:
+        source = _real(read)
+        if not source.exists():
+            continue  # whoever reads it says so
+        if place == source or place in source.parents:
+            raise ConfigError(f"{name}: is or holds {read}, which is read: give another output")
+        # results may stand in the folder of a simulation, which is no recorder's
+        if source in place.parents and (_read_mark(source) or NO_MARK).command != SIMULATE:
+            raise ConfigError(f"{name}: is in the recording {Path(read)}: give an output outside of it")
+    bag = next((one for one in place.parents if _is_bag(one)), None)
+    if bag is not None:
+        raise ConfigError(f"{name}: is in the recording {bag}: give an output outside of it")
+
+
+def _is_bag(folder: Path) -> bool:
+    try:
+        return BAG_KEY in (folder / BAG).read_bytes()
+    except OSError:
+        return False
+
+
+def _strangers(place: Path) -> list[str]:
+    """Return what Holdfast did not write into a folder; what it was writing when it was killed, it wrote."""
+    mark = _read_mark(place) or NO_MARK
+    if mark.files is None:
+        return []
+    mine = {MARK, *mark.files}
+    return sorted(one.name for one in place.iterdir() if one.name not in mine and _read_mark(one) is None)
+
+
+def _read_mark(folder: Path) -> Mark | None:
+    """Return what `_write_mark` wrote, or None if it did not; an empty one is of a run that was killed."""
+    try:
+        found = json.loads((folder / MARK).read_text(encoding="utf-8") or '{"command": "", "files": null}')
+        return Mark(str(found["command"]), None if found["files"] is None else tuple(map(str, found["files"])))
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+
+
+def _write_mark(folder: Path, mark: Mark) -> None:
+    (folder / MARK).write_text(json.dumps(mark._asdict()) + "\n", encoding="utf-8")
+
+
+@contextmanager
+def _owned(place: Path, name: str | Path, command: str) -> Iterator[None]:
+    """Mark a folder as one that is being written, and at the end with what was written."""
+    (place / MARK).touch()
+    with _locked(place, name):
+        _write_mark(place, Mark(command, None))
+        try:
+            yield
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"what was done until then is in {name}") from None
+        finally:
+            with suppress(OSError):  # a full disk, which has been reported
+                names = sorted(one.name for one in place.iterdir() if one.name != MARK)
+                _write_mark(place, Mark(command, tuple(names)))
+
+
+@contextmanager
+def _locked(place: Path, name: str | Path) -> Iterator[None]:
+    """Hold a folder that has a mark against other processes; the lock ends with this one, however that ends."""
+    if not (place / MARK).exists():
+        yield
+        return
+    with (place / MARK).open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ConfigError(f"{name}: is being written by another process: give another folder, or wait") from None
+        except OSError:
+            pass  # a file system without locks
+        yield
+
+
+def _set_aside(place: Path) -> Path | None:
+    """Move earlier results out of the way; where nothing can be moved they are deleted, and None is returned."""
+    earlier = place.with_name(f".{place.name}.earlier")
+    if _read_mark(earlier) is not None:  # of a run that was killed
+        rmtree(earlier)
+    if not place.exists() or not any(place.iterdir()):
+        return None
+    try:
+        if place == Path.cwd() or place in Path.cwd().parents or earlier.exists():
+            raise FileExistsError
+        place.rename(earlier)
+    except OSError:  # a mount point, a parent that is read-only
+        for one in place.iterdir():
+            if one.is_dir() and not one.is_symlink():
+                rmtree(one)
+            else:
+                one.unlink()
+        return None
+    return earlier
+
+
+def _is_bare(place: Path) -> bool:
+    """Whether a run has written no more than headers."""
+    return sum(one.stat().st_size for one in place.rglob("*") if one.is_file() and one.name != MARK) < HEADERS_BYTES

@@ -1,0 +1,147 @@
+"""A message with a wrong argument says which, what it must be, and what came; a sound one passes whatever it holds."""
+
+import numpy as np
+import pytest
+
+from holdfast import Config, Estimator, HoldfastError, MessageError, RealtimeEstimator
+from holdfast.config.load import parse_config
+from holdfast.config.model import GateConfig
+from holdfast.errors import ConfigError
+from holdfast.messages import (
+    FixStatus,
+    GnssFix,
+    GnssVelocity,
+    Heading,
+    Height,
+    ImuSample,
+    JointAngle,
+    PointPosition,
+    SensorPose,
+    Twist,
+)
+
+V3, V4, M3, M6 = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.eye(3), np.eye(6)
+SOUND = {
+    ImuSample: (V3, V3),
+    GnssFix: (47.0, 8.0, 400.0, M3, FixStatus.GBAS),
+    GnssVelocity: (V3, M3),
+    SensorPose: (V3, V4, M6),
+    Heading: (0.1, 0.01),
+    JointAngle: (0.1,),
+    Twist: (V3, V3, M6),
+    PointPosition: (V3, M3),
+    Height: (1.0, 0.1),
+}
+CONFIG = """
+sensors:
+  imu: {kind: imu, topic: /imu}
+  gnss: {kind: gnss, topic: /fix, frame: imu}
+  heading: {kind: heading, topic: /heading}
+  lidar: {kind: odometry, topic: /lidar, frame: imu}
+"""
+
+
+@pytest.mark.parametrize("kind", SOUND, ids=lambda kind: kind.__name__)
+def test_every_field_of_every_message_is_named_when_it_is_wrong(kind):
+    kind(1, 2, "name", *SOUND[kind])
+    names = [*kind.QUANTITIES, *(["status"] if kind is GnssFix else [])]
+    assert len(names) == len(SOUND[kind])
+    for index, name in enumerate(names):
+        for wrong in ("a word", np.zeros((3, 1)), np.zeros(2), np.array(["x", "y", "z"]), {}, True, 1j):
+            fields = list(SOUND[kind])
+            fields[index] = wrong
+            if kind is ImuSample and getattr(wrong, "shape", None) == (3,):
+                continue  # is found when it is processed
+            with pytest.raises(MessageError, match=rf"^{kind.__name__}\.{name}: must be .*, got "):
+                kind(1, 2, "name", *fields)
+
+
+@pytest.mark.parametrize("kind", SOUND, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("stamp", [1.5, "1", None, 10**40, -(10**40), [1]])
+def test_stamps_are_whole_nanoseconds_of_64_bits(kind, stamp):
+    with pytest.raises(MessageError, match=rf"^{kind.__name__}\.stamp_ns: must be a whole number of nanoseconds"):
+        kind(stamp, 2, "name", *SOUND[kind])
+    with pytest.raises(MessageError, match=rf"^{kind.__name__}\.arrival_ns: must be a whole number of nanoseconds"):
+        kind(1, stamp, "name", *SOUND[kind])
+    kind(np.int64(1), -2, "name", *SOUND[kind])
+
+
+@pytest.mark.parametrize("kind", SOUND, ids=lambda kind: kind.__name__)
+def test_what_is_not_finite_passes_and_a_row_gives_the_message_back(kind):
+    message = kind(1, 2, "name", *SOUND[kind])
+    again = kind.of(1, 2, "name", message.values())
+    assert again.values() == message.values()
+    nowhere = kind.of(1, 2, "name", [np.nan] * 3 + list(message.values())[3:])
+    assert np.isnan(nowhere.values()[0])
+
+
+WRONG = {
+    "angular_velocity": lambda e: e.add_imu(1, [0.0, 0.0], V3),
+    "specific_force": lambda e: e.add_imu(1, V3, np.zeros((3, 1))),
+    r"angular_velocity: must be an array \(3,\) of numbers \[rad/s\], got 'abc' ": lambda e: e.add_imu(1, "abc", V3),
+    r"specific_force: must be an array \(3,\) of numbers \[m/s\^2\], got a list": lambda e: e.add_imu(
+        1, V3, [[1], 2, 3]
+    ),
+    "stamp_ns: must be a whole number of nanoseconds": lambda e: e.add_imu(1.7e9, V3, V3),
+    "latitude_deg: must be a number .deg., got 'north'": lambda e: e.add_gnss(1, "north", 8.0, 400.0),
+    r"covariance: must be an array \(3, 3\) of numbers \[m\^2\]": lambda e: e.add_gnss(
+        1, 47.0, 8.0, 1.0, covariance=[1.0]
+    ),
+    "status: must be one of .*2 GBAS, got 7": lambda e: e.add_gnss(1, 47.0, 8.0, 400.0, status=7),
+    "yaw_rad: must be a number": lambda e: e.add_heading(1, [0.1]),
+    r"position: must be an array \(3,\)": lambda e: e.add_odometry(1, [1.0], V4),
+    r"quaternion: must be an array \(4,\)": lambda e: e.add_odometry(1, V3, V3),
+    r"covariance: must be an array \(6, 6\)": lambda e: e.add_odometry(1, V3, V4, covariance=M3),
+}
+
+
+@pytest.fixture(scope="module", params=[Estimator, RealtimeEstimator], ids=lambda kind: kind.__name__)
+def engine(request):
+    made = request.param(parse_config(CONFIG))
+    yield made
+    if isinstance(made, RealtimeEstimator):
+        made.close()
+
+
+@pytest.mark.parametrize("words", WRONG)
+def test_both_engines_name_the_argument_that_is_wrong_and_go_on(engine, words):
+    with pytest.raises(MessageError, match=words):
+        WRONG[words](engine)
+    engine.add_imu(1, [0, 0, 0], (0.0, 0.0, 9.81))
+
+
+def test_readings_that_are_no_numbers_are_named_when_they_are_processed():
+    words = np.array(["x", "y", "z"])
+    with pytest.raises(MessageError, match=r"^ImuSample.angular_velocity: must be .* of <U1$"):
+        Estimator(parse_config(CONFIG)).process(ImuSample(1, 2, "imu", words, V3))
+
+
+def test_both_engines_take_in_the_same_arguments():
+    methods = {name for name in dir(RealtimeEstimator) if name.startswith("add_")}
+    assert methods >= {"add_imu", "add_gnss", "add_heading", "add_odometry", "add_joint", "add_base_imu"}
+    assert all(getattr(Estimator, name) is getattr(RealtimeEstimator, name) for name in methods)
+
+
+@pytest.mark.parametrize(
+    ("make", "lines"),
+    [
+        (Config, ["Config: sensors: missing, must be names, each with a section"]),
+        (
+            lambda: GateConfig(lag=3, lose_after=0),
+            ["GateConfig: lose_after = 0: must be >= 1", "GateConfig: lag: unknown key, allowed are innovation, "],
+        ),
+        (
+            lambda: Config(sensors={"a": {"kind": "gns"}}),
+            ['Config: sensors.a: kind = "gns": did you mean gnss? must be one of imu, '],
+        ),
+        (lambda: Config(sensors={}), ["Config: sensors: needs a sensor with `kind: imu`"]),
+        (lambda: Config(sensors=V3), ['Config: sensors = "array([0., 0., 0.])": must be names, each with a section']),
+    ],
+)
+def test_a_section_made_in_a_program_says_what_is_wrong_in_one_line_per_fault(make, lines):
+    with pytest.raises(ConfigError) as caught:
+        make()
+    assert isinstance(caught.value, HoldfastError)
+    found = str(caught.value).splitlines()
+    assert len(found) == len(lines)
+    assert all(text.startswith(words) for text, words in zip(found, lines, strict=True)), found

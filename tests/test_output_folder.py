@@ -1,0 +1,173 @@
+"""A folder of results is replaced as a whole, and nothing that somebody else wrote is touched."""
+
+import multiprocessing
+import os
+from pathlib import Path
+
+import pytest
+
+from holdfast.errors import ConfigError
+from holdfast.output_folder import MARK, add_results, check_output_file, continued, replaced
+
+RESULT = "x" * 5000  # more than headers
+
+
+def write(folder: Path, *names: str, text: str = RESULT, **options: object) -> None:
+    with replaced(folder, "replay", **options):
+        for name in names:
+            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).write_text(text)
+
+
+def names(folder: Path) -> set[str]:
+    return {file.name for file in folder.iterdir()} - {MARK}
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    return tmp_path / "parent" / "out"
+
+
+def test_no_file_of_an_earlier_run_remains(out):
+    write(out, "a.tum", "truth/b.tum")
+    write(out, "c.tum")
+    assert names(out) == {"c.tum"}
+    assert names(out.parent) == {"out"}
+
+
+def test_the_results_of_a_run_that_fails_replace_the_earlier_ones(out):
+    write(out, "a.tum", "b.tum")
+    with pytest.raises(ZeroDivisionError), replaced(out, "replay"):
+        (out / "a.tum").write_text("new" + RESULT)
+        raise ZeroDivisionError
+    assert names(out) == {"a.tum"}
+    assert (out / "a.tum").read_text().startswith("new")
+
+
+def test_earlier_results_come_back_if_a_run_fails_before_it_has_any(out):
+    write(out, "a.tum", "b.tum")
+    with pytest.raises(ZeroDivisionError), replaced(out, "replay"):
+        (out / "c.tum").write_text("header")
+        raise ZeroDivisionError
+    assert names(out) == {"a.tum", "b.tum"}
+    assert names(out.parent) == {"out"}
+
+
+def test_an_interrupt_names_the_folder(out):
+    with pytest.raises(KeyboardInterrupt, match=f"what was done until then is in {out}"), replaced(out, "replay"):
+        raise KeyboardInterrupt
+
+
+def test_what_holdfast_did_not_write_is_named_and_kept(out):
+    write(out, "a.tum")
+    (out / "notes.txt").write_text("mine")
+    with pytest.raises(ConfigError, match=r"out: holds what Holdfast did not write \(notes.txt\): give another folder"):
+        write(out, "b.tum")
+    assert names(out) == {"a.tum", "notes.txt"}
+    for strange in ("b", "c", "d"):
+        (out / strange).touch()
+    with pytest.raises(ConfigError, match=r"\(b, c, d, \.\.\.\)"):
+        write(out, "b.tum")
+
+
+def test_results_that_were_added_and_results_of_other_runs_within_are_replaced_too(out):
+    write(out, "a.tum")
+    (out / "report.html").touch()
+    add_results(out / "report.html")
+    write(out / "within", "b.tum")
+    write(out, "c.tum")
+    assert names(out) == {"c.tum"}
+
+
+def test_a_run_that_was_killed_leaves_its_files_only_and_the_next_one_replaces_them(out):
+    write(out, "a.tum")
+    killed = multiprocessing.get_context("fork").Process(target=write_and_die, args=(out,))
+    killed.start()
+    killed.join()
+    assert killed.exitcode == 9
+    assert names(out) == {"b.tum"}
+    write(out, "c.tum")
+    assert names(out) == {"c.tum"}
+    assert names(out.parent) == {"out"}
+
+
+def write_and_die(out: Path) -> None:
+    with replaced(out, "replay"):
+        (out / "b.tum").write_text("half")
+        os._exit(9)
+
+
+def test_a_folder_that_another_process_writes_is_refused(out):
+    with replaced(out, "replay"):
+        (out / "a.tum").write_text(RESULT)
+        with pytest.raises(ConfigError, match="is being written by another process"):
+            write(out, "b.tum")
+    assert names(out) == {"a.tum"}
+
+
+def test_an_output_folder_that_is_a_link_stays_one(out, tmp_path):
+    write(out, "a.tum")
+    link = tmp_path / "link"
+    link.symlink_to(out)
+    write(link, "b.tum")
+    assert link.is_symlink()
+    assert names(out) == {"b.tum"}
+
+
+def test_the_folder_in_which_one_is_can_be_replaced(out, monkeypatch):
+    write(out, "a.tum", "truth/b.tum")
+    monkeypatch.chdir(out)
+    with replaced(".", "replay"):
+        Path("c.tum").write_text(RESULT)
+    assert names(Path()) == {"c.tum"}
+
+
+def test_a_folder_that_goes_on_keeps_its_results_and_refuses_what_is_strange(out):
+    for name in ("a", "b"):
+        with continued(out, "batch"):
+            (out / name).touch()
+    assert names(out) == {"a", "b"}
+    (out / "mine").touch()
+    with pytest.raises(ConfigError, match="did not write"), continued(out, "batch"):
+        pass
+
+
+@pytest.mark.parametrize("output", ["bag", "bag/out", "bag/deeper/out", "bag/bag_0.mcap", "csv", "csv/out", "."])
+def test_nothing_is_written_into_a_recording(tmp_path, output, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for file in ("bag/bag_0.mcap", "csv/imu.csv"):
+        Path(file).parent.mkdir()
+        Path(file).write_text("measured")
+    Path("bag/metadata.yaml").write_text("rosbag2_bagfile_information: {}")
+    reads = ["bag/bag_0.mcap" if output.startswith("bag") else "csv"]
+    with pytest.raises(ConfigError, match=r"give an|must be a folder"):
+        write(Path(output), "a.tum", reads=reads)
+    assert names(tmp_path) == {"bag", "csv"}
+    assert names(Path("bag")) == {"bag_0.mcap", "metadata.yaml"}
+
+
+@pytest.mark.parametrize("output", ["bag/bag_0.mcap", "bag/new.mcap", "csv/imu.csv", "csv/new.csv"])
+def test_no_file_is_written_into_a_recording_that_is_read(tmp_path, output):
+    for file in ("bag/bag_0.mcap", "csv/imu.csv"):
+        (tmp_path / file).parent.mkdir()
+        (tmp_path / file).touch()
+    with pytest.raises(ConfigError, match="give an"):
+        check_output_file(tmp_path / output, [tmp_path / "bag", tmp_path / "csv"])
+    check_output_file(tmp_path / "new.csv", [tmp_path / "bag", tmp_path / "csv"])
+
+
+def test_results_may_stand_in_the_folder_of_a_simulation_but_not_take_its_place(tmp_path):
+    site = tmp_path / "site"
+    with replaced(site, "simulate"):
+        (site / "recording.mcap").touch()
+    write(site / "out", "a.tum", reads=[site])
+    with pytest.raises(ConfigError, match=r"site: is or holds .*, which is read: give another output"):
+        write(site, "a.tum", reads=[site / "recording.mcap"])
+
+
+def test_the_configuration_that_is_read_is_never_replaced(out):
+    write(out, "config.yaml")
+    with pytest.raises(ConfigError, match=r"is or holds .*config.yaml, which is read"):
+        write(out, "a.tum", reads=[out / "config.yaml"])
+    with pytest.raises(ConfigError, match="which is read"):
+        check_output_file(out / "config.yaml", [out / "config.yaml"])
