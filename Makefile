@@ -8,6 +8,9 @@ PYTHON :=
 CANDIDATES := $(or $(PYTHON),python3 python3.13 python3.12 python3.11 python3.14 python)
 SUITABLE := import ensurepip, sys, venv; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))
 
+FUZZ_SECONDS := 600
+FUZZ_TARGETS := cdr csv mcap db3 bag metadata tum config upgrade
+
 PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
 
 # one process per core is enough: no threads below it
@@ -16,7 +19,7 @@ export OMP_NUM_THREADS := 1
 export MPLBACKEND := Agg
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all fuzz check lint docs bench results scenarios paper paper-quick clean
+.PHONY: help demo test test-all fuzz properties check lint docs bench results scenarios paper paper-quick clean
 
 help: ## Show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1: /p' Makefile | awk -F': ' '{ printf "  make %-11s %s\n", $$1, $$2 }'
@@ -30,7 +33,13 @@ test: $(READY) ## Run the fast tests (5 minutes on two busy cores)
 test-all: $(READY) ## Run every test, those on whole recordings too
 	@$(PYTEST)
 
-fuzz: $(READY) ## Search at random for examples that break the property tests
+fuzz: $(READY) ## Feed every decoder and the configuration with broken inputs: FUZZ_SECONDS each (600)
+	@for target in $(FUZZ_TARGETS); do \
+	    echo "fuzzing $$target for $(FUZZ_SECONDS) s"; \
+	    $(BIN)/python tests/fuzz/fuzz.py $$target --seconds $(FUZZ_SECONDS) || exit 1; \
+	done
+
+properties: $(READY) ## Search at random for examples that break the property tests
 	@HOLDFAST_FUZZ=1 $(PYTEST) $$(grep -rl --include='test_*.py' 'from hypothesis' tests)
 
 check: lint test ## Run what must pass before a commit (linters and fast tests)

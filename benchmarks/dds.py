@@ -2,7 +2,8 @@
 
 `python benchmarks/dds.py` measures in one run, each at 100, 200 and 400 Hz: a socket that answers with as many bytes
 (the floor), DDS that answers with an Odometry at once (the transport), and `holdfast live` on a simulated drive at its
-own 100 Hz, which decodes, estimates, encodes and publishes meanwhile.
+own 100 Hz, which decodes, estimates, encodes and publishes meanwhile. `--flood 4000` measures `holdfast live` alone,
+first as it is, then while one antenna publishes 4000 fixes a second.
 """
 
 import argparse
@@ -18,6 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -30,7 +32,7 @@ from holdfast.live.dds import Network
 from holdfast.live.idl import STORE
 from holdfast.ros.cdr import OdometryEncoder
 
-IMU, ODOMETRY = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry"
+IMU, FIX, ODOMETRY = "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix", "nav_msgs/msg/Odometry"
 LOOPBACK: dict[str, Any] = {"interface": "lo", "multicast": False, "peers": ["localhost"]}
 STAMP = struct.Struct("<iI")  # behind the four bytes of the encapsulation
 ODOMETRY_BYTES = 720
@@ -160,13 +162,32 @@ def report(name: str, took: list[float], unanswered: int) -> dict[str, Any]:
             "median_ms": median, "p95_ms": p95, "p99_ms": p99, "max_ms": max(took)}  # fmt: skip
 
 
-def beside(target: Callable[[int], None], number: int) -> Any:
-    process = get_context("spawn").Process(target=target, args=(number,), daemon=True)
+def beside(target: Callable[..., None], *arguments: float) -> Any:
+    process = get_context("spawn").Process(target=target, args=arguments, daemon=True)
     process.start()
     return process
 
 
-def measure_live(domain: int, folder: Path, seconds: float, arguments: Sequence[str]) -> tuple[list[float], int]:
+def flood_fixes(domain: int, rate_hz: float) -> None:
+    """Publish fixes on the topic of the left antenna, as a driver that has lost its mind."""
+    publish = join(domain).advertise("/gnss/left/fix", FIX)
+    types = STORE.types
+    stamp = types["builtin_interfaces/msg/Time"](0, 0)
+    header, status = types["std_msgs/msg/Header"](stamp, "gnss_left"), types["sensor_msgs/msg/NavSatStatus"](2, 1)
+    covariance = (np.eye(3) * 1e-4).ravel()
+    data = bytearray(STORE.serialize_cdr(types[FIX](header, status, 47.4, 8.5, 500.0, covariance, 2), FIX))
+    began, sent = time.perf_counter(), 0
+    while True:
+        while sent < (time.perf_counter() - began) * rate_hz:
+            STAMP.pack_into(data, 4, *divmod(time.time_ns(), 10**9))
+            publish(bytes(data))
+            sent += 1
+        time.sleep(0.0005)
+
+
+def measure_live(
+    domain: int, folder: Path, seconds: float, arguments: Sequence[str], flood_hz: float = 0.0
+) -> tuple[list[float], int]:
     subprocess.run(
         [sys.executable, "-c", HOLDFAST, "simulate", "construction", "--duration", str(seconds), "-o", str(folder)],
         check=True,
@@ -185,12 +206,21 @@ def measure_live(domain: int, folder: Path, seconds: float, arguments: Sequence[
         text=True,
     )
     assert live.stderr is not None
-    while not live.stderr.readline().startswith("publishing"):
+    while "publishing" not in live.stderr.readline():
         if live.poll() is not None:
             sys.exit("holdfast live has ended")
+    lines: list[str] = []
+    reading = Thread(target=lambda: lines.extend(live.stderr or ()), daemon=True)
+    reading.start()
     peer = OverDds(domain, topics, "/holdfast/odometry/world")
+    flood = beside(flood_fixes, domain, flood_hz) if flood_hz else None
     time.sleep(2.0)
     took, unanswered = round_trips(peer, of_drive(rows))
+    if flood is not None:
+        flood.kill()
+        reading.join(0.1)
+        print("".join(f"    live: {line}" for line in lines[:20]), end="")
+        print(f"    live: {len(lines)} lines in all")
     live.send_signal(signal.SIGINT)
     live.wait(60)
     return took, unanswered
@@ -200,6 +230,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each measurement")
     parser.add_argument("--json", type=Path, help="write the numbers to this file as well")
+    parser.add_argument("--flood", type=float, metavar="HZ", help="measure `live` alone, without and with this")
     options = parser.parse_args()
     domain = random.SystemRandom().randrange(1, 98)
     port = 20000 + random.SystemRandom().randrange(10000)
@@ -207,6 +238,12 @@ def main() -> None:
     print(", ".join(f"{key} {value}" for key, value in machine.items()))
     print(f"{'Imu in, Odometry out':34s} {'median':>7s} {'p95':>7s} {'p99':>7s} {'max':>7s}")
     results = []
+    if options.flood:
+        with TemporaryDirectory() as folder:
+            for number, rate_hz in enumerate((0.0, options.flood), start=1):
+                measured = measure_live(domain + number, Path(folder) / str(number), options.seconds, (), rate_hz)
+                results.append(report(f"holdfast live, {rate_hz:g} Hz of fixes", *measured))
+        return
     processes = [beside(echo_datagrams, port), beside(echo_odometry, domain)]
     time.sleep(3.0)
     datagrams, dds = OverDatagrams(port), OverDds(domain, {"/imu/data": IMU}, "/odometry")

@@ -47,6 +47,7 @@ class Outcome(StrEnum):
     NO_JOINT_ANGLE = "no_joint_angle"
     NO_PREDECESSOR = "no_predecessor"
     IGNORED = "ignored"
+    OVERLOAD = "overload"
 
 
 class EventKind(StrEnum):
@@ -56,6 +57,7 @@ class EventKind(StrEnum):
     WAITING = "waiting"
     REJECTED = "rejected"
     LATE = "late"
+    OVERLOAD = "overload"
     COVARIANCE_ASSUMED = "covariance_assumed"
     IMU_GAP = "imu_gap"
     CLOCK_STEP = "clock_step"

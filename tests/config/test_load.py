@@ -2,6 +2,7 @@
 
 import math
 import re
+import time
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -230,6 +231,35 @@ def test_a_section_in_part_keeps_the_defaults_of_its_place_and_a_bare_heading_ke
 )
 def test_what_is_no_configuration_at_all_is_refused_in_one_line(text: str, fault: str) -> None:
     assert faults(text)[0].startswith(fault)
+
+
+@pytest.mark.parametrize("text", [
+    "a: [" + "1, " * 1_000_000 + "]",
+    "".join(f"k{k}: 1\n" for k in range(300_000)),
+])  # fmt: skip
+def test_three_megabytes_of_yaml_are_refused_at_once(tmp_path: Path, text: str) -> None:
+    (tmp_path / "f.yaml").write_text(text)
+    began = time.perf_counter()
+    with pytest.raises(ConfigError, match=r"f\.yaml: is too large to be a configuration"):
+        load_config(tmp_path / "f.yaml")
+    assert time.perf_counter() - began < 1.0  # it took 100 s
+
+
+def test_deep_nesting_is_refused_at_its_line() -> None:
+    text = "\n".join(" " * k + "a:" for k in range(60))
+    assert faults(text) == ["f.yaml:52 is nested too deeply, or an alias contains itself"]
+
+
+@pytest.mark.parametrize("text", [
+    "k" * 100_000 + ": 1",
+    "a: !" + "x" * 100_000,
+    "sensors: {imu: {kind: " + "x" * 100_000 + "}}",
+    "sensors: {imu: {kind: imu, topic: a, gyroscope_noise_density: {value: 1, unit: " + "x" * 100_000 + "}}}",
+    "".join(f"k{k}: 1\n" for k in range(10_000)),
+])  # fmt: skip
+def test_a_fault_quotes_at_most_a_line_of_the_file(text: str) -> None:
+    found = faults(text)
+    assert len(found) <= 51 and all(len(line) < 700 for line in found)
 
 
 @pytest.mark.parametrize(

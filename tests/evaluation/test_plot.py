@@ -47,7 +47,7 @@ def test_no_line_is_drawn_over_a_gap():
 
 def test_a_missing_matplotlib_is_named_with_its_remedy(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(ConfigError, match=r"pip install holdfast\[plot\]"):
+    with pytest.raises(ConfigError, match=r"needs matplotlib: pip install -e '\.\[plot\]'"):
         check_plot(Path("figure.png"))
 
 

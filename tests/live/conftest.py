@@ -13,6 +13,7 @@ import pytest
 from network import LiveProcess
 
 HERE = Path(__file__).parent
+sys.path.append(str(HERE.parent / "recording"))  # its bags serve here too
 
 
 @pytest.fixture

@@ -123,7 +123,7 @@ def test_messages_that_make_no_sense_are_counted_and_reported_and_never_fatal(li
 @pytest.mark.slow
 def test_a_drive_with_controls_a_full_disk_and_ctrl_c(live, joined, tmp_path):
     log, scene = tmp_path / "log.mcap", tmp_path / "scene.rrd"
-    process = live("--record", log, "--view", scene)
+    process = live("--record", log, "--view", scene, commands=True)
     process.wait_for("publishing")
     net = joined()
     machine = Machine(net, TOPICS)
@@ -255,5 +255,5 @@ def test_a_missing_extra_is_named_with_the_command_that_installs_it(missing, arg
     command = [sys.executable, "-c", code, *(places.get(argument, argument) for argument in arguments)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr.splitlines()[0].endswith(f'pip install "holdfast[{extra}]"')
+    assert done.stderr.splitlines()[0].endswith(f"pip install -e '.[{extra}]' in the checkout of Holdfast")
     assert len(done.stderr.splitlines()) == 1

@@ -171,7 +171,7 @@ def test_memory_stays_bounded_while_it_waits_for_a_fix(drive, make):
 
 
 def test_a_full_queue_is_counted_and_reported_once(drive):
-    with RealtimeEstimator(with_settings(drive.config, realtime={"hang_s": 60.0})) as engine:
+    with RealtimeEstimator(with_settings(drive.config, realtime={"hang_s": 60.0, "max_rate_hz": 1e9})) as engine:
         engine.wait_until_ready()
         os.kill(engine.optimiser_pid, signal.SIGSTOP)
         fix = next(m for m in drive.messages if isinstance(m, GnssFix))
@@ -237,7 +237,7 @@ def test_an_estimate_that_would_not_be_finite_is_not_given(drive, engine):
     assert engine.initialised
 
 
-def test_a_flood_of_fixes_loses_nothing_and_the_state_keeps_up(drive, engine):
+def test_a_flood_of_fixes_is_all_accounted_for_and_the_state_keeps_up(drive, engine):
     messages = []
     for message in drive.between(BEGIN_S, 6.0):
         messages.append(message)

@@ -83,6 +83,7 @@ def test_quaternions_of_few_digits_are_normalised(tmp_path: Path) -> None:
         (ROW + "2.5 1 2 x 0 0 0 1\n", "t.tum:2: is not made of 8 numbers"),
         (ROW + "now 1 2 3 0 0 0 1\n", "t.tum:2: is not made of 8 numbers"),
         (ROW + "inf 1 2 3 0 0 0 1\n", "t.tum:2: has a number that is not finite or a stamp beyond 292 years"),
+        (ROW + "1e999999 1 2 3 0 0 0 1\n", "t.tum:2: has a number that is not finite or a stamp beyond 292 years"),
         (ROW + "2.5 1 2 nan 0 0 0 1\n", "t.tum:2: has a number that is not finite"),
         (ROW + "1e30 1 2 3 0 0 0 1\n", "t.tum:2: has a number that is not finite or a stamp beyond 292 years"),
         (ROW + "2.5 1 2 3 0 0 0 0.5\n", "t.tum:2: quaternion has norm 0.5 (allowed: 1"),

@@ -175,7 +175,7 @@ def test_what_a_scan_sees_does_not_change_the_numbers_of_the_next() -> None:
 
 def test_a_missing_embreex_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "embreex.rtcore_scene", None)
-    with pytest.raises(ConfigError, match=r"needs embreex: pip install 'holdfast\[sim\]'$"):
+    with pytest.raises(ConfigError, match=r"needs embreex: pip install -e '\.\[sim\]' in the checkout"):
         _scanner()
 
 

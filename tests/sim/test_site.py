@@ -120,7 +120,8 @@ def test_a_ground_with_too_many_triangles_is_refused() -> None:
 
 def test_a_missing_trimesh_is_named(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "trimesh", None)
-    with pytest.raises(ConfigError, match=r"^the mesh of a site needs trimesh: pip install 'holdfast\[sim\]'$"):
+    expected = r"^the mesh of a site needs trimesh: pip install -e '\.\[sim\]' in the checkout"
+    with pytest.raises(ConfigError, match=expected):
         site.mesh()
 
 

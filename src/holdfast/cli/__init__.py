@@ -11,6 +11,7 @@ from types import FrameType
 import click
 
 from holdfast import __version__
+from holdfast.cli.terminal import guarded, shortened
 from holdfast.errors import HoldfastError
 
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -64,7 +65,7 @@ def holdfast() -> None:
 
 def _one_line(message: Warning | str, *_: object, **__: object) -> str:
     """Return a warning as the user should read it: what it is, not which line of code gave it."""
-    return f"warning: {message}\n"
+    return f"warning: {shortened(str(message))}\n"
 
 
 @contextmanager
@@ -99,6 +100,11 @@ def _interruptible() -> Iterator[list[int]]:
 def main() -> None:
     """Run the command line; a mistake of the user ends in one line and an exit code, not in a traceback."""
     warnings.formatwarning = _one_line
+    with guarded():
+        _run()
+
+
+def _run() -> None:
     caught: list[int] = []
     try:
         with _interruptible() as caught:
@@ -114,8 +120,8 @@ def main() -> None:
             click.echo(": ".join(["interrupted", *map(str, interrupt.args)]), err=True)
         sys.exit(128 + (caught[0] if caught else signal.SIGINT))
     except HoldfastError as error:
-        for line in str(error).splitlines():
-            click.echo(f"error: {line}", err=True)
+        for line in str(error).split("\n"):
+            click.echo(f"error: {shortened(line)}", err=True)
         sys.exit(error.exit_code)
     except BrokenPipeError:
         sys.stderr.close()

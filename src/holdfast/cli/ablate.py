@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import click
 
 from holdfast.cli.columns import aligned
-from holdfast.cli.extras import needing
 from holdfast.cli.progress import count_bar
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
+from holdfast.extras import needing
 from holdfast.output_folder import replaced
 from holdfast.trial.variations import VARIATIONS
 

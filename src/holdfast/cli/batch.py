@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from holdfast.cli.terminal import guarded_console
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError, HoldfastError
 from holdfast.output_folder import continued
@@ -102,7 +103,6 @@ def _table_on_screen(planned: "Sequence[Job]", outcomes: "Mapping[str, Outcome]"
     if not sys.stderr.isatty():
         yield
         return
-    from rich.console import Console
     from rich.live import Live
 
     from holdfast.fleet.run import kept_outcome
@@ -112,7 +112,7 @@ def _table_on_screen(planned: "Sequence[Job]", outcomes: "Mapping[str, Outcome]"
         now = {job.name: kept_outcome(job) if job.name in waiting else outcomes[job.name] for job in planned}
         return progress_table(list(now.values()))
 
-    with Live(get_renderable=table, console=Console(stderr=True), refresh_per_second=1):
+    with Live(get_renderable=table, console=guarded_console(stderr=True), refresh_per_second=1):
         yield
 
 

@@ -10,6 +10,7 @@ import click
 from holdfast.cli.bench_realtime import realtime
 from holdfast.cli.progress import progress_bar
 from holdfast.cli.replay import check_window
+from holdfast.cli.terminal import guarded_console
 from holdfast.cli.writing import check_folder_of, write_json
 from holdfast.errors import ConfigError, HoldfastError
 
@@ -117,14 +118,13 @@ def _run_all(
 
 def _print(result: dict[str, Any]) -> None:
     from rich import box
-    from rich.console import Console
     from rich.table import Table
 
     from holdfast.bench.replay import RATIOS
 
     machine, runs = result["machine"], result["runs"]
     plain = not sys.stdout.isatty()
-    console = Console(highlight=False, markup=False, width=120 if plain else None)
+    console = guarded_console(highlight=False, markup=False, width=120 if plain else None)
     console.print(f"{machine['cpu']}, {machine['cores']} cores, Python {machine['python']}, gtsam {machine['gtsam']}")
     recorded = next(iter(runs.values()))["timing"]["recorded_s"]
     console.print(f"{result['recording']}: {recorded:.1f} s recorded")

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from holdfast.cli.extras import needing
 from holdfast.cli.progress import progress_bar
 from holdfast.cli.replay import check_window
+from holdfast.cli.terminal import guarded_console
 from holdfast.cli.writing import check_folder_of, write_json
 from holdfast.errors import ConfigError
+from holdfast.extras import needing
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -133,12 +134,11 @@ def _simulate(folder: Path, duration_s: float) -> None:
 
 def _print(result: dict[str, Any]) -> None:
     from rich import box
-    from rich.console import Console
     from rich.table import Table
 
     machine, runs = result["machine"], result["runs"]
     plain = not sys.stdout.isatty()
-    console = Console(highlight=False, markup=False, width=120 if plain else None)
+    console = guarded_console(highlight=False, markup=False, width=120 if plain else None)
     console.print(f"{machine['cpu']}, {machine['cores']} cores, Python {machine['python']}, gtsam {machine['gtsam']}")
     console.print(f"{result['recording']}: {result['duration_s']:g} s, nodes: {result['nodes']}")
     table = Table(box=None if plain else box.SIMPLE_HEAD, pad_edge=not plain)

@@ -8,9 +8,9 @@ import click
 
 from holdfast.cli.columns import aligned
 from holdfast.cli.command_line import command_line
-from holdfast.cli.extras import needing
 from holdfast.cli.names import names_of
 from holdfast.errors import ConfigError
+from holdfast.extras import needing
 
 if TYPE_CHECKING:
     from holdfast.report.comparison import Change, Comparison

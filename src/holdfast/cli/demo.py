@@ -7,6 +7,7 @@ import click
 
 from holdfast.cli.progress import progress_bar
 from holdfast.cli.replay import write_summary
+from holdfast.cli.terminal import guarded_console
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import HoldfastError
 from holdfast.output_folder import replaced
@@ -71,7 +72,6 @@ def demo(output: str) -> None:
 
 def _print_table(run: "Replay") -> None:
     import numpy as np
-    from rich.console import Console
     from rich.table import Table
 
     from holdfast.replay.summary import by_circumstance
@@ -95,7 +95,7 @@ def _print_table(run: "Replay") -> None:
             e = np.array([np.hypot(j.error[0], j.error[1]) for j in judgements])
             values = (np.sqrt(np.mean(e**2)), np.median(e), np.percentile(e, 95), e.max())
             table.add_row(name, str(len(e)), *(f"{value:.2f}" for value in values))
-    Console().print(table)
+    guarded_console().print(table)
     click.echo("(*) the logger drew lines through the positions too: those fixes are no measurements.")
     click.echo("(**) two fixes, 2 s apart here, must agree with each other before GNSS is trusted again.")
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 import click
 from click.core import ParameterSource
 
+from holdfast.cli.terminal import guarded_console
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError, RecordingError
 from holdfast.output_folder import add_results, check_output_file
@@ -245,10 +246,9 @@ def _write_json(path: Path, verdicts: "list[Accuracy]", estimate: Path, referenc
 
 
 def _console() -> "Console":
-    from rich.console import Console
-
-    console = Console(highlight=False)
-    return Console(highlight=False, width=max(console.width, _TABLE_COLUMNS if console.is_terminal else _PIPE_WIDTH))
+    console = guarded_console(highlight=False)
+    console.width = max(console.width, _TABLE_COLUMNS if console.is_terminal else _PIPE_WIDTH)
+    return console
 
 
 def _print(verdicts: "list[Accuracy]", estimate: Path, reference: Path) -> None:

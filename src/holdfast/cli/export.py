@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from holdfast.cli.extras import needing
 from holdfast.cli.writing import check_folder_of, naming_the_output
 from holdfast.errors import ConfigError
+from holdfast.extras import needing
 
 if TYPE_CHECKING:
     from holdfast.export.site_grid import SiteGrid

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from holdfast.cli.progress import reading_bar
+from holdfast.cli.terminal import guarded_console
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -65,10 +66,8 @@ def _topic_json(topic: "TopicFindings") -> dict[str, Any]:
 
 
 def _print(inspection: "Inspection", problems: list[str]) -> None:
-    from rich.console import Console
-
     plain = not sys.stdout.isatty()
-    console = Console(markup=False, highlight=False, width=PIPE_WIDTH if plain else None)
+    console = guarded_console(markup=False, highlight=False, width=PIPE_WIDTH if plain else None)
     console.print(_title(inspection))
     _print_table(console, inspection, plain=plain)
     for topic in inspection.topics:

@@ -4,6 +4,7 @@ import gc
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from datetime import datetime
 from multiprocessing import resource_tracker
 from time import monotonic
 from types import FrameType
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from holdfast.errors import ConfigError, EstimatorError
+from holdfast.extras import needing
 
 if TYPE_CHECKING:
     from holdfast.config.live import LiveConfig
@@ -40,8 +42,8 @@ def live(config_path: str, record_path: str | None, view_target: str | None, dur
 
     Subscribes to the topics that the configuration names (section `live`: domain, network card, peers) and publishes
     ~/odometry/world, ~/odometry/odom, ~/odometry/base, ~/path, ~/datum, /tf, /tf_static, /diagnostics and /rosout,
-    where ~ is /holdfast. A message on ~/reset (std_msgs/Empty) makes it begin anew, one on ~/set_datum
-    (sensor_msgs/NavSatFix) moves the origin of the world. Ends with Ctrl-C, its files complete.
+    where ~ is /holdfast. With live.commands a message on ~/reset (std_msgs/Empty) makes it begin anew, one on
+    ~/set_datum (sensor_msgs/NavSatFix) moves the origin of the world. Ends with Ctrl-C, its files complete.
     """
     if duration_s is not None and not duration_s > 0:
         raise ConfigError(f"--duration {duration_s:g}: must be > 0")
@@ -86,16 +88,12 @@ def _end(caught: int | None, why: str | None) -> None:
 
 
 def _show(line: str) -> None:
-    click.echo(line, err=True)
+    click.echo(f"{datetime.now().astimezone():%H:%M:%S.%f}"[:-3] + f" {line}", err=True)
 
 
 def _network(live_config: "LiveConfig") -> "Network":
-    try:
+    with needing("holdfast live", "dds"):
         from holdfast.live.dds import Network
-    except ModuleNotFoundError as error:
-        if not (error.name or "").startswith("cyclonedds"):
-            raise
-        raise ConfigError('holdfast live needs the extra dds: pip install "holdfast[dds]"') from None
     return Network(live_config)
 
 

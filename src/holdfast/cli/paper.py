@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import click
 
 from holdfast.cli.columns import aligned
-from holdfast.cli.extras import needing
 from holdfast.cli.progress import count_bar, duration
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
+from holdfast.extras import how_to_install, needing
 from holdfast.output_folder import continued
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def _report(results: "Results", output: Path, quick: bool, jobs: int) -> tuple[l
         except ConfigError as error:
             failures.append(f"no {name}: {error}")
         except ModuleNotFoundError as error:
-            failures.append(f"no {name}: it needs {error.name}: pip install 'holdfast[sim,report,plot]'")
+            failures.append(f"no {name}: it needs {error.name}: {how_to_install('sim,report,plot')}")
     return made, failures
 
 

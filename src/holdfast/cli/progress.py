@@ -11,6 +11,8 @@ import click
 if TYPE_CHECKING:
     from holdfast.recording.source import Recording
 
+from holdfast.cli.terminal import guarded_console
+
 SPEED_WINDOW_S = 600.0  # over which the time left is estimated: of long parallel runs one is done every few minutes
 QUIET_S = 10.0  # what takes no longer says nothing in a pipe
 
@@ -26,10 +28,9 @@ def progress_bar(title: str, begin_ns: int | None, end_ns: int | None) -> Iterat
         lines = PipeLines(title)
         yield lambda arrival_ns: lines.update((arrival_ns - begin_ns) / total)
         return
-    from rich.console import Console
     from rich.progress import Progress
 
-    console = Console(stderr=True)
+    console = guarded_console(stderr=True)
     with Progress(console=console, transient=True, speed_estimate_period=SPEED_WINDOW_S) as bar:
         task = bar.add_task(title, total=total)
         yield lambda arrival_ns: bar.update(task, completed=arrival_ns - begin_ns)

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import click
 
-from holdfast.cli.extras import needing
 from holdfast.errors import ConfigError
+from holdfast.extras import needing
 from holdfast.output_folder import add_results, check_output_file
 
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import click
 
-from holdfast.cli.extras import needing
 from holdfast.cli.progress import progress_bar
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError, HoldfastError
+from holdfast.extras import needing
 from holdfast.output_folder import SIMULATE, replaced
 
 

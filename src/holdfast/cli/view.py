@@ -7,6 +7,7 @@ import click
 
 from holdfast.cli.progress import progress_bar
 from holdfast.errors import ConfigError
+from holdfast.extras import needing
 from holdfast.output_folder import add_results
 
 
@@ -58,10 +59,6 @@ def drawing(command: str) -> ModuleType:
     Raises:
         ConfigError: the extra is not installed.
     """
-    try:
+    with needing(command, "viz"):
         from holdfast.viz import show
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] not in ("rerun", "rerun_bindings"):
-            raise
-        raise ConfigError(f'{command} needs the extra viz: pip install "holdfast[viz]"') from None
     return show

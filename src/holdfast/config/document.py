@@ -17,9 +17,15 @@ from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 from ruamel.yaml.reader import ReaderError
 
 from holdfast.errors import ConfigError
+from holdfast.printable import one_line, quoted
 
 Path = tuple[str | int, ...]
 CORE_TAG = "tag:yaml.org,2002:"
+MAX_FAULTS = 50
+"""Mistakes that are listed."""
+MAX_CHARACTERS = 200_000
+"""Of a file; an honest one has some thousand. Reading them takes 5 s at most."""
+MAX_DEPTH = 50
 MAX_NODES = 20_000  # aliases of aliases grow exponentially; an honest configuration has some hundred nodes
 CONSTANTS = {word: value for value in (True, False) for word in (f"{value}".lower(), f"{value}", f"{value}".upper())}
 NULLS = ("", "~", "null", "Null", "NULL")
@@ -40,13 +46,8 @@ class Fault:
 
 def path_text(path: Path) -> str:
     """Return a path as people write it: `extrinsics[0].child`."""
-    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
-    return one_line(text.removeprefix("."))
-
-
-def one_line(text: str) -> str:
-    """Return the text with everything that would break a line or hide escaped."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{quoted(part)}" for part in path)
+    return quoted(text.removeprefix("."))
 
 
 def value_text(value: object, limit: int = 60) -> str:
@@ -69,7 +70,10 @@ def raise_faults(name: str, faults: list[Fault]) -> None:
     """Raise one ConfigError that lists all faults, one line each in the order of the file; none, no error."""
     if faults:
         ordered = sorted(set(faults))
-        raise ConfigError("\n".join(f"{name}:{f.line} {f.where}{': ' * bool(f.where)}{f.what}" for f in ordered))
+        lines = [f"{name}:{f.line} {f.where}{': ' * bool(f.where)}{f.what}" for f in ordered[:MAX_FAULTS]]
+        if len(ordered) > MAX_FAULTS:
+            lines.append(f"{name}: and {len(ordered) - MAX_FAULTS} mistakes more")
+        raise ConfigError("\n".join(lines))
 
 
 def scalar(text: str) -> str | float | int | bool | None:
@@ -135,7 +139,7 @@ def read_document(text: str, name: str) -> Document:
         The document; duplicate keys, odd keys, tags and broken characters are in its `faults`.
 
     Raises:
-        ConfigError: the text is not YAML, is empty, or is not a mapping at the top.
+        ConfigError: the text is not YAML, is too large or nested too deeply, is empty, or is not a mapping at the top.
     """
     root = compose(text, name)
     if root is None:
@@ -144,15 +148,14 @@ def read_document(text: str, name: str) -> Document:
         kind = "a list" if isinstance(root, SequenceNode) else "a single value"
         raise ConfigError(f"{name}:{root.start_mark.line + 1} has {kind} at the top: must be `key: value` lines")
     document = Document(name)
-    try:
-        document.data = _Reader(document).value(root, ())
-    except RecursionError:
-        raise ConfigError(f"{name}:1 is nested too deeply, or an alias contains itself") from None
+    document.data = _Reader(document).value(root, ())
     return document
 
 
 def compose(text: str, name: str) -> Node | None:
     """Return the root node of the only YAML document in the text; every failure becomes a ConfigError of one line."""
+    if len(text) > MAX_CHARACTERS:
+        raise ConfigError(f"{name}: is too large to be a configuration (allowed: {MAX_CHARACTERS} characters)")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ReusedAnchorWarning)  # YAML 1.2 allows them
@@ -163,7 +166,7 @@ def compose(text: str, name: str) -> Node | None:
         place = f"{mark.line + 1}:{mark.column + 1}" if mark else "1"
         begun = error.context_mark  # an open bracket is noticed only at the end of the file
         since = f" ({error.context} from line {begun.line + 1})" if mark and begun and begun.line != mark.line else ""
-        problem = one_line(f"{error.problem or error.context or 'cannot be read'}{since}")
+        problem = quoted(f"{error.problem or error.context or 'cannot be read'}{since}")
         raise ConfigError(f"{name}:{place} is not YAML: {problem}") from None
     except ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
@@ -177,7 +180,7 @@ def compose(text: str, name: str) -> Node | None:
         AttributeError,
         IndexError,
     ) as error:  # ruamel leaks these on odd text
-        raise ConfigError(f"{name}:1 is not YAML: {one_line(str(error))}") from None
+        raise ConfigError(f"{name}:1 is not YAML: {quoted(error)}") from None
 
 
 class _Reader:
@@ -192,8 +195,11 @@ class _Reader:
         self.nodes += 1
         if self.nodes > MAX_NODES:
             raise ConfigError(f"{self.document.name}:1 has more than {MAX_NODES} values: are aliases nested?")
+        if len(path) > MAX_DEPTH:
+            line = node.start_mark.line + 1
+            raise ConfigError(f"{self.document.name}:{line} is nested too deeply, or an alias contains itself")
         if not str(node.tag).startswith(CORE_TAG):
-            self.document.fault(path, f"tag {node.tag} is not supported", node.start_mark.line + 1)
+            self.document.fault(path, f"tag {quoted(node.tag)} is not supported", node.start_mark.line + 1)
         if isinstance(node, MappingNode):
             return {key: self.value(value, (*path, key)) for key, value in self._pairs(node, path)}
         if isinstance(node, SequenceNode):

@@ -21,6 +21,9 @@ class LiveConfig(Section):
     multicast: bool = Field(True, description="without multicast only `peers` and those who name us are found")
     node_name: str = Field("holdfast", pattern=NAME, description="the `~` of what is published: `/holdfast/path`")
     namespace: str = Field("", pattern=NAMESPACE, description="before the node's name and topics without a slash")
+    commands: bool = Field(
+        False, description="obey `~/reset` and `~/set_datum`, from whoever sends them on the network"
+    )
     publish_tf: bool = Field(True, description="publish /tf and /tf_static; off where another node does it")
     reliable_inputs: bool = Field(
         False, description="ask for lost samples again; such a reader receives nothing from a best-effort driver"

@@ -10,7 +10,7 @@ from typing import Any, TypeVar, get_origin
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from holdfast.config.document import Document, Path, raise_faults, read_document, value_text, yaml_text
+from holdfast.config.document import MAX_CHARACTERS, Document, Path, raise_faults, read_document, value_text, yaml_text
 from holdfast.config.faults import kind_fault, note_validation_error
 from holdfast.config.legacy import modernised, old_forms
 from holdfast.config.model import Config
@@ -76,7 +76,8 @@ def read_yaml(path: str | PathLike[str], remedy: str) -> str:
         ConfigError: it cannot be read.
     """
     try:
-        return FilePath(path).read_text(encoding="utf-8-sig")
+        with FilePath(path).open(encoding="utf-8-sig") as file:
+            return file.read(MAX_CHARACTERS + 1)  # one more is refused where it is read
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start}): must be a YAML file") from None
     except FileNotFoundError:

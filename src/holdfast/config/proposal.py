@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from holdfast.config.assignment import Guess, Measured, Topic, TopicKind, assign, described, namespace
-from holdfast.config.document import one_line
 from holdfast.config.kinds import KINDS
 from holdfast.config.model import FramesConfig
 from holdfast.config.recorded_frames import RecordedFrames, RecordedLink
@@ -13,6 +12,7 @@ from holdfast.config.schema import Place
 from holdfast.config.sensors import GnssConfig, GnssVelocityConfig, HeadingConfig, ImuConfig, MountedConfig
 from holdfast.errors import RecordingError
 from holdfast.messages import Array
+from holdfast.printable import one_line
 
 BASE, CABIN = FramesConfig().base, "cabin"
 UNKNOWN_FRAME = {"offset_sigma_m": 1e4, "offset_sigma_deg": 180.0}  # of what is not given in W

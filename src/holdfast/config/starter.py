@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from holdfast.config.assignment import described
-from holdfast.config.document import one_line, yaml_text
+from holdfast.config.document import yaml_text
 from holdfast.config.kinds import KINDS
 from holdfast.config.proposal import BASE, Mount, Proposal, SensorProposal, only_what_is_known
 from holdfast.config.schema import ROOT, Place, allowed_text, is_optional, type_text
 from holdfast.errors import ConfigError
+from holdfast.printable import one_line
 
 HEAD = """\
 # Holdfast configuration for {recording}, begun by `holdfast config init`.

@@ -11,6 +11,7 @@ from fractions import Fraction
 from functools import cache
 
 from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2
+from holdfast.printable import quoted
 
 # name -> (factor to SI, {base dimension: power}); an angle is a dimension, so that rad never passes for a pure number
 NAMES: dict[str, tuple[float, dict[str, int]]] = {
@@ -83,7 +84,7 @@ def parse_unit(text: str) -> Unit:
     while at < len(text) or at == 0:
         part = FACTOR.match(text, at)
         if part is None or bool(part[1]) != (at > 0) or (part[3] and part[3] not in NAMES):
-            raise ValueError(f"unknown unit {text!r}")
+            raise ValueError(f"unknown unit {quoted(text)!r}")
         inner = parse_unit(part[2]) if part[2] else _named(part[3])
         power = Fraction(int(part[4] or 1), 2 if part[2] else 1) * (-1 if part[1] == "/" else 1)
         factor *= inner.factor ** float(power)
@@ -106,7 +107,7 @@ def conversion(unit: str, target: str) -> float:
         given = None
     if given is None or given.powers != into.powers:
         problem = "unknown unit" if given is None else "unit of another kind"
-        raise ValueError(f"{problem} {unit!r}, allowed are {', '.join(fitting(target))}")
+        raise ValueError(f"{problem} {quoted(unit)!r}, allowed are {', '.join(fitting(target))}")
     return given.factor / into.factor
 
 

@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from holdfast.errors import ConfigError, RecordingError
+from holdfast.errors import RecordingError
+from holdfast.extras import needing
 from holdfast.messages import Array
 
 SPACING_M = 0.3  # longest edge of the piece of a triangle that one sample stands for
@@ -88,10 +89,8 @@ class SurfaceIndex:
 
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = mesh
-        try:
+        with needing("the distance to a mesh", "sim"):
             from scipy.spatial import cKDTree
-        except ImportError:
-            raise ConfigError("distances to a mesh need scipy: pip install 'holdfast[sim]'") from None
         self._corners = mesh.vertices[mesh.faces]
         self.samples, self.pieces, self.areas_m2, self.radius_m = _samples(self._corners)
         self._tree = cKDTree(self.samples, balanced_tree=False, compact_nodes=False)

@@ -8,6 +8,7 @@ import numpy as np
 
 from holdfast.errors import ConfigError
 from holdfast.evaluation.accuracy import WHOLE, Accuracy
+from holdfast.extras import needing
 from holdfast.messages import Array
 
 if TYPE_CHECKING:
@@ -49,10 +50,8 @@ def check_plot(path: Path) -> None:
     """
     if path.suffix.lower() not in SUFFIXES:
         raise ConfigError(f"--plot {path}: the name must end in one of {', '.join(SUFFIXES)}")
-    try:
+    with needing("--plot", "plot"):
         import matplotlib as mpl  # noqa: F401
-    except ModuleNotFoundError:
-        raise ConfigError("--plot needs matplotlib: pip install holdfast[plot]") from None
 
 
 def plot_accuracy(accuracy: Accuracy, path: Path, title: str) -> None:

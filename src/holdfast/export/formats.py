@@ -12,6 +12,7 @@ import numpy as np
 
 from holdfast.errors import ConfigError
 from holdfast.export.target import SurveyedTrack
+from holdfast.extras import needing
 
 LEAPS = (("2006-01-01", 14), ("2009-01-01", 15), ("2012-07-01", 16), ("2015-07-01", 17), ("2017-01-01", 18))
 GPS_EPOCH_S, ADJUSTED_S = 315_964_800, 1_000_000_000  # 1980-01-06 since 1970; what LAS takes off GPS time
@@ -73,10 +74,8 @@ def write_las(track: SurveyedTrack, file: Path) -> None:
         raise ConfigError(f"{file}: LAS takes metres (allowed: --crs with a projected system, or --site-grid)")
     if int(track.stamps_ns[0]) < FIRST_UTC_NS:
         raise ConfigError(f"{file}: LAS takes GPS time, and the stamps of this track do not count from 1970")
-    try:
+    with needing("LAS", "export"):
         import laspy
-    except ImportError:
-        raise ConfigError("LAS needs laspy: pip install 'holdfast[export]'") from None
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.offsets = np.floor(track.coordinates.mean(axis=0))
     header.scales = np.full(3, LAS_SCALE_M)

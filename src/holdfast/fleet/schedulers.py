@@ -12,6 +12,7 @@ from socket import create_connection
 from urllib.parse import urlsplit
 
 from holdfast.errors import ConfigError
+from holdfast.extras import needing
 from holdfast.fleet.plan import Job
 from holdfast.fleet.run import Outcome, run_job
 
@@ -40,11 +41,9 @@ def run_on_cluster(jobs: Sequence[Job], output: Path, address: str) -> Generator
     Raises:
         ConfigError: distributed is not installed, or no scheduler answers.
     """
-    try:
+    with needing("a cluster", "fleet"):
         from distributed import Client
         from distributed import as_completed as as_completed_there
-    except ImportError:
-        raise ConfigError("a cluster needs dask.distributed: pip install 'holdfast[fleet]'") from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it logs its own regular end as a fault
     _check_address(address)
     stop_file = _stop_file(output)

@@ -6,6 +6,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Protocol
 
 from holdfast.errors import ConfigError
+from holdfast.extras import how_to_install
 from holdfast.messages import Array
 
 if TYPE_CHECKING:
@@ -54,7 +55,8 @@ def check_installed(method: str) -> None:
     """
     package, _, _ = METHODS[method]
     if find_spec(package) is None:
-        raise ConfigError(f"lidar odometry by {method} needs {package}: pip install 'holdfast[lidar]'")
+        remedy = how_to_install("lidar") if method == DEFAULT_METHOD else f"pip install {method}"
+        raise ConfigError(f"lidar odometry by {method} needs {package}: {remedy}")
 
 
 def make_registration(method: str, threads: int) -> Registration:

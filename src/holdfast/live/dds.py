@@ -8,6 +8,7 @@ import os
 import socket
 from collections import Counter
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any, NamedTuple
 from uuid import UUID
 from xml.sax.saxutils import quoteattr
@@ -23,7 +24,9 @@ from cyclonedds.util import duration
 
 from holdfast.config.live import LiveConfig
 from holdfast.errors import ConfigError
+from holdfast.live.cards import keeping_to
 from holdfast.live.idl import dds_type, ros_name
+from holdfast.printable import quoted
 from holdfast.recording.source import Closing
 
 ANY = SampleState.Any | ViewState.Any | InstanceState.Any
@@ -69,8 +72,9 @@ class Network(Closing):
     def __init__(self, live: LiveConfig) -> None:
         self.domain_id = domain_id(live)
         try:
-            self._domain = Domain(self.domain_id, configuration(live))
-            self._participant = DomainParticipant(self.domain_id)
+            with keeping_to(live.interface) if live.interface is not None else nullcontext():
+                self._domain = Domain(self.domain_id, configuration(live))
+                self._participant = DomainParticipant(self.domain_id)
         except DDSException as error:
             raise ConfigError(f"live: DDS cannot join domain {self.domain_id} ({error.msg})") from None
         self._waiting = WaitSet(self._participant)
@@ -141,8 +145,8 @@ class Network(Closing):
                 self._discovered.pop(endpoint.key, None)
             elif endpoint.participant_key != self._participant.guid and endpoint.topic_name.startswith("rt/"):
                 self._discovered[endpoint.key] = Publication(
-                    endpoint.topic_name.removeprefix("rt"),
-                    ros_name(endpoint.type_name),
+                    quoted(endpoint.topic_name.removeprefix("rt")),
+                    quoted(ros_name(endpoint.type_name)),
                     endpoint.qos[Policy.Reliability] != Policy.Reliability.BestEffort,
                 )
         return list(self._discovered.values())

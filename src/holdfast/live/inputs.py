@@ -7,6 +7,7 @@ from holdfast.errors import ConfigError
 from holdfast.live.dds import Network, Publication, Sample
 from holdfast.live.idl import STORE
 from holdfast.messages import Message
+from holdfast.printable import quoted
 from holdfast.recording.decode import Decoder
 from holdfast.recording.kinds import KINDS
 from holdfast.recording.source import Subscription
@@ -34,6 +35,8 @@ class Inputs:
         self.received: Counter[str] = Counter()
         self.reasons: dict[str, str] = {}
         self.topics: dict[str, tuple[str, ...]] = {}
+        self.sensors: dict[str, list[str]] = {}
+        self.shed: Counter[str] = Counter()
         for subscription in subscriptions:
             allowed = KINDS[subscription.kind].decoders
             known = self.topics.get(subscription.topic)
@@ -45,6 +48,7 @@ class Inputs:
                     f"sensors.{subscription.sensor}.topic: {subscription.topic} is that of another sensor"
                 )
             self.topics[subscription.topic] = types
+            self.sensors.setdefault(subscription.topic, []).append(subscription.sensor)
             for type_name in types:
                 self._decoders.setdefault((subscription.topic, type_name), []).append(allowed[type_name](subscription))
         for topic, types in self.topics.items():
@@ -83,4 +87,4 @@ class Inputs:
 
     def _count_malformed(self, topic: str, error: Exception) -> None:
         self.malformed[topic] += 1
-        self.reasons[topic] = str(error) or type(error).__name__
+        self.reasons[topic] = quoted(error) or type(error).__name__

@@ -1,5 +1,6 @@
 """The live node: samples from the network go into the estimator, its estimates out and into the feeds."""
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import isfinite
@@ -12,8 +13,10 @@ from holdfast.live.dds import Network, Sample
 from holdfast.live.feed import Feed, Record
 from holdfast.live.idl import STORE
 from holdfast.live.inputs import Inputs
+from holdfast.live.line_limit import LineLimit, Subject
 from holdfast.live.outputs import Level, Outputs
 from holdfast.live.watch import MALFORMED, Finding, Watch
+from holdfast.printable import one_line
 from holdfast.realtime.engine import RealtimeEstimator
 from holdfast.recording.source import Subscription
 from holdfast.ros.messages import OK, WARN, Status, estimator_status
@@ -21,8 +24,7 @@ from holdfast.state import Event, EventKind
 
 REVIEW_NS = 1_000_000_000
 STOP_WITHIN_S = 0.1
-REPEAT_NS = 10_000_000_000
-"""An event of the same kind is reported again only after so long."""
+MAX_LINE = 500  # characters, on the terminal and on /rosout
 GRAVE = {
     EventKind.OPTIMISER_FAULT,
     EventKind.CLOCK_STEP,
@@ -74,12 +76,14 @@ class LiveNode:
             reliable=live.reliable_inputs,
             began_ns=self._clock.now_ns(),
         )
-        self._controls = {f"{self.name}/reset": self._reset, f"{self.name}/set_datum": self._set_datum}
-        for topic, type_name in zip(self._controls, (EMPTY, FIX), strict=True):
-            network.subscribe(topic, type_name, reliable=True)
+        self._controls: dict[str, Callable[[Sample, int], None]] = {}
+        if live.commands:
+            self._controls = {f"{self.name}/reset": self._reset, f"{self.name}/set_datum": self._set_datum}
+            for topic, type_name in zip(self._controls, (EMPTY, FIX), strict=True):
+                network.subscribe(topic, type_name, reliable=True)
         self._findings: dict[str, Finding] = {}
         self._complaints: dict[str, str] = {}
-        self._reported_ns: dict[tuple[str, str], int] = {}
+        self._limit = LineLimit()
         self._datum: Geodetic | None = None
         self.has_started = False
 
@@ -90,7 +94,7 @@ class LiveNode:
             samples = self._network.wait(STOP_WITHIN_S)
             now_ns = self._clock.now_ns()
             incoming = [Record(*sample, now_ns) for sample in samples] if self._feeds else []
-            for sample in samples:
+            for sample in self._without_overload(samples, now_ns):
                 self._take(sample, now_ns)
             if self._engine.datum != self._datum:
                 self._report_datum(now_ns)
@@ -100,6 +104,29 @@ class LiveNode:
                 next_review_ns = now_ns + REVIEW_NS
                 self._review(now_ns)
             self._pass_on(incoming)
+
+    def _without_overload(self, samples: list[Sample], now_ns: int) -> list[Sample]:
+        """Leave out the oldest samples of topics of which more have come than the estimator takes in."""
+        counts = Counter(sample.topic for sample in samples)
+        surplus: dict[str, int] = {}
+        for topic, count in counts.items():
+            sensors = self.inputs.sensors.get(topic, ())
+            rooms = [self._engine.room(sensor, now_ns) for sensor in sensors]
+            room = max((room for room in rooms if room is not None), default=count)
+            if None not in rooms and count > room:
+                surplus[topic] = count - room
+                self.inputs.shed[topic] += count - room
+                for sensor in sensors:
+                    self._engine.shed(sensor, count - room, now_ns)
+        if not surplus:
+            return samples
+        kept = []
+        for sample in samples:
+            left = surplus.get(sample.topic, 0)
+            surplus[sample.topic] = left - 1
+            if left <= 0:
+                kept.append(sample)
+        return kept
 
     def _take(self, sample: Sample, now_ns: int) -> None:
         control = self._controls.get(sample.topic)
@@ -157,11 +184,13 @@ class LiveNode:
         for topic, finding in findings.items():
             before = self._findings.get(topic)
             if before is None or before.kind != finding.kind:
-                self._report(topic, finding.kind, Level.WARN, f"{topic}: {finding.text}", now_ns)
+                self._report((topic, finding.kind), Level.WARN, f"{topic}: {finding.text}", now_ns)
         for topic in self._findings.keys() - findings.keys():
             if self._findings[topic].kind != MALFORMED:
                 self._log(Level.INFO, f"{topic}: is well again", now_ns)
         self._findings = findings
+        for (source, kind), number in self._limit.end(now_ns):
+            self._log(Level.INFO, f"{source or 'estimator'}: {kind}: {number} more such lines", now_ns)
         for feed in self._feeds:
             if complaint := feed.complaint():
                 self._complaints[feed.name] = complaint
@@ -176,6 +205,7 @@ class LiveNode:
             values = [
                 ("type", " | ".join(types)),
                 ("received", str(self.inputs.received[topic])),
+                ("shed", str(self.inputs.shed[topic])),
                 ("malformed", str(self.inputs.malformed[topic])),
                 ("rate_hz", f"{reception.rate_hz(now_ns):.2f}"),
                 ("stamp_minus_clock_s", f"{reception.offset_ns * 1e-9:.6f}"),
@@ -197,15 +227,15 @@ class LiveNode:
         level = Level.WARN if event.kind in GRAVE else Level.INFO
         source = f"{event.sensor}: " if event.sensor else ""
         text = f"{source}{event.kind}: {event.reason}"
-        self._report(event.kind, f"{event.sensor} {event.reason}", level, text, now_ns)
+        self._report((event.sensor, event.kind), level, text, now_ns)
 
-    def _report(self, subject: str, kind: str, level: Level, text: str, now_ns: int) -> None:
-        """Log something, unless the same was logged a short while ago."""
-        if now_ns - self._reported_ns.get((subject, kind), -REPEAT_NS) >= REPEAT_NS:
-            self._reported_ns[subject, kind] = now_ns
+    def _report(self, subject: Subject, level: Level, text: str, now_ns: int) -> None:
+        """Log something, unless too much of its kind was logged a short while ago."""
+        if self._limit.admits(subject, now_ns):
             self._log(level, text, now_ns)
 
     def _log(self, level: Level, text: str, now_ns: int) -> None:
+        text = one_line(text, MAX_LINE)
         self._show(text if level is Level.INFO else f"{'warning' if level is Level.WARN else 'error'}: {text}")
         self.outputs.log(level, text, now_ns)
 

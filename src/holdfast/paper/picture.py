@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from holdfast.errors import ConfigError
+from holdfast.extras import needing
 from holdfast.messages import Array
 from holdfast.paper.page_figures import COLOUR
 from holdfast.paper.results import Results
@@ -31,10 +32,8 @@ def draw_picture(results: Results, folder: Path) -> Path:
     Raises:
         ConfigError: matplotlib is not installed, there is nothing to draw, or the file cannot be written.
     """
-    try:
+    with needing(PICTURE, "plot"):
         from matplotlib.figure import Figure
-    except ModuleNotFoundError:
-        raise ConfigError(f"{PICTURE} needs matplotlib: pip install 'holdfast[plot]'") from None
     if not results.curves:
         raise ConfigError(f"{PICTURE}: no system has a verdict")
     figure = Figure(figsize=(10.0, 4.3), layout="constrained")

@@ -22,6 +22,7 @@ from holdfast.realtime.event_log import EngineLog
 from holdfast.realtime.follower import StateFollower
 from holdfast.realtime.layout import Board
 from holdfast.realtime.memory import Word
+from holdfast.realtime.overload import Overload
 from holdfast.realtime.placement import place_caller
 from holdfast.realtime.records import Records, Request
 from holdfast.realtime.supervisor import START_S, Supervisor
@@ -56,6 +57,7 @@ class RealtimeEstimator(Intake):
         self._imu, self._inputs = config.imu_name, frozenset(inputs_of(config))
         self._log = EventLog(self._imu)
         self._reports = EngineLog(self._log)
+        self._overload = Overload(config, self._log)
         self._buffer = ImuBuffer(config.imu)
         self._records = Records(config)
         self._monitor = HealthMonitor(config)
@@ -229,6 +231,8 @@ class RealtimeEstimator(Intake):
             return clock.output(output) if clock.has_stepped else output
         if name not in self.config.sensors:
             raise ConfigError(f"sensors.{name}: not in the configuration, but a message of it came")
+        if not self._overload.admits(name, message.arrival_ns, self._buffer.latest_ns):
+            return self._path.clock.output(self._take_new())
         return self._path.clock.output(self._process_other(self._path.clock.read(message)))
 
     def _process_other(self, message: Message) -> Output:
@@ -246,6 +250,17 @@ class RealtimeEstimator(Intake):
         if not self._states.has_new:
             return NOTHING
         return Output(None, self._take(), self._log_now().take_smoothed())
+
+    def room(self, sensor: str, arrival_ns: int) -> int | None:
+        """Return how many measurements of a sensor will be taken in now, None if there is no limit.
+
+        Who knows of more leaves out the oldest and says so by `shed`, before work is spent on them.
+        """
+        return self._overload.room(sensor, arrival_ns)
+
+    def shed(self, sensor: str, number: int, arrival_ns: int) -> None:
+        """Count measurements that were left out because there was no `room` for them."""
+        self._overload.shed(sensor, number, arrival_ns, self._buffer.latest_ns)
 
     def reset(self) -> None:
         """Forget the state and begin anew, as at power-on; W stays where it is."""

@@ -16,7 +16,11 @@ from rosbags.rosbag2 import Reader as Reader2
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
 from holdfast.errors import RecordingError
+from holdfast.printable import one_line, quoted
+from holdfast.recording.decompression import MAX_FILE_BYTES, bound_rosbags, check_size
 from holdfast.recording.fixed_layout import FixedLayout
+
+bound_rosbags()
 
 RawMessage = tuple[int, int, bytes]
 """Arrival [ns], number of the channel, serialised message."""
@@ -82,15 +86,18 @@ class IndexedBagFile:
         try:
             self._reader = Reader1(path) if self.ros1 else Reader2(path)
             self._reader.open()
+            claimed = sum(chunk.uncompressed_size for chunk in self._chunks)
+            check_size(path.stat().st_size, claimed, MAX_FILE_BYTES)
         except Exception as error:  # rosbags lets TypeError, struct.error and others escape on damaged files
+            self.close()
             raise self._damaged("cannot be opened", error) from None
         # end_time of rosbags is one past the last message
         self.start_ns, self.end_ns = self._reader.start_time, self._reader.end_time - 1
         self.channels = [
             Channel(
                 connection.id,
-                connection.topic,
-                connection.msgtype,
+                one_line(connection.topic),
+                one_line(connection.msgtype),
                 connection.msgdef,
                 _publisher(connection.id, connection.ext),
                 connection.msgcount,
@@ -107,8 +114,12 @@ class IndexedBagFile:
     @property
     def indexed(self) -> bool:
         """Return whether an MCAP file has an index of its chunks; without it rosbags fails on unsorted messages."""
-        chunks = getattr(getattr(self._reader, "storage", None), "chunks", [])
-        return any(chunk.channel_count for chunk in chunks)
+        return any(chunk.channel_count for chunk in self._chunks)
+
+    @property
+    def _chunks(self) -> list[Any]:
+        """Return what the index of an MCAP file says of its chunks."""
+        return getattr(getattr(self._reader, "storage", None), "chunks", [])
 
     def messages(self, numbers: set[int], begin_ns: int | None, end_ns: int | None) -> Iterator[RawMessage]:
         """Yield raw messages; see `BagFile.messages`."""
@@ -121,7 +132,7 @@ class IndexedBagFile:
             raise self._damaged(f"is damaged after {arrival_ns} ns", error) from None
 
     def _damaged(self, what: str, error: Exception) -> RecordingError:
-        reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+        reason = quoted(" ".join(str(error).split())).rstrip(".") or type(error).__name__
         remedy = REMEDIES.get(self.path.suffix, "")
         return RecordingError(f"{self.path}: {what} ({reason})" + (f"; {remedy}" if remedy else ""))
 
@@ -133,7 +144,7 @@ class IndexedBagFile:
 
 def _publisher(number: int, ext: Any) -> str:
     if isinstance(ext, ConnectionExtRosbag1):
-        return ext.callerid or f"connection {number}"
+        return one_line(ext.callerid or "") or f"connection {number}"
     return f"channel {number}"
 
 
@@ -158,7 +169,8 @@ class Codec:
             fields = self._store.fielddefs[channel.type][1]
         except Exception as error:  # the parser raises what its grammar happens to
             raise RecordingError(
-                f"{file}: the definition of {channel.type} (topic {channel.topic!r}) cannot be used: {error!r}"
+                f"{file}: the definition of {channel.type} (topic {channel.topic!r}) cannot be used: "
+                f"{quoted(repr(error))}"
             ) from None
         self.has_header = bool(fields) and fields[0][1][1] == HEADER_TYPE
         self._decode = self._store.deserialize_ros1 if ros1 else self._store.deserialize_cdr
@@ -185,7 +197,7 @@ class Codec:
         big_endian = not self._ros1 and raw[1:2] == b"\x00"
         sec, nanosec, length = struct.unpack_from(">iII" if big_endian else "<iII", raw, 4)
         frame_id = raw[16 : 16 + length].rstrip(b"\x00").decode("utf-8", "replace")
-        return sec * 1_000_000_000 + nanosec, frame_id
+        return sec * 1_000_000_000 + nanosec, quoted(frame_id)
 
 
 def _definitions(channel: Channel, *, ros1: bool) -> Any:

@@ -11,6 +11,7 @@ from pathlib import Path
 from holdfast.errors import RecordingError
 from holdfast.measured_fields import is_stamp
 from holdfast.messages import Message
+from holdfast.printable import one_line, quoted
 from holdfast.recording.columns import Columns
 from holdfast.recording.decode import UndecodableError
 from holdfast.recording.kinds import KINDS
@@ -19,7 +20,6 @@ from holdfast.recording.source import TopicInfo
 from holdfast.recording.tracks import TrackRecording, last_line
 
 STAMP, ARRIVAL = "stamp_ns", "arrival_ns"
-QUOTED = 40  # characters of a cell in an error
 ABSENT = -1
 """Index of an optional column that a file has not: behind the cells of every line stands `nan`."""
 EUROC = {
@@ -71,7 +71,7 @@ class CsvTrack:
         self._arrival = self._names.index(ARRIVAL) if ARRIVAL in self._names else self._stamp
         self.start_ns = next((self._times(cells, line)[1] for line, cells, _ in self._lines()), None)
         self.end_ns = None if self.start_ns is None else self._last_arrival()
-        self.info = TopicInfo(file.stem, KINDS[self.kinds[0]].csv_type, 0 if self.start_ns is None else None)
+        self.info = TopicInfo(one_line(file.stem), KINDS[self.kinds[0]].csv_type, 0 if self.start_ns is None else None)
 
     def messages(self, kind: str, sensor: str, skipped: SkippedMessages, warnings: list[str]) -> Iterator[Message]:
         """Read the file line by line; see `Track.messages`. A last line that was cut off is a warning."""
@@ -113,7 +113,7 @@ class CsvTrack:
         bad = STAMP if not _is_stamp(cells[self._stamp]) else ARRIVAL
         text = cells[self._names.index(bad)].strip()
         raise RecordingError(
-            f"{self.file}:{line}: column {bad} is {_quoted(text)} (allowed: a whole number of nanoseconds in 64 bits)"
+            f"{self.file}:{line}: column {bad} is {quoted(text)!r} (allowed: a whole number of nanoseconds in 64 bits)"
         )
 
     def _parse(self, cells: list[str], indices: list[int], columns: Columns, line: int) -> list[float]:
@@ -131,7 +131,7 @@ class CsvTrack:
             return float(text)
         except ValueError:
             raise RecordingError(
-                f"{self.file}:{line}: column {name} is {_quoted(text)} (allowed: a number"
+                f"{self.file}:{line}: column {name} is {quoted(text)!r} (allowed: a number"
                 + (" or nothing)" if may_be_empty else ", nan if it is unknown)")
             ) from None
 
@@ -175,7 +175,7 @@ def _fault(header: Sequence[str], columns: Columns) -> str | None:
         return f"column {missing[0]} is missing"
     known = {STAMP, ARRIVAL, *columns.names}
     unknown = [name for name in header if name not in known or header.count(name) > 1]
-    return f"column {_quoted(unknown[0])} is unknown or there twice" if unknown else None
+    return f"column {quoted(unknown[0])!r} is unknown or there twice" if unknown else None
 
 
 def _column_name(text: str) -> str:
@@ -189,7 +189,3 @@ def _is_stamp(text: str) -> bool:
         return is_stamp(int(text))
     except ValueError:
         return False
-
-
-def _quoted(text: str) -> str:
-    return repr(text) if len(text) <= QUOTED else f"{text[:QUOTED]!r}..."

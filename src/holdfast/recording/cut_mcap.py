@@ -12,16 +12,18 @@ from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
+from zlib import crc32
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel as ChannelRecord
 from mcap.records import Chunk, Schema
-from mcap.stream_reader import get_chunk_data_stream
 from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 
 from holdfast.errors import RecordingError
+from holdfast.printable import one_line
 from holdfast.recording.bag_file import Channel, RawMessage
+from holdfast.recording.decompression import MAX_FILE_BYTES, OversizedError, check_size, unpack
 from holdfast.recording.merge import merge_by_arrival
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -31,7 +33,19 @@ FORMATS = {
     "ros2idl": MessageDefinitionFormat.IDL,
     "omgidl": MessageDefinitionFormat.IDL,
 }
+CLAIM_OFFSET = 16
+"""Of the size of a chunk when unpacked, behind the times of its first and last message."""
+FOOTER = struct.Struct("<BQQQI8s")
+"""Opcode, length, offset of the summary and of its offsets, checksum, magic."""
 MESSAGE_PREFIX = struct.Struct("<HIQQ")
+
+
+def has_summary(path: Path) -> bool:
+    """Return whether an MCAP file ends with a footer that names a summary."""
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - FOOTER.size))
+        end = file.read()
+    return len(end) == FOOTER.size and end.endswith(MAGIC) and FOOTER.unpack(end)[2] != 0
 
 
 @dataclass(slots=True)
@@ -49,7 +63,7 @@ class StreamedMcap:
     """An MCAP file that is read without an index.
 
     Raises:
-        RecordingError: it is no MCAP file, or not one whole message is left.
+        RecordingError: it is no MCAP file, not one whole message is left, or it unpacks to far more than it is.
     """
 
     ros1 = False
@@ -67,6 +81,7 @@ class StreamedMcap:
         try:
             if self._file.read(len(MAGIC)) != MAGIC:
                 raise RecordingError(f"{path}: is no MCAP file (its first bytes are wrong)")
+            self._check_claims()
             self._whole_bytes, self._complete = self._scan()
             if not self._segments:
                 raise RecordingError(
@@ -95,6 +110,18 @@ class StreamedMcap:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+    def _check_claims(self) -> None:
+        """Refuse a file whose chunks claim to unpack to far more than it is, before any is unpacked."""
+        claimed = 0
+        for opcode, offset, _ in self._walk():
+            if opcode == Opcode.CHUNK:
+                self._file.seek(offset + CLAIM_OFFSET)
+                claimed += int.from_bytes(self._file.read(8), "little")
+        try:
+            check_size(self._size, claimed, MAX_FILE_BYTES)
+        except OversizedError as error:
+            raise OversizedError(f"{self.path}: {error}") from None
 
     def _scan(self) -> tuple[int, bool]:
         """Find segments, schemas and channels; return where whole records end [bytes] and whether all data is there."""
@@ -141,6 +168,8 @@ class StreamedMcap:
                     number, _, log_time_ns, _ = MESSAGE_PREFIX.unpack_from(content)
                     self._counts[number] += 1
                     times.append(log_time_ns)
+        except OversizedError as error:
+            raise OversizedError(f"{self.path}: {error}") from None
         except Exception:  # decompressors and parsers raise what they like on damaged bytes; the chunk is left out
             self._damaged.append(segment.offset)
             return False
@@ -166,8 +195,12 @@ class StreamedMcap:
         if not segment.chunked:
             return self._file.read(segment.length)
         chunk = Chunk.read(ReadDataStream(BytesIO(self._file.read(segment.length))))
-        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-        return stream.read(length)
+        content = unpack(chunk.compression, chunk.data, chunk.uncompressed_size)
+        if len(content) != chunk.uncompressed_size or (
+            chunk.uncompressed_crc and crc32(content) != chunk.uncompressed_crc
+        ):
+            raise RecordingError(f"{self.path}: the chunk at byte {segment.offset} is damaged")
+        return content
 
     def _segment_messages(self, segment: Segment, numbers: set[int], begin: int, end: int) -> Iterator[RawMessage]:
         messages: list[RawMessage] = []
@@ -184,9 +217,9 @@ class StreamedMcap:
         definition = MessageDefinition(MessageDefinitionFormat.NONE, "")
         if schema is not None and schema.encoding in FORMATS:
             definition = MessageDefinition(FORMATS[schema.encoding], schema.data.decode("utf-8", "replace"))
-        name = schema.name if schema is not None else "unknown"
+        name = one_line(schema.name) if schema is not None else "unknown"
         return Channel(
-            record.id, record.topic, name, definition, f"channel {record.id}", self._counts.get(record.id, 0)
+            record.id, one_line(record.topic), name, definition, f"channel {record.id}", self._counts.get(record.id, 0)
         )
 
     def _warn(self) -> None:
@@ -208,5 +241,7 @@ def _records(content: bytes) -> Iterator[tuple[int, bytes]]:
     while position < len(content):
         opcode, length = struct.unpack_from("<BQ", content, position)
         position += 9
+        if opcode == 0:
+            raise ValueError("no record is of type 0")  # megabytes of zeros are no records of length 0
         yield opcode, content[position : position + length]
         position += length

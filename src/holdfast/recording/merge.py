@@ -4,6 +4,8 @@ from collections.abc import Callable, Iterator, Sequence
 from heapq import heapify, heappop, heapreplace
 from typing import TypeVar
 
+from holdfast.printable import quoted
+
 RowT = TypeVar("RowT", bound=tuple[int, object, object])
 
 
@@ -42,7 +44,7 @@ class SkippedMessages:
 
     def add(self, topic: str, arrival_ns: int, error: Exception) -> None:
         """Count one message."""
-        count, first_ns, reason = self._skipped.get(topic, (0, arrival_ns, str(error) or type(error).__name__))
+        count, first_ns, reason = self._skipped.get(topic, (0, arrival_ns, quoted(error) or type(error).__name__))
         self._skipped[topic] = (count + 1, first_ns, reason)
 
     def lines(self, file: str) -> list[str]:

@@ -10,13 +10,17 @@ import numpy as np
 
 from holdfast.errors import RecordingError
 from holdfast.messages import Message
+from holdfast.printable import listed
 from holdfast.recording.bag_file import BagFile, Channel, Codec, IndexedBagFile
-from holdfast.recording.cut_mcap import StreamedMcap
+from holdfast.recording.cut_mcap import StreamedMcap, has_summary
 from holdfast.recording.decode import Decoder, FieldDecoder
 from holdfast.recording.fixed_layout import FixedLayout
 from holdfast.recording.kinds import default_decoder, make_decoder
 from holdfast.recording.merge import SkippedMessages, merge_by_arrival
 from holdfast.recording.source import Closing, Header, Subscription, TopicInfo, arrival_window, find_topic
+
+MAX_METADATA_BYTES = 500_000
+"""Of a metadata.yaml; reading it takes 15 s at most."""
 
 
 @dataclass(slots=True)
@@ -92,10 +96,13 @@ def _files_of_metadata(folder: Path, warnings: list[str]) -> list[Path]:
     from ruamel.yaml import YAML
 
     try:
+        if (folder / "metadata.yaml").stat().st_size > MAX_METADATA_BYTES:
+            raise ValueError("too large")
         text = (folder / "metadata.yaml").read_text(encoding="utf-8")
         metadata: Any = YAML(typ="safe", pure=True).load(text)["rosbag2_bagfile_information"]
         names = [PurePath(name).name for name in metadata["relative_file_paths"]]
-        mode = str(metadata.get("compression_mode", "") or "none").lower()
+        given = metadata.get("compression_mode", "") or "none"
+        mode = given.lower() if isinstance(given, str) else "none"
     except Exception as error:  # any kind of damage to the file has the same consequence
         files = sorted(file for file in folder.iterdir() if file.suffix in {".mcap", ".db3"} and file.stat().st_size)
         if not files:
@@ -110,15 +117,15 @@ def _files_of_metadata(folder: Path, warnings: list[str]) -> list[Path]:
         return [folder]
     missing = [name for name in names if not (folder / name).exists()]
     if missing or not names:
-        raise RecordingError(
-            f"{folder}: metadata.yaml names files that are missing: {', '.join(missing) or 'none given'}"
-        )
+        raise RecordingError(f"{folder}: metadata.yaml names files that are missing: {listed(missing) or 'none given'}")
     return [folder / name for name in names]
 
 
 def _open_file(path: Path) -> BagFile:
     if path.suffix != ".mcap":
         return IndexedBagFile(path)
+    if not has_summary(path):
+        return StreamedMcap(path)
     try:
         indexed = IndexedBagFile(path)
     except RecordingError:

@@ -13,6 +13,7 @@ from typing import Protocol, Self
 
 from holdfast.errors import RecordingError
 from holdfast.messages import Message
+from holdfast.printable import listed, quoted
 
 NS_PER_S = 1_000_000_000
 LONGEST_S = 1e9
@@ -180,7 +181,7 @@ def _choose_folder_reader(path: Path) -> tuple[str, list[Path]]:
             return "csv_folder" if suffix == ".csv" else "rosbag", files
     found = sorted(file.name for file in path.iterdir())[:5]
     raise RecordingError(
-        f"{path}: the folder holds no recording (found: {', '.join(found) or 'nothing'}; "
+        f"{path}: the folder holds no recording (found: {listed(found) or 'nothing'}; "
         "allowed: metadata.yaml with its files, or non-empty .mcap, .db3, .bag or .csv files)"
     )
 
@@ -195,10 +196,11 @@ def find_topic(recording: Recording, topic: str) -> TopicInfo:
     if topic in topics:
         return topics[topic]
     close = get_close_matches(topic, topics, n=1)
-    guess = f"did you mean {close[0]!r}? " if close else ""
-    there = ", ".join(f"{info.topic} ({info.type})" for info in topics.values())
+    guess = f"did you mean {quoted(close[0])!r}? " if close else ""
+    there = listed([f"{info.topic} ({info.type})" for info in topics.values()])
     left_out = [warning for warning in recording.warnings if f"{topic}.csv:" in warning]
-    raise RecordingError("; ".join([f"{recording.path}: has no topic {topic!r}", *left_out, f"{guess}it has {there}"]))
+    missing = f"{recording.path}: has no topic {quoted(topic)!r}"
+    raise RecordingError("; ".join([missing, *left_out, f"{guess}it has {there}"]))
 
 
 def arrival_window(recording: Recording, start_s: float, duration_s: float | None) -> tuple[int | None, int | None]:

@@ -60,7 +60,7 @@ def _parse(cells: list[str], place: str) -> tuple[int, list[float]]:
             raise RecordingError(f"{place}: has a number that is not finite or a stamp beyond 292 years")
         stamp_ns = int(stamp_s.scaleb(9).to_integral_value())
         row = [float(cell) for cell in cells[1:]]
-    except (ValueError, ArithmeticError):
+    except (ValueError, ArithmeticError):  # a stamp of 1e999999 overflows Decimal
         raise RecordingError(f"{place}: is not made of 8 numbers") from None
     if not all(map(isfinite, row)):
         raise RecordingError(f"{place}: has a number that is not finite")

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from holdfast.errors import ConfigError
+from holdfast.extras import needing
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure as Plot
@@ -286,10 +287,8 @@ def _keyed(page: Page) -> list[Table | Figure]:
 
 
 def _plotly_script() -> str:
-    try:
+    with needing("a report", "report"):
         from plotly.offline import get_plotlyjs
-    except ImportError:
-        raise ConfigError("a report needs plotly: pip install 'holdfast[report]'") from None
     script: str = get_plotlyjs()
     return script.replace("</script", "<\\/script")
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from holdfast.errors import HoldfastError
+from holdfast.extras import needing
 from holdfast.messages import Array
 
 if TYPE_CHECKING:
@@ -43,12 +43,10 @@ def draw_track(track: JudgedTrack, path: Path, title: str, outages_s: Sequence[t
     """Draw the figure into a PNG, SVG or PDF file.
 
     Raises:
-        HoldfastError: matplotlib is not installed.
+        ConfigError: matplotlib is not installed.
     """
-    try:
+    with needing("the figure", "plot"):
         from matplotlib.figure import Figure
-    except ImportError:
-        raise HoldfastError("the figure needs matplotlib: pip install 'holdfast[plot]'") from None
     figure = Figure(figsize=(11.0, 5.6), layout="constrained")
     above, over_time = figure.subplots(1, 2, width_ratios=[1.0, 1.25])
     figure.suptitle(title, fontsize=12, x=0.01, ha="left", fontweight="bold")

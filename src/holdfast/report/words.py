@@ -56,6 +56,7 @@ MEASUREMENTS = {
     "duplicate": "sent twice",
     "clock_jump": "with a stamp from the future",
     "late": "that came too late",
+    "overload": "beyond what can be taken in",
     "no_joint_angle": "without an angle of the turn joint",
 }
 

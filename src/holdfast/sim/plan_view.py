@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from holdfast.errors import HoldfastError
+from holdfast.extras import needing
 from holdfast.messages import Array
 from holdfast.sim.scenario import BASE
 from holdfast.sim.sensors.gnss import Quality, SimulatedGnss
@@ -25,14 +25,12 @@ def draw_plan(simulation: Simulation, path: Path) -> None:
     """Draw the figure into a PNG, SVG or PDF file.
 
     Raises:
-        HoldfastError: matplotlib is not installed.
+        ConfigError: matplotlib is not installed.
     """
-    try:
+    with needing("the plan", "plot"):
         from matplotlib.colors import LightSource
         from matplotlib.figure import Figure
         from matplotlib.patches import Circle, Polygon
-    except ImportError:
-        raise HoldfastError("the plan needs matplotlib: pip install 'holdfast[plot]'") from None
     times_s = np.arange(0.0, simulation.scenario.duration_s, STEP_S)
     path_W = simulation.motion.frame(BASE, times_s).p_W
     half = min(simulation.scenario.ground.size_m / 2.0, float(np.abs(path_W[:, :2]).max()) + 25.0)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from holdfast.errors import ConfigError
+from holdfast.extras import needing
 from holdfast.messages import Array
 from holdfast.ros.cdr import ENCAPSULATION, NS_PER_S
 from holdfast.sim.sensors.scanner import SimulatedScanner
@@ -133,11 +133,8 @@ def _append_text(body: bytearray, text: str) -> None:
 
 
 def _scene(vertices: Array, faces: NDArray[np.integer]) -> Any:  # embreex has no types
-    try:
+    with needing("casting the scans of a lidar", "sim"):
         scene = import_module("embreex.rtcore_scene").EmbreeScene()
-        import_module("embreex.mesh_construction").TriangleMesh(
-            scene, vertices.astype(np.float32), faces.astype(np.int32)
-        )
-    except ImportError:
-        raise ConfigError("casting the scans of a lidar needs embreex: pip install 'holdfast[sim]'") from None
+        construction = import_module("embreex.mesh_construction")
+    construction.TriangleMesh(scene, vertices.astype(np.float32), faces.astype(np.int32))
     return scene

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from holdfast.errors import ConfigError
+from holdfast.extras import needing
 from holdfast.messages import Array
 from holdfast.sim.readings import generator
 from holdfast.sim.scenario import Ground, Objects
@@ -60,10 +60,8 @@ class Site:
         Raises:
             ConfigError: trimesh is not installed, or the ground has too many triangles.
         """
-        try:
+        with needing("the mesh of a site", "sim"):
             trimesh = import_module("trimesh")
-        except ImportError:
-            raise ConfigError("the mesh of a site needs trimesh: pip install 'holdfast[sim]'") from None
         mesh: Trimesh = trimesh.Trimesh(self.surface.vertices, self.surface.faces, process=False)
         return mesh
 

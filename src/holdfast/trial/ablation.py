@@ -1,6 +1,6 @@
 """An ablation: every variation of the configuration on every seed of one scenario.
 
-Importing it needs the simulator's packages: `holdfast[sim]`.
+Importing it needs the simulator's packages: the extra `sim`.
 """
 
 from collections.abc import Callable, Sequence

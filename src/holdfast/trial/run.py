@@ -1,6 +1,6 @@
 """One trial: a scenario simulated with a seed, estimated under a configuration, and judged by its truth.
 
-Importing it needs the simulator's packages: `holdfast[sim]`.
+Importing it needs the simulator's packages: the extra `sim`.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,6 +1,6 @@
 """What is true about a simulation, in the frames of an estimate.
 
-Importing it needs the simulator's packages: `holdfast[sim]`.
+Importing it needs the simulator's packages: the extra `sim`.
 """
 
 from typing import Any

@@ -15,6 +15,7 @@ from holdfast.recording.raw import RawBag, RawChannel
 from holdfast.replay.outputs import ESTIMATES, EVENTS, SUMMARY
 from holdfast.replay.results import read_events, read_summary
 from holdfast.viz.scene import DATUM, FIX, Scene
+from holdfast.viz.viewer import open_viewer
 
 APPLICATION = "holdfast"
 FLUSH_ROWS = 20_000
@@ -39,7 +40,7 @@ def open_sink(target: str, name: str) -> rr.RecordingStream:
     recording.send_recording_name(name)
     try:
         if target == "window":
-            recording.spawn()
+            recording.connect_grpc(open_viewer())
         elif target.endswith(".rrd"):
             recording.save(target)
         else:

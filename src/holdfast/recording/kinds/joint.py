@@ -6,6 +6,7 @@ from math import isfinite
 from holdfast.config.assignment import Rule
 from holdfast.errors import RecordingError
 from holdfast.messages import JointAngle
+from holdfast.printable import listed
 from holdfast.recording.columns import Columns
 from holdfast.recording.decode import STAMP, Decoder, FieldDecoder, UndecodableError
 from holdfast.recording.kinds import Kind, register
@@ -24,12 +25,12 @@ def joint_decoder(subscription: Subscription) -> Decoder:
     def build(arrival_ns: int, sec: int, nanosec: int, names: Sequence[str], angles: Sequence[float]) -> JointAngle:
         if wanted is None:
             if len(names) > 1:
-                raise RecordingError(f"{subscription.topic}: set joint_name to one of {', '.join(names)}")
+                raise RecordingError(f"{subscription.topic}: set joint_name to one of {listed(list(names))}")
             index = 0
         elif wanted in names:
             index = names.index(wanted)
         else:
-            raise UndecodableError(f"joint {wanted!r} is not among {', '.join(names) or 'the joints (none)'}")
+            raise UndecodableError(f"joint {wanted!r} is not among {listed(list(names)) or 'the joints (none)'}")
         if index >= len(angles) or not isfinite(angles[index]):
             raise UndecodableError("the joint has no finite position")
         return JointAngle(sec * 1_000_000_000 + nanosec, arrival_ns, subscription.sensor, float(angles[index]))

@@ -1,0 +1,92 @@
+"""Sheds load by rule: of each sensor so many measurements a second are taken in, and of more the newest.
+
+A driver that goes mad publishes thousands a second. To take them all in would hold up the IMU path, and what waits
+grows old; so what is beyond the budget of its sensor is left out at once, counted, and told once a second.
+"""
+
+from dataclasses import dataclass
+
+from holdfast.config.model import Config
+from holdfast.config.sensors import InertialConfig, JointConfig
+from holdfast.event_log import EventLog
+from holdfast.state import EventKind, Outcome
+
+BURST_S = 0.1  # of measurements may come at once, after the network was held up
+ENCODER = 5  # times as many angles of an encoder, which only the IMU path takes
+TELL_NS = 1_000_000_000
+
+
+@dataclass(slots=True)
+class Budget:
+    """How many measurements of one sensor may still be taken in.
+
+    Attributes:
+        room: fills up with the time of arrival.
+        told_ns: arrival at which the last event was reported.
+        untold: measurements that were left out since.
+    """
+
+    rate_hz: float
+    room: float
+    arrival_ns: int | None = None
+    told_ns: int | None = None
+    untold: int = 0
+
+    def fill(self, arrival_ns: int) -> int:
+        """Return how many may be taken in at an arrival."""
+        most = max(1.0, BURST_S * self.rate_hz)
+        since_ns = 0 if self.arrival_ns is None else arrival_ns - self.arrival_ns
+        self.arrival_ns = arrival_ns  # also where the clock went back
+        self.room = min(most, self.room + max(since_ns, 0) * 1e-9 * self.rate_hz)
+        return int(self.room)
+
+
+class Overload:
+    """The budgets of all sensors but IMUs, of which nothing may be left out.
+
+    Args:
+        config: names the sensors, and `realtime.max_rate_hz`.
+        log: where to count and to report.
+    """
+
+    def __init__(self, config: Config, log: EventLog) -> None:
+        self._log = log
+        rate_hz = config.realtime.max_rate_hz
+        rates = {
+            name: rate_hz * (ENCODER if isinstance(sensor, JointConfig) else 1)
+            for name, sensor in config.sensors.items()
+            if not isinstance(sensor, InertialConfig)
+        }
+        self._budgets = {name: Budget(rate, max(1.0, BURST_S * rate)) for name, rate in rates.items()}
+
+    def room(self, sensor: str, arrival_ns: int) -> int | None:
+        """Return how many measurements of a sensor may be taken in now; None if there is no limit."""
+        budget = self._budgets.get(sensor)
+        return None if budget is None else budget.fill(arrival_ns)
+
+    def admits(self, sensor: str, arrival_ns: int, stamp_ns: int) -> bool:
+        """Return whether one more may be taken in, and count it as left out if not.
+
+        Args:
+            sensor: its name.
+            arrival_ns: when it came.
+            stamp_ns: for the event.
+        """
+        budget = self._budgets.get(sensor)
+        if budget is None:
+            return True
+        if budget.fill(arrival_ns) < 1:
+            self.shed(sensor, 1, arrival_ns, stamp_ns)
+            return False
+        budget.room -= 1.0
+        return True
+
+    def shed(self, sensor: str, number: int, arrival_ns: int, stamp_ns: int) -> None:
+        """Count measurements that are left out, and report it, once a second at most; see `admits`."""
+        budget = self._budgets[sensor]
+        self._log.count(sensor, Outcome.OVERLOAD, number)
+        budget.untold += number
+        if budget.told_ns is None or not 0 <= arrival_ns - budget.told_ns < TELL_NS:
+            reason = f"{budget.untold} measurements left out: more than {budget.rate_hz:g} a second come"
+            self._log.report(EventKind.OVERLOAD, stamp_ns, sensor, reason)
+            budget.told_ns, budget.untold = arrival_ns, 0
