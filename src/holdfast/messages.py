@@ -94,6 +94,19 @@ class ImuSample:
         return cls(stamp_ns, arrival_ns, sensor, readings[:3], readings[3:])
 
 
+def as_doubles(reading: Array, field: str) -> Array:
+    """Return a reading of an `ImuSample` as an array of float64.
+
+    Raises:
+        MessageError: it is not made of numbers.
+    """
+    try:
+        return np.asarray(reading, np.float64)
+    except (TypeError, ValueError):
+        must_be = ImuSample.QUANTITIES[field]
+        raise MessageError(f"ImuSample.{field}: must be {must_be}, {got(reading)}") from None
+
+
 class FixStatus(IntEnum):
     """Quality of a GNSS fix, numbered as sensor_msgs/NavSatStatus; RTK receivers report GBAS when fixed."""
 

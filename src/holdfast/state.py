@@ -187,6 +187,9 @@ PUBLISHED = np.dtype([("estimate", ESTIMATE), ("chassis", CHASSIS)])
 """What the IMU path gives at a sample, all of it doubles: `Estimate` and `BaseState` are views of one such row."""
 
 
+Row = bytes | Array
+
+
 def _slices(layout: np.dtype[Any], first: int = 0) -> dict[str, slice]:
     """Return where the fields of a layout lie in an array of doubles that has it from `first` on."""
     fields = {} if layout.fields is None else layout.fields
@@ -206,12 +209,12 @@ class Estimate(NamedTuple):
     """The state at one IMU sample: what is published.
 
     Attributes:
-        values: the numbers, laid out as `PUBLISHED`; the properties are views of them.
+        row: the numbers, laid out as `PUBLISHED`; the properties are views of them, and cannot be written.
         from_imu: False where the IMU was silent and a constant twist stood in for it.
     """
 
     stamp_ns: int
-    values: Array
+    row: Row
     from_imu: bool
 
     @classmethod
@@ -232,6 +235,11 @@ class Estimate(NamedTuple):
         rest = T_W_O.rotation().matrix(), T_W_O.translation(), bias.vector(), angular_velocity, covariance
         chassis = np.zeros(CHASSIS.itemsize // 8)
         return cls(stamp_ns, np.concatenate([part.ravel() for part in (*state, *rest, chassis)]), from_imu)
+
+    @property
+    def values(self) -> Array:
+        """All numbers, laid out as `PUBLISHED`."""
+        return np.frombuffer(self.row)
 
     @property
     def rotation(self) -> Array:
@@ -297,12 +305,12 @@ class BaseState(NamedTuple):
     """The chassis B at one estimate: (33) to (37) in docs/math.md.
 
     Attributes:
-        values: the numbers, laid out as `PUBLISHED`; the properties are views of them.
+        row: the numbers, laid out as `PUBLISHED`; the properties are views of them, and cannot be written.
         encoder: None where there is no turn joint.
     """
 
     stamp_ns: int
-    values: Array
+    row: Row
     encoder: EncoderState | None
 
     @classmethod
@@ -320,6 +328,11 @@ class BaseState(NamedTuple):
         poses = [part for T in (T_O_B, T_W_B) for part in (T.rotation().matrix().ravel(), T.translation())]
         estimate = np.zeros(ESTIMATE.itemsize // 8)
         return cls(stamp_ns, np.concatenate([estimate, *poses, velocity, angular_velocity, joint]), encoder)
+
+    @property
+    def values(self) -> Array:
+        """All numbers, laid out as `PUBLISHED`."""
+        return np.frombuffer(self.row)
 
     @property
     def T_O_B(self) -> gtsam.Pose3:

@@ -138,6 +138,7 @@ class Chassis:
 
     @property
     def counts(self):
+        self.base.count()
         return self.log.counts
 
     def run(self, estimates, messages):

@@ -16,6 +16,7 @@ from slewing import (
     TIMES,
     Chassis,
     calibrated,
+    chassis_at,
     encoder_zero_rad,
     estimates,
     machine,
@@ -256,6 +257,17 @@ def test_a_clock_that_goes_back_begins_anew():
     states = run.run(estimates(DRIVING, earlier), received(DRIVING, earlier))
     assert states[0] is None
     assert abs(states[-1].joint_angle_rad - DRIVING.angle(earlier[-1])) < 1e-3
+
+
+def test_readings_that_were_taken_in_before_the_clock_went_back_are_counted():
+    base, log = (run := Chassis(machine())).base, run.log
+    chassis_at(base, DRIVING.estimate(1.0))
+    for t in (0.97, 0.98, 0.99):  # the estimate has reached them: they are taken in at once, and not counted yet
+        base.add(DRIVING.reading(t), ns(1.0))
+    assert ("joint", "used") not in log.counts
+    chassis_at(base, DRIVING.estimate(-99.0))
+    base.count()
+    assert sum(log.counts.values()) == 3
 
 
 # --- the simulator's truth --------------------------------------------------------------------------------------------

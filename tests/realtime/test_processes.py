@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from engine import wait_for
 
+from holdfast.kernel.compiling import MESSAGE
+
 KEEPER = """
 import sys, time
 import holdfast
@@ -190,3 +192,33 @@ def test_the_example_runs_without_a_guard_for_its_main_module(drive):
     east, north, up, *_ = (float(word) for word in line.split()[:3])
     assert abs(east) + abs(north) + abs(up) < 20.0  # the machine has hardly left the datum
     assert process.stderr.read() == ""
+
+
+PLAYER = """
+import sys
+import holdfast
+from holdfast.recording.source import open_recording
+from holdfast.recording.subscriptions import subscriptions
+config = holdfast.load_config(sys.argv[1] + "/config.yaml")
+with holdfast.RealtimeEstimator(config) as engine, open_recording(sys.argv[1]) as recording:
+    engine.wait_until_ready()
+    for count, message in enumerate(recording.read(subscriptions(config), 0.0, 8.0)):
+        engine.process(message)
+        if count % 10 == 0:
+            engine.flush()
+    print(engine.initialised, dict(engine.event_counts).get("optimiser_fault", 0))
+"""
+
+
+@pytest.mark.slow
+def test_an_engine_whose_cache_cannot_be_written_compiles_in_both_processes_and_runs(drive):
+    done = subprocess.run(
+        [sys.executable, "-c", PLAYER, str(drive.folder)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"NUMBA_CACHE_DIR": "/proc/nowhere"},
+        timeout=1200,
+    )
+    assert done.stdout == "True 0\n", done.stderr
+    assert set(done.stderr.splitlines()) == {f"{MESSAGE} (its cache cannot be written: each time)"}

@@ -1,6 +1,7 @@
 """The rows in the shared memory: every bit of every kind of message, whatever the sensors and however many."""
 
 import struct
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -23,7 +24,7 @@ from holdfast.messages import (
     SensorPose,
     Twist,
 )
-from holdfast.realtime.records import Published, Records, pack_nav, unpack_nav
+from holdfast.realtime.records import PackedState, Published, Records, pack_nav, unpack_nav
 from holdfast.state import OptimisedState
 
 AT_IMU = {"frame": "imu"}
@@ -202,3 +203,18 @@ def test_a_smoothed_node_keeps_every_bit():
     for seed in range(20):
         packed = pack_nav(state(seed).nav)
         assert pack_nav(unpack_nav(packed)) == packed
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_a_packed_state_is_the_state_and_keeps_its_stamp_before_it_is_unpacked(order):
+    known = state(3, order)
+    packed = PackedState.of(known.stamp_ns, RECORDS.pack_published(published(state=known)), OTHER_END)
+    assert isinstance(packed, OptimisedState) and packed.stamp_ns == known.stamp_ns
+    later = replace(packed, stamp_ns=7)
+    for found in (packed, later):
+        assert found.nav.equals(known.nav, 0.0) and found.bias.equals(known.bias, 0.0)
+        assert (found.covariance == known.covariance).all()
+        assert (found.angular_velocity == known.angular_velocity).all()
+    assert later.stamp_ns == 7
+    with pytest.raises(AttributeError, match="speed"):
+        packed.speed  # noqa: B018

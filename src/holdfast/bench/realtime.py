@@ -7,6 +7,7 @@ and predicting one sample, is measured in the same loop, midway between two samp
 import gc
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from math import inf
 from time import perf_counter, perf_counter_ns, process_time, sleep
 from typing import Any, Literal
 
@@ -29,13 +30,19 @@ Pace = Literal["sleep", "spin", "none"]
 
 @dataclass(slots=True)
 class Measured:
-    """Times of one run: `imu` from a sample to its estimate, `fresh` of these with a new optimised state."""
+    """Times of one run: `imu` from a sample to its estimate, `fresh` of these with a new optimised state.
+
+    `late` counts the estimates that were not there when the next sample was due, for whatever reason; `slow` the calls
+    that took longer than from a sample to the next.
+    """
 
     imu_ns: list[int] = field(default_factory=list)
     fresh_ns: list[int] = field(default_factory=list)
     floor_ns: list[int] = field(default_factory=list)
     update_ns: list[int] = field(default_factory=list)
     age_ns: list[int] = field(default_factory=list)
+    late: int = 0
+    slow: int = 0
     wall_s: float = 0.0
     cpu_s: float = 0.0
     optimiser_cpu_s: float | None = None  # from the first estimate on
@@ -96,11 +103,14 @@ def measure_realtime(
         gc.freeze()  # existing objects are not scanned again
         try:
             began_s, cpu_s = perf_counter(), process_time()
-            for count, (message, is_floor) in enumerate(_paced(messages, pace, config.imu_name)):
+            for count, (message, is_floor, due_s, next_s) in enumerate(_paced(messages, pace, config.imu_name)):
                 if is_floor and isinstance(message, ImuSample):
                     measured.floor_ns.append(floor.measure(message))
                 elif isinstance(message, ImuSample) or not (is_idle and engine.initialised):
-                    _step(engine, message, measured)
+                    took_s = _step(engine, message, measured)
+                    if took_s is not None:
+                        measured.late += perf_counter() > next_s
+                        measured.slow += took_s > next_s - due_s
                     if pace == "none" and not engine.initialised:
                         engine.flush()  # otherwise the messages end before the estimator has started
                 if progress is not None and count % 500 == 0:
@@ -116,7 +126,8 @@ def measure_realtime(
     return measured
 
 
-def _step(engine: RealtimeEstimator, message: Message, measured: Measured) -> None:
+def _step(engine: RealtimeEstimator, message: Message, measured: Measured) -> float | None:
+    """Give a message to the engine; return how long an estimate took [s], None where there is none."""
     began_ns = perf_counter_ns()
     output = engine.process(message)
     took_ns = perf_counter_ns() - began_ns
@@ -127,25 +138,31 @@ def _step(engine: RealtimeEstimator, message: Message, measured: Measured) -> No
         measured.age_ns.append(output.estimate.stamp_ns - engine.newest_state.stamp_ns)
         if output.optimised is not None:
             measured.fresh_ns.append(took_ns)
+    return None if output.estimate is None else took_ns * 1e-9
 
 
-def _paced(messages: Sequence[Message], pace: Pace, imu_name: str) -> Iterator[tuple[Message, bool]]:
-    """Yield each message when it arrives, and each IMU sample once more for the floor, midway from the one before."""
-    schedule: list[tuple[int, int, Message, bool]] = []
-    last_ns: int | None = None
+def _paced(messages: Sequence[Message], pace: Pace, imu_name: str) -> Iterator[tuple[Message, bool, float, float]]:
+    """Yield each message when it arrives, and each IMU sample once more for the floor, midway from the one before.
+
+    With each comes whether it is for the floor, when it is due and when the next sample of the IMU is [s].
+    """
+    schedule: list[tuple[int, int, Message, bool, float]] = []
+    imu_ns = [message.arrival_ns for message in messages if message.sensor == imu_name]
+    last_ns, samples = None, 0
     for order, message in enumerate(messages):
-        schedule.append((message.arrival_ns, order, message, False))
         if message.sensor == imu_name:
             if last_ns is not None:
-                schedule.append(((last_ns + message.arrival_ns) // 2, order, message, True))
-            last_ns = message.arrival_ns
+                schedule.append(((last_ns + message.arrival_ns) // 2, order, message, True, inf))
+            last_ns, samples = message.arrival_ns, samples + 1
+        next_ns = imu_ns[samples] if samples < len(imu_ns) else inf
+        schedule.append((message.arrival_ns, order, message, False, next_ns))
     schedule.sort(key=lambda row: row[:2])
     began, first_ns = perf_counter(), schedule[0][0]
-    for arrival_ns, _, message, is_floor in schedule:
+    for arrival_ns, _, message, is_floor, next_ns in schedule:
         due = began + (arrival_ns - first_ns) * 1e-9
         if pace != "none":
             _wait_until(due, SPIN_S if pace == "spin" else 0.0)
-        yield message, is_floor
+        yield message, is_floor, due, began + (next_ns - first_ns) * 1e-9
 
 
 def _wait_until(due: float, spin_s: float) -> None:
@@ -157,7 +174,10 @@ def _wait_until(due: float, spin_s: float) -> None:
 
 
 def summarise_measured(measured: Measured) -> Result:
-    """Return the percentiles of a run, ratios to its floor, and the fraction of a core that each process used."""
+    """Return the percentiles of a run, ratios to its floor, and the fraction of a core that each process used.
+
+    `cpu.imu_samples` is what the calls with samples took, `cpu.imu_path` their process with its waiting and the floor.
+    """
     floor = percentiles(np.array(measured.floor_ns) * 1e-3)
     imu = percentiles(np.array(measured.imu_ns[WARM_UP_ESTIMATES:]) * 1e-3)
     assert imu is not None
@@ -169,7 +189,10 @@ def summarise_measured(measured: Measured) -> Result:
         "ratio_to_floor": ratios,
         "age_ms": percentiles(np.array(measured.age_ns[WARM_UP_ESTIMATES:]) * 1e-6),
         "update_ms": percentiles(np.array(measured.update_ns) * 1e-6),
+        "late": measured.late,
+        "slow": measured.slow,
         "cpu": {
+            "imu_samples": sum(measured.imu_ns) * 1e-9 / measured.wall_s,
             "imu_path": measured.cpu_s / measured.wall_s,
             "optimiser": (measured.optimiser_cpu_s or 0.0) / measured.wall_s,
         },

@@ -26,6 +26,8 @@ USUAL_PERIOD_S = 0.01  # of the base IMU, until it is known
 ACCEPT_AFTER_NS = 5_000_000_000  # an encoder that contradicts two gyroscopes for so long
 FROZEN_SIGMAS = 10.0  # rotated by so many sigmas of a reading without a new one, an encoder is frozen
 
+STAMP = layout.JOINT.names.index("stamp_ns")  # type: ignore[union-attr]
+
 OUTCOMES = Outcome.USED, Outcome.LATE, Outcome.INNOVATION, Outcome.FROZEN  # as `kernel.joint_filter` numbers them
 # and `kernel.turn_joint`; the last where there is none
 ENCODERS = EncoderState.OK, EncoderState.ABSENT, EncoderState.LATE, EncoderState.FROZEN, None
@@ -75,6 +77,8 @@ class TurnJoint:
         self._sensors = config.base_imu[0] if config.base_imu else "", config.joint[0] if config.joint else ""
         self.record: Any = np.repeat(joint_record(encoder, gyro, config), 2)
         self._one = self.record[0]
+        self._numbers = memoryview(self.record.view(np.int64).data)  # the same, five times faster to read
+        self._last = max(self._sensors)  # of two at one stamp
         self.rotations: Any = np.zeros(ROTATIONS, layout.ROTATION)
         self.waiting: Any = np.zeros(MAX_WAITING, layout.JOINT_READING)
         self._stamps = StampFilter()
@@ -85,7 +89,7 @@ class TurnJoint:
         return ENCODERS[self._one["encoder"]]
 
     def add(self, message: ImuSample | JointAngle, imu_arrival_ns: int) -> None:
-        """Take in a reading, let it wait for its stamp, or count why not; what waits is counted when it is taken.
+        """Take in a reading, let it wait for its stamp, or count why not; what is taken in is counted by `count`.
 
         Args:
             message: in the order of arrival.
@@ -103,9 +107,8 @@ class TurnJoint:
         if outcome is not Outcome.USED:
             self._log.count(message.sensor, outcome)
             return
-        order, is_angle = int(message.sensor == max(self._sensors)), int(isinstance(message, JointAngle))
+        order, is_angle = int(message.sensor == self._last), int(isinstance(message, JointAngle))
         add_reading(self.record, self.rotations, self.waiting, stamp_ns, order, is_angle, value)
-        self.count()
 
     def count(self) -> None:
         """Count what became of the readings that were taken since the last call."""
@@ -115,7 +118,7 @@ class TurnJoint:
         counts[:] = 0
 
     def _check_stamp(self, stamp_ns: int, message: ImuSample | JointAngle, imu_arrival_ns: int) -> Outcome:
-        reached_ns = int(self._one["stamp_ns"])
+        reached_ns: int = self._numbers[STAMP]
         if reached_ns == layout.NEVER:
             return Outcome.BEFORE_START
         if stamp_ns < reached_ns - self._model.max_age_ns:

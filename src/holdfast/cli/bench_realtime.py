@@ -36,6 +36,7 @@ TITLES = {
 @click.option("-c", "--config", "config_path", type=click.Path(), help="Configuration, with --recording.")
 @click.option("--duration", "duration_s", type=float, default=60.0, show_default=True, metavar="SECONDS")
 @click.option("--nodes", type=click.Choice(["measurement", "imu"]), help="[default: as configured]")
+@click.option("--imu-hz", type=click.FloatRange(50.0, 2000.0), help="Rate of the IMU. [default: 100; simulated only]")
 @click.option("--spin", is_flag=True, help="Spin for the last 2 ms before a sample instead of sleeping.")
 @click.option("--gate", is_flag=True, help="Exit 1 if slower than the floor, at the median or at p99.")
 @click.option("--json", "json_path", type=click.Path(), help="Write the result for machines.")
@@ -44,6 +45,7 @@ def realtime(  # noqa: PLR0917 (click passes the options by name)
     config_path: str | None,
     duration_s: float,
     nodes: str | None,
+    imu_hz: float | None,
     spin: bool,
     gate: bool,
     json_path: str | None,
@@ -61,9 +63,11 @@ def realtime(  # noqa: PLR0917 (click passes the options by name)
     check_window(0.0, duration_s)
     if (recording is None) != (config_path is None):
         raise ConfigError("--recording and -c belong together")
+    if recording is not None and imu_hz is not None:
+        raise ConfigError("--imu-hz: a recording has its own rate (leave one of --recording and --imu-hz out)")
     if json_path is not None:
         check_folder_of(json_path)
-    with _material(recording, config_path, duration_s, nodes) as (config, messages):
+    with _material(recording, config_path, duration_s, nodes, imu_hz) as (config, messages):
         pace: Pace = "spin" if spin else "sleep"
         half = messages[: len(messages) // 2]
         wanted: dict[str, tuple[Config, Sequence[Message], Pace, bool]] = {
@@ -82,6 +86,7 @@ def realtime(  # noqa: PLR0917 (click passes the options by name)
         "recording": recording or "construction",
         "duration_s": duration_s,
         "nodes": config.graph.nodes,
+        "imu_hz": imu_hz,
         "waiting": pace,
         "machine": describe_machine(),
         "runs": runs,
@@ -103,7 +108,7 @@ def check(ratios: dict[str, float]) -> None:
 
 @contextmanager
 def _material(
-    recording: str | None, config_path: str | None, duration_s: float, nodes: str | None
+    recording: str | None, config_path: str | None, duration_s: float, nodes: str | None, imu_hz: float | None
 ) -> "Iterator[tuple[Config, Sequence[Message]]]":
     """Yield the configuration and the messages, simulated where no recording is given."""
     from tempfile import TemporaryDirectory
@@ -114,7 +119,7 @@ def _material(
 
     with TemporaryDirectory(prefix="holdfast-bench-") as folder:
         if recording is None:
-            _simulate(Path(folder), duration_s)
+            _simulate(Path(folder), duration_s, imu_hz)
         config = load_config(config_path or f"{folder}/config.yaml")
         if nodes is not None:
             config = config.model_copy(update={"graph": config.graph.model_copy(update={"nodes": nodes})})
@@ -125,11 +130,14 @@ def _material(
     yield config, messages
 
 
-def _simulate(folder: Path, duration_s: float) -> None:
+def _simulate(folder: Path, duration_s: float, imu_hz: float | None) -> None:
     with needing("without --recording simulating", "sim"):
         from holdfast.sim.scenario import load_scenario
         from holdfast.trial.run import write_simulation
-    write_simulation(load_scenario("construction", {"duration_s": duration_s}), 0, folder)
+    overrides: dict[str, Any] = {"duration_s": duration_s}
+    if imu_hz is not None:
+        overrides["sensors"] = {"imu": {"rate_hz": imu_hz}}
+    write_simulation(load_scenario("construction", overrides), 0, folder)
 
 
 def _print(result: dict[str, Any]) -> None:
@@ -158,3 +166,5 @@ def _print(result: dict[str, Any]) -> None:
         ratios, cpu = run["ratio_to_floor"], run["cpu"]
         floors = f"{ratios['median']:.1f} x the floor at the median, {ratios['p99']:.1f} x at p99; " if ratios else ""
         console.print(f"{TITLES[name]}: {floors}CPU {cpu['imu_path']:.0%} + {cpu['optimiser']:.0%} of a core")
+        late = f", {run['late']} estimates came after the next sample ({run['slow']} took so long themselves)"
+        console.print(f"  samples took {cpu['imu_samples']:.1%} of a core{'' if name == 'back_to_back' else late}")

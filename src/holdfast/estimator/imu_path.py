@@ -1,11 +1,13 @@
 """The half of the estimator that answers at IMU rate: it never waits for the other half, which optimises."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+import numpy as np
 
 from holdfast.chassis.kinematics import BaseKinematics
 from holdfast.config.model import Config
 from holdfast.estimator.clock import MAX_SILENCE_NS, Clock
-from holdfast.estimator.predictor import NO_RING, Predictor
+from holdfast.estimator.predictor import Predictor
 from holdfast.event_log import EventLog
 from holdfast.kernel.imu_path import (
     CHASSIS_IS_UNSOUND,
@@ -13,14 +15,22 @@ from holdfast.kernel.imu_path import (
     FROM_IMU,
     HAS_CHASSIS,
     HAS_ESTIMATE,
+    HAS_NEWS,
+    IS_OVERDUE,
+    IS_PENDING,
     IS_SOUND,
     REFUSED,
+    process,
 )
 from holdfast.kernel.samples import IS_LINE, STEPPED
-from holdfast.measured_fields import check_message
-from holdfast.messages import ImuSample, JointAngle
-from holdfast.sensors.imu import ImuBuffer
-from holdfast.state import BaseState, Estimate, EventKind, OptimisedState, Outcome
+from holdfast.messages import Array, ImuSample, JointAngle, as_doubles
+from holdfast.sensors.imu import NEWEST, ImuBuffer
+from holdfast.state import BaseState, Estimate, EventKind, OptimisedState, Outcome, Output
+
+DOUBLE = np.dtype(np.float64)
+NO_FLAGS = -2  # what `process` never returns
+NEW = tuple.__new__  # makes a named tuple three times faster than its name
+UNUSUAL = IS_LINE | CHASSIS_IS_UNSOUND | IS_OVERDUE  # flags with which there is more to be done
 
 
 class Received(NamedTuple):
@@ -67,26 +77,34 @@ def _clear_if_behind(buffer: ImuBuffer, sample: ImuSample, *, begins_anew: bool)
 class ImuPath:
     """Checks samples, propagates the newest optimised state to them, and carries it on to the chassis.
 
+    Attributes:
+        flags: what came of the newest sample, as `holdfast.kernel.imu_path.process` says.
+        address: of the kernel's `PATH`.
+        shared: what it knows of another process, a `SHARED`.
+
     Args:
         config: of the estimator.
         buffer: of the IMU's samples.
         log: where counts and events go.
-        ring: rows shared with another process, as integers and as doubles, into which usual samples are written.
     """
 
-    def __init__(self, config: Config, buffer: ImuBuffer, log: EventLog, ring: tuple[Any, Any] = NO_RING) -> None:
+    def __init__(self, config: Config, buffer: ImuBuffer, log: EventLog) -> None:
         self._config = config
-        self._buffer = buffer
+        self._buffer, self._numbers = buffer, buffer.numbers
         self._log = log
         self._serves_chassis = {one[0] for one in (config.joint, config.base_imu) if one is not None}
-        self._predictor = Predictor(config, buffer, ring)
+        self._predictor = Predictor(config, buffer)
+        self.address, self.shared = self._predictor.address, self._predictor.shared
+        self._copy_row = self._predictor.copy_row
         self.clock = Clock(buffer, log)
+        self.flags = self._usual_flags = NO_FLAGS
         self._carry_chassis()
 
     def _carry_chassis(self) -> None:
         """Begin with a chassis of which nothing is known."""
         self._chassis = BaseKinematics(self._config, self._log)
         self._predictor.carry(self._chassis)
+        self._usual_flags, self._has_base, self._encoder = NO_FLAGS, False, self._chassis.encoder
 
     @property
     def is_running(self) -> bool:
@@ -102,27 +120,51 @@ class ImuPath:
         """Whether a sensor is the encoder or the IMU of the chassis."""
         return sensor in self._serves_chassis
 
-    def process(self, sample: ImuSample, number: int = 0, epoch: int = 0) -> Received | None:
+    def answer(self, stamp_ns: int, arrival_ns: int, force: Array, rate: Array) -> Output | None:
+        """Take in a sample; return what it led to if that is of the same sort as at the last one, else None.
+
+        Then `flags` say what came of it, and `finish` does what is left to do. No object is looked at here that need
+        not be: each costs more than the arithmetic where the caches are cold.
+
+        Args:
+            stamp_ns: as the clock of the IMU had it.
+            arrival_ns: when it came.
+            force: (3,) specific force [m/s^2].
+            rate: (3,) angular velocity [rad/s].
+        """
+        if force.dtype is not DOUBLE or rate.dtype is not DOUBLE:
+            force, rate = as_doubles(force, "specific_force"), as_doubles(rate, "angular_velocity")
+        flags = process(self.address, stamp_ns, arrival_ns, force, rate, False)
+        if flags != self._usual_flags:
+            self.flags = flags
+            return None
+        time_ns, row, base = self._numbers[NEWEST], self._copy_row(), None
+        if self._has_base:
+            base = NEW(BaseState, (time_ns, row, self._encoder))
+        return NEW(Output, (NEW(Estimate, (time_ns, row, True)), None, (), base))
+
+    def process(self, sample: ImuSample) -> Received | None:
         """Take in a sample and carry the state to it; None if it cannot be used.
 
         Args:
             sample: in the order of arrival.
-            number: of its row in the ring.
-            epoch: for that row.
 
         Raises:
             MessageError: the readings are no numbers.
         """
-        clock, before_ns = self.clock, self._buffer.latest_ns
+        self.flags = self._predictor.process(sample)
+        if self.flags == HAS_NEWS:
+            self.shared["left"] = 0  # nobody wants it
+            self.flags = self._predictor.process(sample)
+        return self.finish(sample)
+
+    def finish(self, sample: ImuSample) -> Received | None:
+        """Do what is left to do at the newest sample according to `flags`; None if it cannot be used."""
+        clock = self.clock
         read = clock.read_sample(sample) if clock.offset_ns else sample
-        try:
-            flags = self._predictor.process(read, number, epoch)
-        except (TypeError, ValueError):  # an array of the right shape that is not made of numbers
-            check_message(sample, sample.QUANTITIES)
-            raise
-        if flags == REFUSED:
+        if self.flags == REFUSED:
             return self._process_unusual(sample, read)
-        return self._received(read, before_ns, flags, is_usual=True)
+        return self._received(read, self._buffer.before_ns, is_usual=True)
 
     def _process_unusual(self, sample: ImuSample, read: ImuSample) -> Received | None:
         """Take in a sample that does not follow the one before as usual, if it can be used."""
@@ -158,28 +200,34 @@ class ImuPath:
     def _take(self, sample: ImuSample, *, begins_anew: bool) -> Received:
         before_ns = self._buffer.latest_ns
         begins_anew = _clear_if_behind(self._buffer, sample, begins_anew=begins_anew)
-        return self._received(sample, before_ns, self._predictor.process_checked(sample), begins_anew=begins_anew)
+        self._predictor.read_clock(self.clock.offset_ns)
+        self.flags = self._predictor.process(sample, is_checked=True)
+        return self._received(sample, before_ns, begins_anew=begins_anew)
 
     def _received(
-        self, sample: ImuSample, before_ns: int, flags: int, *, is_usual: bool = False, begins_anew: bool = False
+        self, sample: ImuSample, before_ns: int, *, is_usual: bool = False, begins_anew: bool = False
     ) -> Received:
-        self._log.samples += 1
+        flags = self._predictor.catch_up(self.flags) if self.flags & IS_PENDING else self.flags
         line_since_ns = self._buffer.line_since_ns if flags & IS_LINE else None
         brought = sample, flags & STEPPED != 0, before_ns, line_since_ns, begins_anew, is_usual
+        self._usual_flags = NO_FLAGS
         if not flags & HAS_ESTIMATE:
             return Received(*brought)
-        stamp_ns, values = self._buffer.latest_ns, self._predictor.values.copy()
-        estimate = Estimate(stamp_ns, values, flags & FROM_IMU != 0)
+        stamp_ns, row = self._buffer.latest_ns, self._copy_row()
+        estimate = Estimate(stamp_ns, row, flags & FROM_IMU != 0)
         if not flags & IS_SOUND:
             reason = "the estimate is not finite: starting over"
             self._log.report(EventKind.OPTIMISER_FAULT, stamp_ns, "", reason)
             return Received(*brought, estimate, is_sound=False)
         encoder = self._chassis.note(stamp_ns, flags // ENCODER_FLAG)
-        base = BaseState(stamp_ns, values, encoder) if flags & HAS_CHASSIS else None
+        base = BaseState(stamp_ns, row, encoder) if flags & HAS_CHASSIS else None
         if flags & CHASSIS_IS_UNSOUND:
             reason = "the state of the chassis is not finite: begun anew"
             self._log.report(EventKind.OPTIMISER_FAULT, stamp_ns, "", reason)
+            self._chassis.count()
             self._carry_chassis()
+        elif flags & FROM_IMU and not flags & UNUSUAL and not self.clock.has_stepped:
+            self._usual_flags, self._has_base, self._encoder = flags, base is not None, encoder
         return Received(*brought, estimate, True, base)
 
     def add_to_chassis(self, message: ImuSample | JointAngle) -> None:
@@ -187,12 +235,9 @@ class ImuPath:
         self._chassis.add(message, self._buffer.arrival_ns)
 
     def count(self) -> None:
-        """Count what became of the readings of the chassis until now."""
+        """Count the samples that were used, and what became of the readings of the chassis until now."""
+        self._log.samples += self._predictor.take_count()
         self._chassis.count()
-
-    def release_ring(self) -> None:
-        """Let go of the memory that is shared with another process."""
-        self._predictor.release_ring()
 
     def start(self, state: OptimisedState, gravity: float) -> None:
         """Begin with a first state, gravity in m/s^2."""

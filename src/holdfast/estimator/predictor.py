@@ -14,36 +14,43 @@ from holdfast.chassis.kinematics import BaseKinematics
 from holdfast.config.model import Config
 from holdfast.kernel import imu_path as kernel
 from holdfast.kernel import layout
-from holdfast.messages import ImuSample
+from holdfast.messages import ImuSample, as_doubles
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.preintegration import MOTION_CORRELATION_S, MOTION_INTEGRATION_SIGMA
 from holdfast.state import OptimisedState
 
-NO_RING = np.zeros((0, 0), np.int64), np.zeros((0, 0))
+FAR_NS = 1 << 62  # a stamp after all others
 
 
 class Predictor:
     """Takes samples of the IMU into the buffer, and carries the state to each.
 
     Attributes:
-        values: what `process` publishes, laid out as `PUBLISHED`; overwritten by the next.
+        address: of the `PATH`, for functions of the kernel.
+        shared: what the path knows of another process, a `SHARED`.
+        copy_row: returns what was published last, laid out as `PUBLISHED`.
         is_running: whether there is a state.
 
     Args:
         config: of the estimator.
         buffer: of the IMU's samples.
-        ring: rows shared with another process, as integers and as doubles, into which usual samples are written.
     """
 
-    def __init__(self, config: Config, buffer: ImuBuffer, ring: tuple[Any, Any] = NO_RING) -> None:
-        self._buffer, self._ring = buffer, ring
+    def __init__(self, config: Config, buffer: ImuBuffer) -> None:
+        self._buffer = buffer
         self._path, self._propagations = np.zeros(1, layout.PATH), np.zeros(2, layout.PROPAGATION)
         self._work = np.zeros(1, layout.WORK)
+        self.address: int = self._path.ctypes.data
+        self.shared: Any = self._path[0]["shared"]
         self._fill(config)
-        self._state: tuple[Any, ...] = ()  # what all functions of the kernel work on
-        self._records: tuple[Any, ...] = ()  # and what `process` does
-        self.values = self._path["published"].view(np.float64)
+        self._note_addresses(propagations_at=self._propagations, buffer_at=buffer.record, work_at=self._work)
+        self.copy_row = memoryview(self._path["published"].view(np.float64).data).cast("B").tobytes
         self.is_running = False
+
+    def _note_addresses(self, **records: Any) -> None:
+        """Write down where records lie; who gives them keeps them."""
+        for name, record in records.items():
+            self._path[0][name] = record.ctypes.data
 
     def _fill(self, config: Config) -> None:
         """Write into the records what is configured."""
@@ -57,22 +64,24 @@ class Predictor:
         moving = motion.acceleration_density, motion.angular_rate_density, MOTION_INTEGRATION_SIGMA
         one["motion_noise"] = np.square(moving)
         one["walk"] = np.repeat(np.square([imu.accelerometer_random_walk, imu.gyroscope_random_walk]), 3)
+        one["shared"]["rescue_ns"] = FAR_NS
         one["frame"]["always"] = config.frames.odometry_policy == "always"
 
     def carry(self, chassis: BaseKinematics) -> None:
         """Let the state of a chassis be carried along."""
         self._chassis = chassis.records
-        self._collect()
+        mount, joint, rotations, waiting = chassis.records
+        self._note_addresses(mount_at=mount, joint_at=joint, rotations_at=rotations, waiting_at=waiting)
+        self._path[0]["rotation_rows"], self._path[0]["waiting_rows"] = len(rotations), len(waiting)
 
-    def release_ring(self) -> None:
-        """Let go of the memory that is shared with another process."""
-        self._ring = NO_RING
-        self._collect()
+    def read_clock(self, offset_ns: int) -> None:
+        """Subtract an offset from the stamps of samples to come."""
+        self._path[0]["clock_ns"] = offset_ns
 
-    def _collect(self) -> None:
-        buffer = self._buffer
-        self._state = self._path, self._propagations, buffer.record, buffer.samples, buffer.blocks, self._work
-        self._records = *self._state, *self._chassis, *self._ring
+    def take_count(self) -> int:
+        """Return how many samples were used since the last call."""
+        used, self._path[0]["used"] = int(self._path[0]["used"]), 0
+        return used
 
     @property
     def stamp_ns(self) -> int:
@@ -88,47 +97,40 @@ class Predictor:
     def _newest(self) -> Any:
         return self._propagations[self._path[0]["newest"]]
 
-    def process(self, sample: ImuSample, number: int, epoch: int) -> int:
+    def process(self, sample: ImuSample, *, is_checked: bool = False) -> int:
         """Take in a sample, if it is a usual one; return what came of it, in flags of `holdfast.kernel.imu_path`.
 
         Args:
-            sample: in continuous time.
-            number: of its row in the ring.
-            epoch: for that row.
+            sample: with the stamp that the clock of the IMU gave.
+            is_checked: an unusual one, with its stamp in continuous time, that may be used.
         """
-        reading = *sample.specific_force.tolist(), *sample.angular_velocity.tolist()
-        stamp_ns = sample.stamp_ns + self._buffer.offset_ns
-        flags = kernel.process(*self._records, number, epoch, stamp_ns, sample.arrival_ns, reading, False)
-        return self._catch_up(flags) if flags & kernel.IS_PENDING else flags
+        force = as_doubles(sample.specific_force, "specific_force")
+        rate = as_doubles(sample.angular_velocity, "angular_velocity")
+        if is_checked:
+            self._buffer.make_room()
+        flags: int = kernel.process(self.address, sample.stamp_ns, sample.arrival_ns, force, rate, is_checked)
+        return flags
 
-    def process_checked(self, sample: ImuSample) -> int:
-        """Take in an unusual sample that has been checked, and leave it to the caller to pass it on."""
-        self._buffer.make_room()
-        self._collect()
-        reading = *sample.specific_force.tolist(), *sample.angular_velocity.tolist()
-        stamp_ns = sample.stamp_ns + self._buffer.offset_ns
-        flags = kernel.process(*self._records, 0, 0, stamp_ns, sample.arrival_ns, reading, True)
-        return self._catch_up(flags) if flags & kernel.IS_PENDING else flags
-
-    def _catch_up(self, flags: int) -> int:
-        found: int = kernel.catch_up(*self._state, *self._chassis, flags)
+    def catch_up(self, flags: int) -> int:
+        """Carry the state to a sample that `process` has left pending."""
+        found: int = kernel.catch_up(self.address, flags)
         return found
 
     def begin(self, state: OptimisedState, gravity: float) -> None:
         """Begin with a first state, gravity in m/s^2; O is where W is."""
         self._path[0]["gravity"] = gravity
         self._put(state)
-        kernel.anchor(*self._state, True, False)
+        kernel.anchor(self.address, True, False)
         self.is_running = True
 
     def anchor(self, state: OptimisedState, *, is_recovery: bool = False) -> None:
         """Continue from a new optimised state: propagate the samples since its stamp again."""
         self._put(state)
-        kernel.anchor(*self._state, False, is_recovery)
+        kernel.anchor(self.address, False, is_recovery)
 
     def settle(self) -> OptimisedState:
         """Let the propagated state take the place of the optimised one, and return it."""
-        kernel.settle(*self._state)
+        kernel.settle(self.address)
         first = self._newest["optimised"]
         nav = gtsam.NavState(gtsam.Rot3(first["nav"]["R"]), first["nav"]["p"], first["nav"]["v"])
         bias = gtsam.imuBias.ConstantBias(first["bias_accel"], first["bias_gyro"])

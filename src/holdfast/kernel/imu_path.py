@@ -4,12 +4,14 @@ What was published goes on beside its successor until the next sample. There the
 difference: T_O_I arrives where the state published before leads it, whatever has become of position, attitude or
 velocity, also where the IMU was silent in between.
 
-What happens seldom has a function of its own: less code for the usual sample, which finds the caches cold.
+What happens seldom has a function of its own: less code for the usual sample, which finds the caches cold. For the same
+reason all that Python gives is the address of a `PATH`, which knows where the other records lie.
 """
 
 from math import isfinite
 from typing import Any
 
+from holdfast.kernel.addresses import floats_at, records_at, words_at
 from holdfast.kernel.compiling import entry, inner
 from holdfast.kernel.layout import (
     BLOCK,
@@ -22,40 +24,43 @@ from holdfast.kernel.layout import (
     ROTATION,
     SAMPLE,
     WORK,
-    records,
 )
 from holdfast.kernel.odometry_frame import correct, flow
 from holdfast.kernel.preintegration import predict, predict_covariance
 from holdfast.kernel.propagation import advance, copy_nav, fold, follows_as_usual, start, step
-from holdfast.kernel.ring import write_row
+from holdfast.kernel.ring import WIDTH, write_row
 from holdfast.kernel.samples import IS_LINE, STEPPED, append, is_usual
 from holdfast.kernel.so3 import quaternion
 from holdfast.kernel.turn_joint import at
-from holdfast.kernel.types import BOOL, FLOATS, INT64, READING, VOID, WORDS
+from holdfast.kernel.types import BOOL, INT64, VECTOR, VOID
+from holdfast.messages import Array
 
 REFUSED = 0  # nothing was done: the sample is unusual, and someone must look at it
+HAS_NEWS = -1  # nothing was done: the optimiser has published a state that should be taken in first
 # flags beside those of `samples`
 TAKEN, IS_PENDING, HAS_ESTIMATE, FROM_IMU, IS_SOUND, HAS_CHASSIS, CHASSIS_IS_UNSOUND = 4, 8, 16, 32, 64, 128, 256
-ENCODER_FLAG = 512  # times the state of the encoder, one of `turn_joint`, or this:
+IS_OVERDUE = 512  # no new state for long
+ENCODER_FLAG = 1024  # times the state of the encoder, one of `turn_joint`, or this:
 NO_ENCODER = 4
 
-STATE = tuple(records(one) for one in (PATH, PROPAGATION, BUFFER, SAMPLE, BLOCK, WORK))
-CHASSIS = tuple(records(one) for one in (MOUNT, JOINT, ROTATION, JOINT_READING))
+LEAVE = 2  # for so many samples a new state is left to calls that are in less of a hurry
 
 
 @inner
-def _complete(
-    path: Any,
-    propagations: Any,
-    work: Any,
-    mount: Any,
-    joint: Any,
-    rotations: Any,
-    waiting: Any,
-    stamp_ns: int,
-    before_ns: int,
-) -> int:
+def open_path(address: int) -> Any:
+    """Return (1,) `PATH` at an address, and its (2,) `PROPAGATION`, (1,) `BUFFER`, samples, blocks, (1,) `WORK`."""
+    path = records_at(address, 1, PATH)
+    buffer = records_at(path[0].buffer_at, 1, BUFFER)
+    samples = records_at(buffer[0].samples_at, buffer[0].rows, SAMPLE)
+    blocks = records_at(buffer[0].blocks_at, buffer[0].block_rows, BLOCK)
+    propagations = records_at(path[0].propagations_at, 2, PROPAGATION)
+    return path, propagations, buffer, samples, blocks, records_at(path[0].work_at, 1, WORK)
+
+
+@inner
+def _complete(path: Any, propagations: Any, work: Any, stamp_ns: int, before_ns: int) -> int:
     """Publish the state that has been carried to a sample; return what came of it, in flags."""
+    mount, joint = records_at(path.mount_at, 1, MOUNT)[0], records_at(path.joint_at, 2, JOINT)
     newest, published = propagations[path.newest], path.published
     estimate = published.estimate
     for k in range(1 + path.is_replaced):
@@ -69,10 +74,12 @@ def _complete(
     from_imu = newest.from_imu != 0 and not path.was_ahead
     path.was_ahead = 0
     _publish(path, newest, work, estimate)
-    flags = HAS_ESTIMATE | FROM_IMU * from_imu
+    flags = HAS_ESTIMATE | FROM_IMU * from_imu | IS_OVERDUE * (stamp_ns > path.shared.rescue_ns)
     if _is_finite(estimate):
         flags |= IS_SOUND
         chassis = published.chassis
+        rotations = records_at(path.rotations_at, path.rotation_rows, ROTATION)
+        waiting = records_at(path.waiting_at, path.waiting_rows, JOINT_READING)
         if mount.has_chassis and at(mount, joint, rotations, waiting, estimate, chassis, stamp_ns, from_imu):
             total = chassis.joint_angle_rad + chassis.joint_rate_rad_s
             total += chassis.velocity[0] + chassis.velocity[1] + chassis.velocity[2]
@@ -121,147 +128,138 @@ def _copy_optimised(source: Any, target: Any) -> None:
     target.rate[:], target.P[:, :] = source.rate, source.P
 
 
-# --- what Python calls: compiled here, so it comes last
-
-
-@entry(INT64, *STATE, *CHASSIS, WORDS, FLOATS, INT64, INT64, INT64, INT64, READING, BOOL)
-def process(
-    path: Any,
-    propagations: Any,
-    buffer: Any,
-    samples: Any,
-    blocks: Any,
-    work: Any,
-    mount: Any,
-    joint: Any,
-    rotations: Any,
-    waiting: Any,
-    words: Any,
-    floats: Any,
-    number: int,
-    epoch: int,
-    stamp_ns: int,
-    arrival_ns: int,
-    reading: tuple[float, ...],
-    is_checked: bool,
-) -> int:
-    """Take in a sample and carry the state to it; return what came of it, in flags.
-
-    Args:
-        path: (1,) of `PATH`.
-        propagations: (2,) of `PROPAGATION`.
-        buffer: (1,) of `BUFFER`.
-        samples: the rows of the buffer; so `blocks`.
-        blocks: what they show of the noise.
-        work: (1,) of `WORK`.
-        mount: (1,) of `MOUNT`.
-        joint: (2,) of `JOINT`, as `rotations` and `waiting` those of `turn_joint.at`.
-        rotations: rows of `ROTATION`.
-        waiting: rows of `JOINT_READING`.
-        words: rows of the shared ring, none where there is no other process; as `ring.write_row` has them.
-        floats: the same.
-        number: of the row in the ring, as `epoch` for it; an unusual sample is left to the caller.
-        epoch: of the row.
-        stamp_ns: of the sample, offset applied.
-        arrival_ns: when it came.
-        reading: (6,) specific force [m/s^2] and angular velocity [rad/s].
-        is_checked: an unusual one that may be used, and for which there is a row.
-    """
-    held, here = buffer[0], path[0]
-    if not is_checked:
-        if not is_usual(held, samples, stamp_ns, reading):
-            return REFUSED
-        if len(words):
-            write_row(words, floats, number, epoch, stamp_ns - here.offset_ns, arrival_ns, reading)
-    brought = append(held, samples, stamp_ns, arrival_ns, reading) | TAKEN
-    if not here.is_running:
+@inner
+def _reach(path: Any, propagations: Any, held: Any, samples: Any, work: Any, brought: int) -> int:
+    """Carry the state to the newest sample, or leave that pending where it takes more than a step."""
+    if not path.is_running:
         return brought
-    newest = propagations[here.newest]
+    newest, stamp_ns = propagations[path.newest], held.newest_ns
     before_ns = newest.stamp_ns
     if stamp_ns <= before_ns:
-        here.was_ahead = 1  # a measurement in a silent stretch has led the state past this sample
+        path.was_ahead = 1  # a measurement in a silent stretch has led the state past this sample
         return brought
-    here.has_imu = brought & STEPPED
-    if not here.has_imu or not follows_as_usual(newest, held, samples):
+    path.has_imu = brought & STEPPED
+    if not path.has_imu or not follows_as_usual(newest, held, samples):
         return brought | IS_PENDING
-    if here.is_replaced and not follows_as_usual(propagations[1 - here.newest], held, samples):
+    if path.is_replaced and not follows_as_usual(propagations[1 - path.newest], held, samples):
         return brought | IS_PENDING
-    for k in range(1 + here.is_replaced):
-        step(propagations[(here.newest + k) % 2], held, samples, work[0])
-    return brought | _complete(here, propagations, work[0], mount[0], joint, rotations, waiting, stamp_ns, before_ns)
+    for k in range(1 + path.is_replaced):
+        step(propagations[(path.newest + k) % 2], held, samples, work)
+    return brought | _complete(path, propagations, work, stamp_ns, before_ns)
 
 
-@entry(INT64, *STATE, *CHASSIS, INT64)
-def catch_up(
-    path: Any,
-    propagations: Any,
-    buffer: Any,
-    samples: Any,
-    blocks: Any,
-    work: Any,
-    mount: Any,
-    joint: Any,
-    rotations: Any,
-    waiting: Any,
-    brought: int,
-) -> int:
-    """Carry the state to a sample that `process` has left pending: after a silence, or once a second."""
-    here, held = path[0], buffer[0]
-    before_ns = propagations[here.newest].stamp_ns
-    if brought & IS_LINE:
-        _copy_optimised(propagations[here.newest].optimised, here.incoming)
-        _replace(here, propagations, held, samples, blocks, work[0])  # what looked good was a straight line
-    for k in range(1 + here.is_replaced):
-        if k == 1 or not brought & IS_LINE:
-            state = propagations[(here.newest + k) % 2]
-            advance(here, state, held, samples, blocks, work[0], brought & STEPPED != 0)
-    return brought | _complete(
-        here, propagations, work[0], mount[0], joint, rotations, waiting, held.newest_ns, before_ns
-    )
+@inner
+def _should_take_news(path: Any) -> bool:
+    """Whether a new state of the optimiser is to be taken in now; if not, it was left alone once more."""
+    shared = path.shared
+    if shared.slot_at == 0 or words_at(shared.slot_at, 1, 1)[0, 0] == shared.seen:
+        return False
+    shared.left += 1
+    return shared.left > LEAVE or path.is_running == 0
 
 
-@entry(VOID, *STATE, BOOL, BOOL)
-def anchor(
-    path: Any,
-    propagations: Any,
-    buffer: Any,
-    samples: Any,
-    blocks: Any,
-    work: Any,
-    is_first: bool,
-    is_recovery: bool,
+@inner
+def continue_from_incoming(
+    path: Any, propagations: Any, buffer: Any, samples: Any, blocks: Any, work: Any, is_first: bool, is_recovery: bool
 ) -> None:
     """Continue from the state in `path.incoming`: propagate the samples since its stamp.
 
     Args:
-        path: as the others those of `process`.
+        path: as the others what `_open` returns.
         propagations: of `PROPAGATION`.
-        buffer: of `BUFFER`.
-        samples: rows of the buffer.
+        buffer: the `BUFFER`.
+        samples: its rows.
         blocks: what they show of the noise.
-        work: of `WORK`.
+        work: a `WORK`.
         is_first: there was none before; O is where W is.
         is_recovery: T_W_O keeps this correction, whatever the policy.
     """
-    here = path[0]
-    here.is_recovery |= is_recovery
+    path.is_recovery |= is_recovery
     if is_first:
-        for pose in (here.frame.T_W_O, here.frame.rest):
+        for pose in (path.frame.T_W_O, path.frame.rest):
             pose.R[:, :], pose.p[:] = 0.0, 0.0
             for k in range(3):
                 pose.R[k, k] = 1.0
-        here.frame.flows, here.is_running = 0, 1
-        here.is_replaced = 1  # by nothing that was published
-    _replace(here, propagations, buffer[0], samples, blocks, work[0])
+        path.frame.flows, path.is_running = 0, 1
+        path.is_replaced = 1  # by nothing that was published
+    _replace(path, propagations, buffer, samples, blocks, work)
     if is_first:
-        here.is_replaced = here.is_recovery = 0
+        path.is_replaced = path.is_recovery = 0
 
 
-@entry(VOID, *STATE)
-def settle(path: Any, propagations: Any, buffer: Any, samples: Any, blocks: Any, work: Any) -> None:
+# --- what Python calls: compiled here, so it comes last
+
+
+@entry(INT64, INT64, INT64, INT64, VECTOR, VECTOR, BOOL)
+def process(address: int, stamp_ns: int, arrival_ns: int, force: Array, rate: Array, is_checked: bool) -> int:
+    """Take in a sample and carry the state to it; return what came of it, in flags, or why nothing did.
+
+    Args:
+        address: of the `PATH`.
+        stamp_ns: of the sample, as the clock of the IMU had it.
+        arrival_ns: when it came.
+        force: (3,) specific force [m/s^2].
+        rate: (3,) angular velocity [rad/s].
+        is_checked: an unusual sample that may be used, with its stamp in continuous time; there is a row for it, and it
+            is left to the caller to pass it to the other process.
+    """
+    paths, propagations, buffers, samples, _, works = open_path(address)
+    path, held, work = paths[0], buffers[0], works[0]
+    if len(force) != 3 or len(rate) != 3:
+        return REFUSED
+    reading = force[0], force[1], force[2], rate[0], rate[1], rate[2]
+    if is_checked:
+        stamp_ns += path.offset_ns
+    else:
+        if _should_take_news(path):
+            return HAS_NEWS
+        read_ns = stamp_ns - path.clock_ns
+        stamp_ns = read_ns + path.offset_ns
+        if not is_usual(held, samples, stamp_ns, reading):
+            return REFUSED
+        shared = path.shared
+        if shared.ring_at:
+            words = words_at(shared.ring_at, shared.ring_rows, WIDTH)
+            floats = floats_at(shared.ring_at, shared.ring_rows, WIDTH)
+            written = words_at(shared.written_at, 1, 1)
+            write_row(words, floats, written[0, 0], shared.epoch, read_ns, arrival_ns, reading)
+            written[0, 0] += 1
+    path.used += 1
+    brought = append(held, samples, stamp_ns, arrival_ns, reading) | TAKEN
+    return _reach(path, propagations, held, samples, work, brought)
+
+
+@entry(INT64, INT64, INT64)
+def catch_up(address: int, brought: int) -> int:
+    """Carry the state to a sample that `process` has left pending: after a silence, or once a second."""
+    paths, propagations, buffers, samples, blocks, works = open_path(address)
+    path, held, work = paths[0], buffers[0], works[0]
+    before_ns = propagations[path.newest].stamp_ns
+    if brought & IS_LINE:
+        _copy_optimised(propagations[path.newest].optimised, path.incoming)
+        _replace(path, propagations, held, samples, blocks, work)  # what looked good was a straight line
+    for k in range(1 + path.is_replaced):
+        if k == 1 or not brought & IS_LINE:
+            state = propagations[(path.newest + k) % 2]
+            advance(path, state, held, samples, blocks, work, brought & STEPPED != 0)
+    return (brought & ~IS_PENDING) | _complete(path, propagations, work, held.newest_ns, before_ns)
+
+
+@entry(VOID, INT64, BOOL, BOOL)
+def anchor(address: int, is_first: bool, is_recovery: bool) -> None:
+    """Continue from the state in `incoming`, as `continue_from_incoming`."""
+    paths, propagations, buffers, samples, blocks, works = open_path(address)
+    path, held, work = paths[0], buffers[0], works[0]
+    continue_from_incoming(path, propagations, held, samples, blocks, work, is_first, is_recovery)
+
+
+@entry(VOID, INT64)
+def settle(address: int) -> None:
     """Let the state now, with its covariance, take the place of the optimised one."""
-    newest = propagations[path[0].newest]
-    fold(path[0], newest, buffer[0], samples, blocks, work[0])
+    paths, propagations, buffers, samples, blocks, works = open_path(address)
+    path, held, work = paths[0], buffers[0], works[0]
+    newest = propagations[path.newest]
+    fold(path, newest, held, samples, blocks, work)
     first = newest.optimised
     first.stamp_ns, first.rate[:], first.P[:, :] = newest.stamp_ns, newest.rate, newest.P
     copy_nav(newest.start, first.nav)

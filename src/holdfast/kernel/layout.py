@@ -29,9 +29,12 @@ STEP = np.dtype([("dt_s", FLOAT), ("force", FLOAT, 3), ("rate", FLOAT, 3)])
 """A stretch of IMU data with its mean readings."""
 
 BUFFER = np.dtype([
+    ("samples_at", INT), ("rows", INT),  # where the rows of `SAMPLE` lie, and how many there are
+    ("blocks_at", INT), ("block_rows", INT),
     ("first", INT), ("end", INT),  # the samples that are held
     ("dropped", INT),  # samples since the last `clear` that are held no more, and lay before row 0
     ("newest_ns", INT),  # 0 before the first
+    ("before_ns", INT),  # of the one before it
     ("arrival_ns", INT),  # of the newest
     ("line_start", INT),  # row at which the run on one line begins that the newest is on
     ("gaps", INT),  # rows with is_gap set
@@ -77,8 +80,23 @@ FRAME = np.dtype([
 ])  # fmt: skip
 """The odometry frame."""
 
+SHARED = np.dtype([
+    ("ring_at", INT), ("ring_rows", INT), ("written_at", INT),  # rows of samples, and how many were written
+    ("slot_at", INT), ("slot_words", INT), ("healths", INT),  # 0 without another process; words of a row, of health
+    ("taken_at", INT),  # where the row of the state is kept that was taken in last
+    ("epoch", INT),  # how often all began anew
+    ("seen", INT), ("left", INT),  # version of the state taken in last; samples for which a newer one was left alone
+    ("life", INT), ("recoveries", INT), ("flags", INT), ("datum", FLOAT, 3),  # as they were in that one
+    ("anchor_ns", INT), ("is_rescued", INT), ("rescue_ns", INT), ("patience_ns", INT), ("kept_ns", INT),
+])  # fmt: skip
+"""What `holdfast.realtime` shares with the other process, and what was last taken from there."""
+
 PATH = np.dtype([
+    ("propagations_at", INT), ("buffer_at", INT), ("work_at", INT), ("mount_at", INT),
+    ("joint_at", INT), ("rotations_at", INT), ("rotation_rows", INT), ("waiting_at", INT), ("waiting_rows", INT),
+    ("used", INT),  # samples, since they were last counted
     ("offset_ns", INT),  # of the IMU, that stamps in the buffer have and those in the ring have not
+    ("clock_ns", INT),  # of its stamps against continuous time
     ("is_running", INT),
     ("newest", INT),  # which of the two propagations is published; the other is what was before
     ("is_replaced", INT), ("is_recovery", INT),
@@ -90,6 +108,7 @@ PATH = np.dtype([
     ("imu_noise", FLOAT, 3), ("motion_noise", FLOAT, 3),  # variance densities as in PROPAGATION
     ("incoming", OPTIMISED),  # a new state of the optimiser
     ("frame", FRAME),
+    ("shared", SHARED),
     ("published", PUBLISHED),
 ])  # fmt: skip
 """The IMU path: what it is configured to, and what it has published last."""

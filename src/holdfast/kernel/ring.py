@@ -11,6 +11,7 @@ import numpy as np
 from holdfast.kernel.compiling import entry, inner
 from holdfast.kernel.types import INT64, INTS
 
+WIDTH = 11  # words of a sample's row
 FACTOR, SEED = np.uint64(0x9E3779B97F4A7C15), np.uint64(0x2545F4914F6CDD1D)
 
 
@@ -31,7 +32,7 @@ def write_row(
     """Write the row of a sample.
 
     Args:
-        words: (rows, 11) integers: number, epoch, stamp, arrival, six readings, checksum.
+        words: (rows, `WIDTH`) integers: number, epoch, stamp, arrival, six readings, checksum.
         floats: the same memory as doubles.
         number: of the row, from 0 on.
         epoch: how often all began anew.

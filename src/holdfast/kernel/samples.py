@@ -5,12 +5,13 @@ from typing import Any
 from holdfast.kernel.compiling import entry, inner
 from holdfast.kernel.layout import BUFFER, SAMPLE, STEP, records
 from holdfast.kernel.search import first_after
-from holdfast.kernel.types import INT64, READING, TRIPLE, UNTIL
+from holdfast.kernel.types import INT64, READING, TRIPLE, UNTIL, VOID
 
 SUSPECT_LINE = 3  # so many steps on one line happen by chance once in a long while
 FROZEN_FACTOR = 10  # a reading that does not change at all for this many gap lengths is a dead sensor
 PERIOD_WINDOW = 64
 LINE_TOLERANCE = 1e-3  # of the change per sample; six channels of a living sensor never agree that well
+KEPT_ROWS, KEPT_NS = 1000, 10_000_000_000  # so many samples, or so long, are dropped at once
 DELAY_WINDOW = 64  # samples over whose shortest delay the next are judged; twice as many at most
 
 STEPPED, IS_LINE = 1, 2  # flags of what a sample brought: a step from the one before, a line that is certain now
@@ -43,7 +44,8 @@ def append(buffer: Any, samples: Any, stamp_ns: int, arrival_ns: int, reading: t
     sample.stamp_ns, sample.is_gap = stamp_ns, is_gap
     for k in range(3):
         sample.force[k], sample.rate[k] = reading[k], reading[3 + k]
-    buffer.arrival_ns, buffer.newest_ns, buffer.is_suspicious = arrival_ns, stamp_ns, 0
+    buffer.before_ns, buffer.newest_ns = buffer.newest_ns, stamp_ns
+    buffer.arrival_ns, buffer.is_suspicious = arrival_ns, 0
     buffer.gaps += is_gap
     buffer.end = row + 1
     if has_step and row - buffer.first >= 2:
@@ -129,6 +131,16 @@ def row_after(buffer: Any, samples: Any, stamp_ns: int) -> int:
 
 
 @inner
+def forget(buffer: Any, samples: Any, stamp_ns: int) -> None:
+    """Drop samples that no interval after a time needs, many at once."""
+    first, row = buffer.first, row_after(buffer, samples, stamp_ns) - 1
+    if row - first > KEPT_ROWS or (row > first and samples[row].stamp_ns - samples[first].stamp_ns > KEPT_NS):
+        for k in range(first, row):
+            buffer.gaps -= samples[k].is_gap
+        buffer.first, buffer.line_start = row, max(row, buffer.line_start)
+
+
+@inner
 def piece_from(buffer: Any, samples: Any, at_ns: int, end_ns: int) -> tuple[int, bool]:
     """Return until when, `end_ns` at most, the IMU either measured throughout or was silent throughout, and which."""
     row = row_after(buffer, samples, at_ns)
@@ -186,6 +198,12 @@ def take_in(buffer: Any, samples: Any, stamp_ns: int, arrival_ns: int, reading: 
 def find_row_after(buffer: Any, samples: Any, stamp_ns: int) -> int:
     """Return the first row that is later than a time."""
     return row_after(buffer[0], samples, stamp_ns)
+
+
+@entry(VOID, Buffer, Samples, INT64)
+def forget_before(buffer: Any, samples: Any, stamp_ns: int) -> None:
+    """Drop samples that no interval after a time needs, many at once."""
+    forget(buffer[0], samples, stamp_ns)
 
 
 @entry(UNTIL, Buffer, Samples, INT64, INT64)

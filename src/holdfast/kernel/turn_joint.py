@@ -208,6 +208,7 @@ def at(
     w, turning, before_rad_s = estimate.angular_velocity, joint[0], mount.axis_rate_rad_s
     _, _, rate_rad_s = unrotate(mount.T_I_A.R, w[0], w[1], w[2])
     if stamp_ns < mount.stamp_ns:
+        joint[1].counts[:, :] = turning.counts
         joint[0] = joint[1]  # the clock has gone back: no reading of before compares with one of now
     mount.stamp_ns, mount.axis_rate_rad_s = stamp_ns, rate_rad_s
     if mount.has_joint:

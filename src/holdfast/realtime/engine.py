@@ -17,6 +17,7 @@ from holdfast.estimator.imu_path import ImuPath, Received
 from holdfast.estimator.intake import Intake
 from holdfast.event_log import EventLog
 from holdfast.geometry.earth import Geodetic, LocalFrame
+from holdfast.kernel.imu_path import HAS_NEWS
 from holdfast.messages import ImuSample, JointAngle, Message
 from holdfast.realtime.event_log import EngineLog
 from holdfast.realtime.follower import StateFollower
@@ -32,7 +33,6 @@ from holdfast.sensors.registry import inputs_of
 from holdfast.state import NOTHING, Event, EventKind, Health, HealthReport, OptimisedState, Outcome, Output
 
 FLUSH_S = 30.0
-LEAVE = 2  # for so many samples a new state is left to calls that are in less of a hurry
 SPARE_ROWS = 64  # of the ring of measurements, kept for requests
 WAITING_NS = 30_000_000_000  # of samples before the start
 
@@ -63,9 +63,9 @@ class RealtimeEstimator(Intake):
         self._monitor = HealthMonitor(config)
         self._board = Board(self._records)
         self._samples, self._requests = self._board.samples, self._board.requests
-        self._path = ImuPath(config, self._buffer, self._log, (self._samples.words, self._samples.floats))
+        self._path = ImuPath(config, self._buffer, self._log)
         self._states = StateFollower(config, self._board, self._records, self._path, self._buffer)
-        self._left = 0  # samples for which a new state was left to calls that are in less of a hurry
+        self._answer, self._answering = self._path.answer, "" if in_step else self._imu
         self._is_full = self._is_closed = False
         self._fault_version: int | None = None  # of the states when the optimiser failed, until a successor publishes
         self._supervisor = Supervisor(
@@ -83,8 +83,9 @@ class RealtimeEstimator(Intake):
         if not self._is_closed:
             self._is_closed = True
             self._supervisor.stop()
-            self._take()
-            self._path.release_ring()
+            self._states.take()
+            self._answering = ""
+            self._states.release()
             self._board.close()
 
     # --- what it knows ------------------------------------------------------------------------------------------------
@@ -198,7 +199,7 @@ class RealtimeEstimator(Intake):
             timeout_s,
             "answer",
         )
-        optimised = self._take() if self._states.has_new else None
+        optimised = self._states.take() if self._states.has_new else None
         return Output(None, optimised, self._log_now().take_smoothed())
 
     def _wait(self, is_done: Callable[[], bool], timeout_s: float, what: str) -> None:
@@ -223,12 +224,14 @@ class RealtimeEstimator(Intake):
             ConfigError: the sensor is not in the configuration.
             EstimatorError: the estimator is closed.
         """
+        name = message.sensor
+        if name == self._answering and isinstance(message, ImuSample):
+            readings = message.specific_force, message.angular_velocity
+            return self._answer(message.stamp_ns, message.arrival_ns, *readings) or self._finish(message)
         if self._is_closed:
             raise EstimatorError("the estimator is closed")
-        name = message.sensor
         if name == self._imu and isinstance(message, ImuSample):
-            output, clock = self._process_imu(message), self._path.clock
-            return clock.output(output) if clock.has_stepped else output
+            return self._path.clock.output(self._give(None, self._path.process(message)))
         if name not in self.config.sensors:
             raise ConfigError(f"sensors.{name}: not in the configuration, but a message of it came")
         if not self._overload.admits(name, message.arrival_ns, self._buffer.latest_ns):
@@ -249,7 +252,7 @@ class RealtimeEstimator(Intake):
     def _take_new(self) -> Output:
         if not self._states.has_new:
             return NOTHING
-        return Output(None, self._take(), self._log_now().take_smoothed())
+        return Output(None, self._states.take(), self._log_now().take_smoothed())
 
     def room(self, sensor: str, arrival_ns: int) -> int | None:
         """Return how many measurements of a sensor will be taken in now, None if there is no limit.
@@ -271,18 +274,22 @@ class RealtimeEstimator(Intake):
         self._states.world.place(datum)
         self._begin_anew(datum)
 
-    def _process_imu(self, sample: ImuSample) -> Output:
-        states, path, optimised = self._states, self._path, None
-        if states.has_new:
-            self._left += 1
-            if self._left > LEAVE or not path.is_running:
-                optimised = self._take()
-        received = path.process(sample, self._samples.written, states.epoch)
+    def _finish(self, sample: ImuSample) -> Output:
+        """Do what is left to do at a sample that the path has not answered."""
+        path, optimised = self._path, None
+        if path.flags == HAS_NEWS:
+            optimised = self._states.take()
+            answer = path.answer(sample.stamp_ns, sample.arrival_ns, sample.specific_force, sample.angular_velocity)
+            if answer is not None:
+                return answer._replace(optimised=optimised, smoothed=self._reports.take_smoothed())
+        return path.clock.output(self._give(optimised, path.finish(sample)))
+
+    def _give(self, optimised: OptimisedState | None, received: Received | None) -> Output:
+        """Return what a sample led to, and pass on one that the path has not passed on itself."""
+        states = self._states
         if received is None:
             return NOTHING if optimised is None else Output(None, optimised)
-        if received.is_usual:
-            self._samples.written += 1  # the path has put it there
-        else:
+        if not received.is_usual:
             self._pass_on(received)
         estimate = received.estimate
         if not received.is_sound:
@@ -320,10 +327,6 @@ class RealtimeEstimator(Intake):
         self._ask(datum)
         if self._in_step:
             self._flush()
-
-    def _take(self) -> OptimisedState | None:
-        self._left = 0
-        return self._states.take()
 
     def _log_now(self) -> EngineLog:
         """Return the log of both processes with what has come until now."""

@@ -20,7 +20,7 @@ WORD = 8  # bytes
 ROW = 2 * WORD  # what a row has beside its body: number and checksum
 
 Words = NDArray[np.int64]
-NO_WORDS, NO_FLOATS = np.zeros((0, 0), np.int64), np.zeros((0, 0))
+NO_WORDS = np.zeros((0, 0), np.int64)
 
 
 class Word(IntEnum):
@@ -63,7 +63,7 @@ class Ring:
 
     Attributes:
         words: (rows, 2 + body / 8) number, body and checksum, as integers; so that `holdfast.kernel.ring` writes them.
-        floats: the same memory.
+        count: (1,) how many rows were written by this end, for the same.
 
     Args:
         memory: where it lies, from `offset` on.
@@ -74,14 +74,18 @@ class Ring:
     def __init__(self, memory: Memory, offset: int, rows: int, body: int) -> None:
         self.rows = rows
         self.words = _words(memory, offset, rows * (2 + body // WORD)).reshape(rows, -1)
-        self.floats = self.words.view(np.float64)
         self.end = offset + self.words.nbytes
-        self.written = 0
+        self.count: Words = np.zeros(1, np.int64)
+
+    @property
+    def written(self) -> int:
+        """How many rows were written by this end."""
+        return int(self.count[0])
 
     def push(self, body: bytes) -> None:
         """Append a row."""
         _write(self.words[self.written % self.rows], self.written, body)
-        self.written += 1
+        self.count += 1
 
     def read(self, number: int) -> bytes | None:
         """Return a row, or None if it has not been written whole, or has been overwritten."""
@@ -98,11 +102,15 @@ class Ring:
 
     def release(self) -> None:
         """Let go of the memory, before it is closed."""
-        self.words, self.floats = NO_WORDS, NO_FLOATS
+        self.words = NO_WORDS
 
 
 class Slot:
     """The newest record of one writer, in two places in turn: the writer never touches the one that is being read.
+
+    Attributes:
+        address: where the version lies, and after it the places, for `holdfast.kernel.follower`.
+        words: of each place.
 
     Args:
         memory: where it lies, from `offset` on.
@@ -112,6 +120,8 @@ class Slot:
     def __init__(self, memory: Memory, offset: int, size: int) -> None:
         self._version = memoryview(memory.map)[offset : offset + WORD].cast("q")
         self._places = _words(memory, offset + WORD, 2 * (2 + size // WORD)).reshape(2, -1)
+        self.address = self._places.ctypes.data - WORD
+        self.words = self._places.shape[1]
         self.end = offset + WORD + self._places.nbytes
 
     @property

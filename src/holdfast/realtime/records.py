@@ -6,7 +6,7 @@ configuration, which both processes have.
 
 from dataclasses import dataclass
 from struct import Struct
-from typing import Literal
+from typing import Literal, Self
 
 import gtsam
 import numpy as np
@@ -14,16 +14,18 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.estimator.health import HealthMonitor
 from holdfast.geometry.earth import Geodetic
+from holdfast.kernel.follower import HAS_DATUM, HAS_STATE, IS_FORTRAN, IS_LOST
 from holdfast.messages import Array, ImuSample, Message
 from holdfast.sensors.registry import inputs_of
 from holdfast.state import OptimisedState
 
 MESSAGE, RESET, DATUM = range(3)  # kinds of requests
-HAS_DATUM, HAS_STATE, IS_FORTRAN, IS_LOST = 1, 2, 4, 8  # flags of what is published
 COUNTERS = 5  # of what is published: epoch, life, updates, recoveries, lost sensors
 STATE_VALUES, COVARIANCE_VALUES = 24, 225
 
 SAMPLE = Struct("<qqq6d")  # epoch, stamp, arrival, specific force, angular velocity: `holdfast.kernel.ring`
+
+UNPACKED = "nav", "bias", "covariance", "angular_velocity"
 
 Request = Message | Geodetic | None
 """What the optimiser may be asked to take in: a message, a datum to begin anew at, or None for a reset."""
@@ -58,6 +60,32 @@ class Published:
     state: OptimisedState | None
 
 
+class PackedState(OptimisedState):
+    """An optimised state that is unpacked when more of it is asked for than its stamp."""
+
+    __slots__ = ("_packed",)
+    _packed: "tuple[bytes, Records]"
+
+    @classmethod
+    def of(cls, stamp_ns: int, packed: bytes, records: "Records") -> Self:
+        """Return the state of what `pack_published` has made."""
+        state = cls.__new__(cls)
+        object.__setattr__(state, "stamp_ns", stamp_ns)  # it is frozen
+        object.__setattr__(state, "_packed", (packed, records))
+        return state
+
+    def __getattr__(self, name: str) -> object:
+        """Unpack the state: a field has been asked for that is not there yet."""
+        if name not in UNPACKED:
+            raise AttributeError(name)
+        packed, records = self._packed
+        state = records.unpack_published(packed).state
+        for one in UNPACKED:
+            object.__setattr__(self, one, getattr(state, one))
+        found: object = getattr(state, name)
+        return found
+
+
 class Records:
     """The layouts of one configuration, equal in both processes."""
 
@@ -68,7 +96,8 @@ class Records:
         self._monitored = HealthMonitor(config).names
         self._width = max([len(Geodetic._fields), *(message.WIDTH for message in self._messages.values())])
         self._request = Struct(f"<qqqqqq{self._width}d")  # epoch, sample number, kind, sensor, stamp, arrival, values
-        integers = COUNTERS + 2 + len(HealthMonitor(config).snapshot())  # flags, stamp
+        self.healths = len(HealthMonitor(config).snapshot())
+        integers = COUNTERS + 2 + self.healths  # flags, stamp; `holdfast.kernel.follower` reads what follows as well
         self._head = Struct(f"<{integers}q{1 + len(Geodetic._fields)}d{STATE_VALUES}d")
         self.sample_size, self.request_size = SAMPLE.size, self._request.size
         self.published_size = self._head.size + 8 * COVARIANCE_VALUES

@@ -13,6 +13,7 @@ from threading import Event as Flag
 from threading import Lock, Thread
 from time import monotonic, sleep
 
+from holdfast.kernel.compiling import FOLDER
 from holdfast.realtime.layout import Board
 from holdfast.realtime.memory import Word
 from holdfast.realtime.placement import release_cores
@@ -20,7 +21,7 @@ from holdfast.realtime.reports import Inbox, Report
 from holdfast.realtime.worker import Settings
 
 PERIOD_S = 0.05
-START_S = 60.0  # in which a process must have come up
+START_S = 60.0 if FOLDER is not None else 600.0  # in which a process must have come up; without a cache it compiles
 STEADY_S = 10.0  # a process that lived for so long has not died of its start
 MAX_PAUSE_S = 30.0
 MANY = 1 << 20  # bytes of reports that nobody has asked for

@@ -21,6 +21,7 @@ from holdfast.kernel.samples import (
     find_piece,
     find_rate,
     find_row_after,
+    forget_before,
     take_in,
 )
 from holdfast.messages import Array, ImuSample
@@ -30,8 +31,10 @@ from holdfast.state import Outcome
 CLOCK_JUMP_NS = 250_000_000  # a stamp that differs from its arrival by this much more than those before is suspect
 SUSPECTS_ACCEPTED = 3
 ROWS = 4096  # for samples at first
-NEWEST, ARRIVAL = (layout.BUFFER.names.index(name) for name in ("newest_ns", "arrival_ns"))  # type: ignore[union-attr]
-KEPT_ROWS, KEPT_NS = 1000, 10_000_000_000  # so many samples, or so long, are dropped at once
+NEWEST, BEFORE, ARRIVAL = (
+    layout.BUFFER.names.index(name)  # type: ignore[union-attr]
+    for name in ("newest_ns", "before_ns", "arrival_ns")
+)
 
 
 class Added(NamedTuple):
@@ -61,6 +64,7 @@ class ImuBuffer:
         record: (1,) of `BUFFER`; so that `holdfast.kernel.imu_path` works on them, as are
         samples: the rows, of which `first` to `end` are held; replaced by a larger array where they do not suffice
         blocks: what they show of the noise.
+        numbers: the record as integers, five times faster to read.
     """
 
     def __init__(self, config: InertialConfig) -> None:
@@ -68,25 +72,37 @@ class ImuBuffer:
         self.offset_ns = round(config.time_offset_s * 1e9)
         self.record: Any = np.zeros(1, layout.BUFFER)
         self._one = self.record[0]
-        self._numbers = memoryview(self.record.view(np.int64).data)  # the same, five times faster to read
+        self.numbers = memoryview(self.record.view(np.int64).data)
         self._one["least_gap_ns"] = self._one["max_gap_ns"] = round(config.max_gap_s * 1e9)
         self._one["accelerometer_range"] = config.accelerometer_range
         self._one["gyroscope_range"] = config.gyroscope_range
         self.samples: Any = np.zeros(ROWS, layout.SAMPLE)
         self.blocks: Any = np.zeros(ROWS // LENGTH + 2, layout.BLOCK)
+        self._note_rows()
         self._suspect_ns = self._suspect_arrival_ns = self._suspect_delay_ns = self._suspects = 0
         self._repeats = self._repeats_since_ns = 0
+
+    def _note_rows(self) -> None:
+        """Write down where the rows lie."""
+        self._one["samples_at"], self._one["rows"] = self.samples.ctypes.data, len(self.samples)
+        self._one["blocks_at"], self._one["block_rows"] = self.blocks.ctypes.data, len(self.blocks)
 
     @property
     def arrival_ns(self) -> int:
         """When the newest sample arrived."""
-        number: int = self._numbers[ARRIVAL]
+        number: int = self.numbers[ARRIVAL]
         return number
 
     @property
     def latest_ns(self) -> int:
         """Stamp of the newest sample, time offset applied; 0 before the first."""
-        number: int = self._numbers[NEWEST]
+        number: int = self.numbers[NEWEST]
+        return number
+
+    @property
+    def before_ns(self) -> int:
+        """Stamp of the sample before the newest; 0 at the first."""
+        number: int = self.numbers[BEFORE]
         return number
 
     @property
@@ -212,6 +228,7 @@ class ImuBuffer:
             self.blocks = np.zeros(len(self.samples) // LENGTH + 2, layout.BLOCK)
             for block in blocks[blocks["number"] > 0]:
                 self.blocks[(block["number"] - 1) % len(self.blocks)] = block
+            self._note_rows()
         self.samples[: end - first] = held
         for name, change in (("first", -first), ("end", -first), ("line_start", -first), ("dropped", first)):
             self._one[name] += change
@@ -225,12 +242,7 @@ class ImuBuffer:
 
     def forget_before(self, stamp_ns: int) -> None:
         """Drop samples that no interval after `stamp_ns` needs, many at a time."""
-        first, _ = self._held()
-        row = self._row_after(stamp_ns) - 1
-        stamps = self.samples["stamp_ns"]
-        if row - first > KEPT_ROWS or (row > first and stamps[row] - stamps[first] > KEPT_NS):
-            self._one["gaps"] -= self.samples["is_gap"][first:row].sum()
-            self._one["first"], self._one["line_start"] = row, max(row, self._one["line_start"])
+        forget_before(self.record, self.samples, stamp_ns)
 
     def _row_after(self, stamp_ns: int) -> int:
         row: int = find_row_after(self.record, self.samples, stamp_ns)
