@@ -10,6 +10,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from holdfast.api.result import Result as Result
+    from holdfast.api.run import replay as replay
+    from holdfast.api.run import smooth as smooth
+    from holdfast.api.simulation import Simulated as Simulated
+    from holdfast.api.simulation import simulate as simulate
+    from holdfast.api.trajectory import Errors as Errors
+    from holdfast.api.trajectory import Trajectory as Trajectory
     from holdfast.config.load import load_config as load_config
     from holdfast.config.model import Config as Config
     from holdfast.errors import ConfigError as ConfigError
@@ -42,6 +49,7 @@ _PUBLIC = {
     "Estimate": "state",
     "Estimator": "estimator.estimator",
     "EstimatorError": "errors",
+    "Errors": "api.trajectory",
     "Event": "state",
     "FixStatus": "messages",
     "Geodetic": "geometry.earth",
@@ -56,7 +64,13 @@ _PUBLIC = {
     "Output": "state",
     "RealtimeEstimator": "realtime.engine",
     "RecordingError": "errors",
+    "Result": "api.result",
+    "Simulated": "api.simulation",
+    "Trajectory": "api.trajectory",
     "load_config": "config.load",
+    "replay": "api.run",
+    "simulate": "api.simulation",
+    "smooth": "api.run",
 }
 __all__ = ["__version__", *_PUBLIC]  # noqa: PLE0604 (names)
 
@@ -64,6 +78,8 @@ __all__ = ["__version__", *_PUBLIC]  # noqa: PLE0604 (names)
 def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"module 'holdfast' has no attribute {name!r}")
+    if name == "replay":  # the package of that name, which can be called
+        return import_module("holdfast.replay")
     value = getattr(import_module(f"holdfast.{_PUBLIC[name]}"), name)
     globals()[name] = value
     return value

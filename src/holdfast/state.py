@@ -75,6 +75,7 @@ class EventKind(StrEnum):
     ODOMETRY_JUMP = "odometry_jump"
     ODOMETRY_SLIP = "odometry_slip"
     NOISE = "noise"
+    CALIBRATION = "calibration"
     HEALTH = "health"
     OPTIMISER_FAULT = "optimiser_fault"
     ENCODER = "encoder"

@@ -124,7 +124,7 @@ def test_every_column_is_a_measure():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["nowhere", "-o", "x"], "nowhere: no such scenario (allowed: clocks, construction"),
+        (["nowhere", "-o", "x"], "nowhere: no such scenario (allowed: boastful-fixes, clocks, construction"),
         (["quick", "-o", "x", "--only", "no-imu"], "--only no-imu: no such variation (allowed: default, paper"),
     ],
 )

@@ -423,9 +423,11 @@ def test_where_the_imu_is_missing_too_gnss_is_not_said_to_be_all_that_is_missing
 
 def interrupted_replay(number, *arguments):
     """Send a signal to a replay that has begun to write; return exit code, stdout and stderr."""
+    heard = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it would be ignored, and that is inherited
     process = subprocess.Popen(
         [*COMMAND, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
+    signal.signal(signal.SIGHUP, heard)
     track = arguments[arguments.index("-o") + 1] / "imu_in_world.tum"
     deadline = time.monotonic() + 30
     while time.monotonic() < deadline and not (track.exists() and track.stat().st_size):

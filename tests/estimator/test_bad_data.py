@@ -242,7 +242,10 @@ def test_before_the_start_absurd_data_do_not_stop_it(kind):
 
 def test_no_message_at_all_leaves_an_estimator_that_reports_what_it_waits_for():
     estimator = Estimator(machine())
-    assert not estimator.initialised and estimator.waiting_for == "no usable position has come"
+    assert (
+        not estimator.initialised
+        and estimator.waiting_for == "no usable IMU sample has come, and no usable position has come"
+    )
 
 
 def test_a_message_of_a_sensor_that_is_not_configured_is_refused_by_its_name():

@@ -33,7 +33,7 @@ def fresh(config):
 def test_before_the_start_there_is_no_tracking_and_it_says_what_it_waits_for():
     optimiser, _, log = fresh(machine())
     assert optimiser.tracking is None and not optimiser.has_started and not optimiser.is_due
-    assert optimiser.waiting_for == "no usable position has come"
+    assert optimiser.waiting_for == "no usable IMU sample has come, and no usable position has come"
     assert (optimiser.lost(), optimiser.waiting.total(), optimiser.health) == ([], 0, Health.INITIALISING)
     optimiser.add(fixes(DRIVE, 0.0, 0.0)[0])
     assert log.counts["gnss", Outcome.BEFORE_START] == 1

@@ -25,7 +25,7 @@ def drive_on(rig, t, sees=True):
     main = rig.graph.main
     if sees:
         fix = position(DRIVE, t, ARM)
-        main.enter(fix, rig.sensors["gnss"].factor(main.node(fix.stamp_ns), fix, 1.0))
+        main.enter(fix, rig.sensors["gnss"].factor([main.node(fix.stamp_ns)], fix, 1.0))
     outcome = rig.graph.add_pose(TrackPose(ns(t), "lidar", DRIVE.pose(0.1).between(DRIVE.pose(t))))
     rig.update()
     return outcome
@@ -65,7 +65,7 @@ def test_a_trial_that_is_not_adopted_was_seen_by_nobody(graph):
     before = rig.graph.published.newest
     trial = rig.graph.trial()
     wrong = position(DRIVE, 4.1, ARM, (1.0, 0.0, 0.0))
-    trial.enter(wrong, rig.sensors["gnss"].factor(trial.node(wrong.stamp_ns), wrong, 1.0))
+    trial.enter(wrong, rig.sensors["gnss"].factor([trial.node(wrong.stamp_ns)], wrong, 1.0))
     trial.optimise()
     assert rig.graph.published.newest is before
     drive_on(rig, 4.1, sees=False)

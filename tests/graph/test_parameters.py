@@ -84,9 +84,68 @@ def test_a_parameter_stays_as_long_as_it_is_used_and_what_it_knew_is_the_prior_o
 def test_a_copy_goes_its_own_way():
     window, parameters = empty(), Parameters()
     parameters.use(window, "wheels", PRIOR, 0)
-    copy = parameters.copy()
+    copy = parameters.copy(window, lambda placed: placed)
     copy.use(window, "laser", PRIOR, 0)
     assert parameters.estimate("laser") is None and copy.estimate("wheels") is not None
+
+
+OFFSET = Parameter(np.zeros(2), np.array([0.03, 0.03]), np.array([0.005, np.inf]))  # the first is right, or far off
+
+
+def estimated(value, sigma, rounds=2):
+    """What becomes of a parameter that is measured, and of one that leaves the window thereafter and comes back."""
+    window, parameters = empty(), Parameters()
+    measure(window, parameters.use(window, "clock", OFFSET, 0).key, value, sigma)
+    for k in range(1, rounds + 1):
+        window.solve(0)
+        parameters.mark_solved()
+        known = parameters.use(window, "clock", OFFSET, k * REFRESHED_NS)
+    return window, parameters, known
+
+
+def test_what_may_be_right_as_configured_is_held_there_while_that_is_more_plausible_than_an_error():
+    _, _, known = estimated([0.002, 0.02], 0.003)
+    assert abs(known.value[0]) < 0.0003 and known.covariance[0, 0] < 0.001**2
+    assert known.value[1] == pytest.approx(0.02, rel=0.02)  # of which nobody said that it may be right
+
+
+def test_what_is_not_right_is_let_go_but_what_is_hardly_measured_is_not():
+    assert estimated([0.02, 0.0], 0.003)[2].value[0] == pytest.approx(0.02, rel=0.02)
+    assert estimated([0.02, 0.0], 0.02)[2].right is not None
+
+
+def test_what_was_let_go_is_held_again_when_measurements_agree():
+    window, parameters, known = estimated([0.02, 0.0], 0.003)
+    assert known.right is None
+    for k in range(3, 40):
+        measure(window, known.key, [0.0, 0.0], 0.003)
+        window.solve(0)
+        parameters.mark_solved()
+        known = parameters.use(window, "clock", OFFSET, k * REFRESHED_NS)
+    assert known.right is not None
+
+
+def test_what_was_held_is_let_go_when_measurements_contradict():
+    window, parameters, known = estimated([0.002, 0.0], 0.003)
+    assert known.right is not None
+    for k in range(3, 6):
+        measure(window, known.key, [0.015, 0.0], 0.001)
+        window.solve(0)
+        parameters.mark_solved()
+        known = parameters.use(window, "clock", OFFSET, k * REFRESHED_NS)
+    assert known.right is None
+    window.solve(0)
+    assert window.vector(known.key)[0] == pytest.approx(0.0145, abs=0.001)
+
+
+def test_what_was_held_counts_once_when_it_leaves_the_window_and_comes_back():
+    window, parameters, before = estimated([0.002, 0.0], 0.003)
+    other = parameters.use(window, "laser", PRIOR, 20 * SECOND_NS)
+    measure(window, other.key, [1.0, -2.0])
+    window.solve(10 * SECOND_NS)
+    again = parameters.use(window, "clock", OFFSET, 21 * SECOND_NS)
+    assert again.key != before.key and again.right is not None
+    np.testing.assert_allclose(again.covariance, before.covariance, rtol=1e-6)
 
 
 def test_parameters_of_different_sizes_have_keys_of_different_letters():

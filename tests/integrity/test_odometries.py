@@ -82,7 +82,7 @@ def walk_of(rig, sees, slips=None, end_s=END_S):
     for t in np.arange(0.2, end_s, 0.2):
         fix = position(DRIVE, t, ARM, sees(t))
         main = rig.graph.main
-        main.enter(fix, rig.sensors["gnss"].factor(main.node(fix.stamp_ns), fix, 1.0))
+        main.enter(fix, rig.sensors["gnss"].factor([main.node(fix.stamp_ns)], fix, 1.0))
         for name, slip in slips.items():
             rig.odometries.add(rig.graph, pose(t, name, slip(t)), ns(t))
         rig.update()

@@ -21,7 +21,9 @@ class Antenna:
     limit, p_I_P, parameter = 16.0, ARM, None
 
 
-AT_ORIGIN = SimpleNamespace(nav=lambda _: gtsam.NavState())
+AT_ORIGIN = SimpleNamespace(
+    nav=lambda _: gtsam.NavState(), angular_velocity=lambda _: np.zeros(3), parameter_estimate=lambda _: None
+)
 
 
 def position(t_s, east_m=0.0, sensor="left"):

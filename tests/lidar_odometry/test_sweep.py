@@ -51,6 +51,14 @@ def test_times_count_from_the_stamp_whatever_their_unit_and_origin(name, form, v
     np.testing.assert_allclose(decode([*axes(), (name, form, values)]).offsets_s, TIMES_S, atol=3e-7)
 
 
+@pytest.mark.parametrize(("name", "form"), [("intensity", "f4"), ("reflectivity", "u2"), ("signal", "u1")])
+def test_intensities_are_read_and_stay_with_their_points(name, form):
+    sweep = decode([*axes(), (name, form, [10, 20, 30, 40])])
+    np.testing.assert_array_equal(sweep.intensities, [10.0, 20.0, 30.0, 40.0])
+    np.testing.assert_array_equal(sweep.beyond(5.0).intensities, [20.0, 40.0])
+    assert decode(axes()).intensities is None
+
+
 def test_times_before_the_stamp_are_negative():
     sweep = decode([*axes(), ("time", "f4", TIMES_S - 0.15)])
     np.testing.assert_allclose(sweep.offsets_s, TIMES_S - 0.15, atol=1e-7)

@@ -27,7 +27,7 @@ TOPICS = {
 
 def converse(python, domain, folder):
     """Let the peer play the drive, and return what it sent and received."""
-    rows = [row for row in messages(drive() / "recording.mcap") if row[1] != "/tf_static"]
+    rows = [row for row in messages(drive() / "recording.mcap") if row[1] not in ("/tf", "/tf_static")]
     first_ns = rows[0][0]
     play = [
         [(at - first_ns) * 1e-9, topic, name, raw.hex()]
@@ -59,7 +59,7 @@ def by_stamp(found):
 def test_a_ros_node_and_holdfast_agree_on_every_field(distribution, ros_python, live, domain, tmp_path):
     python = ros_python(distribution)
     log = tmp_path / "log.mcap"
-    process = live("--record", log)
+    process = live("--record", log, commands=True)
     process.wait_for("publishing")
     found = converse(python, domain, tmp_path)
     process.wait_for("/holdfast/reset: the estimator begins anew")

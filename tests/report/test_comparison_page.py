@@ -57,7 +57,7 @@ def run(config: dict[str, Any], rms_m: float, lost: int, used: int) -> RunRecord
     empty = np.zeros(0)
     return RunRecord(
         "drive.mcap", "holdfast replay drive.mcap; holdfast report o", 0, summary, events, TIMES_S, track, track,
-        np.zeros((len(TIMES_S), 4)), empty, {}, empty, np.zeros((0, 6)),
+        np.zeros((len(TIMES_S), 4)), np.zeros((len(TIMES_S), 3)), empty, {}, empty, empty, np.zeros((0, 6)),
     )  # fmt: skip
 
 

@@ -41,14 +41,14 @@ def values_at(nav):
 
 def test_the_factor_is_zero_where_the_antenna_is():
     nav = tilted_circle().nav(2.0)
-    factor = MODEL.factor(X, position_of(nav.pose().transformFrom(ARM)), 1.0)
+    factor = MODEL.factor([X], position_of(nav.pose().transformFrom(ARM)), 1.0)
     np.testing.assert_allclose(residual(factor, values_at(nav)), np.zeros(3), atol=1e-9)
 
 
 def test_the_residual_is_the_antennas_error_in_sigmas():
     nav = gtsam.NavState(gtsam.Rot3.Yaw(np.pi / 2), np.array([10.0, 20.0, 30.0]), np.zeros(3))
     # turned left by 90 deg the arm (0.4, -0.5, 1.2) points to (0.5, 0.4, 1.2)
-    factor = MODEL.factor(X, position_of([10.5 - 0.01, 20.4 - 0.04, 31.2 + 0.06]), 1.0)
+    factor = MODEL.factor([X], position_of([10.5 - 0.01, 20.4 - 0.04, 31.2 + 0.06]), 1.0)
     np.testing.assert_allclose(abs(residual(factor, values_at(nav))), [1.0, 2.0, 2.0], atol=1e-9)
     assert factor.error(values_at(nav)) == pytest.approx(0.5 * 9.0)
 
@@ -59,7 +59,7 @@ def test_the_factor_has_the_jacobian_that_it_claims(seed):
     nav = gtsam.NavState(gtsam.Rot3.Expmap(rng.normal(0.0, 1.0, 3)), rng.normal(0.0, 50.0, 3), rng.normal(0.0, 3.0, 3))
     root = rng.normal(0.0, 0.02, (3, 3)) + 0.05 * np.eye(3)
     factor = MODEL.factor(
-        X, position_of(nav.position() + rng.normal(0.0, 1.0, 3), root @ root.T + 1e-4 * np.eye(3)), 1.0
+        [X], position_of(nav.position() + rng.normal(0.0, 1.0, 3), root @ root.T + 1e-4 * np.eye(3)), 1.0
     )
     assert_jacobians(factor, values_at(nav))
 
@@ -79,7 +79,7 @@ def test_an_arm_that_is_estimated_is_found_by_fixes_at_attitudes_that_are_known(
         nav = gtsam.NavState(gtsam.Rot3.Yaw(yaw), np.array([float(k), 0.0, 0.0]), np.zeros(3))
         values.insert(gtsam.symbol("x", k), nav)
         graph.add(gtsam.PriorFactorNavState(gtsam.symbol("x", k), nav, gtsam.noiseModel.Isotropic.Sigma(9, 1e-4)))
-        graph.add(estimated.factor(gtsam.symbol("x", k), position_of(nav.pose().transformFrom(truth)), 1.0, key))
+        graph.add(estimated.factor([gtsam.symbol("x", k), key], position_of(nav.pose().transformFrom(truth)), 1.0))
     found = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize().atVector(key)
     np.testing.assert_allclose(found, truth, atol=1e-5)
 
@@ -89,7 +89,7 @@ def test_a_fix_leads_to_the_pose_from_which_it_was_taken():
     arms = [ARM, np.array([-0.7, -1.9, 1.1]), np.array([1.0, 2.0, 0.3])]
     graph = gtsam.NonlinearFactorGraph()
     for arm in arms:  # three antennas fix the attitude as well
-        graph.add(model(arm).factor(X, position_of(nav.pose().transformFrom(arm)), 1.0))
+        graph.add(model(arm).factor([X], position_of(nav.pose().transformFrom(arm)), 1.0))
     graph.add(gtsam.PriorFactorNavState(X, nav, gtsam.noiseModel.Diagonal.Sigmas(np.repeat([1e3, 1e3, 1.0], 3))))
     start = values_at(nav.retract(np.array([0.2, -0.1, 0.3, 1.0, -2.0, 0.5, 0.1, 0.1, 0.1])))
     found = gtsam.LevenbergMarquardtOptimizer(graph, start).optimize().atNavState(X)
@@ -105,7 +105,7 @@ def test_the_innovation_has_the_derivatives_that_it_claims(seed):
 
 def test_an_inflation_of_four_halves_the_weight_of_a_residual():
     nav, off = gtsam.NavState(), position_of(ARM + np.array([0.03, 0.0, 0.0]))
-    once, four = (MODEL.factor(X, off, inflation).error(values_at(nav)) for inflation in (1.0, 4.0))
+    once, four = (MODEL.factor([X], off, inflation).error(values_at(nav)) for inflation in (1.0, 4.0))
     assert once == pytest.approx(0.5 * 3.0**2) and four == pytest.approx(0.5 * 1.5**2)
 
 
@@ -223,6 +223,6 @@ def outcome_of(sensor, fix):
 def test_a_robust_loss_takes_weight_from_a_far_fix_and_none_by_default():
     nav = gtsam.NavState()
     far = position_of(ARM + np.array([0.1, 0.0, 0.0]))  # ten sigma
-    assert MODEL.factor(X, far, 1.0).error(values_at(nav)) == pytest.approx(50.0)
-    huber = model(robust_loss={"kind": "huber", "threshold": 2.0}).factor(X, far, 1.0)
+    assert MODEL.factor([X], far, 1.0).error(values_at(nav)) == pytest.approx(50.0)
+    huber = model(robust_loss={"kind": "huber", "threshold": 2.0}).factor([X], far, 1.0)
     assert huber.error(values_at(nav)) == pytest.approx(2.0 * (10.0 - 1.0))

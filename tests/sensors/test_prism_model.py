@@ -58,7 +58,7 @@ def test_innovation_and_factor_are_zero_at_the_truth_and_have_the_derivatives_th
     position = Position(0, "prism", state.nav.pose().transformFrom(ARM), np.diag([1e-4, 2e-4, 3e-4]), 0.0)
     np.testing.assert_allclose(model().innovation(position, state).y, 0.0, atol=1e-12)
     assert_derivatives(model(), position, state)
-    factor = model().factor(X, position, 1.0)
+    factor = model().factor([X], position, 1.0)
     np.testing.assert_allclose(residual(factor, values_at(state.nav)), 0.0, atol=1e-9)
     assert_jacobians(factor, values_at(state.nav))
 
@@ -66,7 +66,7 @@ def test_innovation_and_factor_are_zero_at_the_truth_and_have_the_derivatives_th
 @pytest.mark.parametrize(("inflation", "sigmas"), [(1.0, 3.0), (9.0, 1.0)])
 def test_the_residual_counts_inflated_sigmas(inflation, sigmas):
     position = Position(0, "prism", ARM + np.array([0.03, 0.0, 0.0]), np.eye(3) * 0.01**2, 0.0)
-    factor = model().factor(X, position, inflation)
+    factor = model().factor([X], position, inflation)
     assert factor.error(values_at(gtsam.NavState())) == pytest.approx(0.5 * sigmas**2)
 
 

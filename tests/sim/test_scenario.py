@@ -52,6 +52,17 @@ def test_machine_and_site_supply_what_the_scenario_does_not_say(tmp_path: Path):
     assert scenario.turn_joint is not None
 
 
+def test_a_scenario_may_be_like_another_but_for_what_it_says_itself():
+    rounds, boastful = load_scenario("rounds"), load_scenario("boastful-fixes")
+    assert (boastful.duration_s, boastful.faults, boastful.machine) == (
+        rounds.duration_s,
+        rounds.faults,
+        rounds.machine,
+    )
+    ratios = [scenario.sensors_of(SimulatedGnss)["gnss"].claim_ratio for scenario in (rounds, boastful)]
+    assert ratios == [1.0, 0.4] and boastful.description != rounds.description
+
+
 def test_a_machine_may_lose_a_sensor(tmp_path: Path):
     scenario = load_scenario(scenario_file(tmp_path, MINIMAL + "sensors: {gnss_right: null, heading: null}\n"))
     assert "gnss_right" not in scenario.sensors

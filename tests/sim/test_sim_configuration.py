@@ -97,3 +97,11 @@ def test_sensors_that_make_no_configuration_are_refused_in_plain_words() -> None
 @pytest.mark.parametrize("name", shipped("scenarios"))
 def test_every_shipped_machine_has_a_chassis(name: str) -> None:
     assert configuration(load_scenario(name)).has_base()
+
+
+def test_an_owner_may_be_mistaken_about_a_mounting_and_about_nothing_else():
+    right, wrong = configuration(load_scenario("rounds")), configuration(load_scenario("wrong-mount"))
+    turned = np.linalg.inv(right.T_I("lidar")) @ wrong.T_I("lidar")
+    assert np.degrees(np.arccos((np.trace(turned[:3, :3]) - 1.0) / 2.0)) == pytest.approx(2.7, abs=0.1)
+    np.testing.assert_allclose(turned[:3, 3], 0.0, atol=1e-12)
+    np.testing.assert_array_equal(right.T_I("gnss_left"), wrong.T_I("gnss_left"))

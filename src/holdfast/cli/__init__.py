@@ -19,6 +19,7 @@ STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 # name -> (module, one-line help); the module has a click command of that name
 COMMANDS = {
     "replay": ("holdfast.cli.replay", "Estimate the trajectory of a recording."),
+    "smooth": ("holdfast.cli.smooth", "Estimate the best trajectory of a whole recording."),
     "live": ("holdfast.cli.live", "Estimate on a running ROS 2 machine, over DDS."),
     "view": ("holdfast.cli.view", "Show a recording or the results of a replay in Rerun."),
     "info": ("holdfast.cli.info", "List what a recording holds and what is wrong with its clocks."),
@@ -27,6 +28,7 @@ COMMANDS = {
     "report": ("holdfast.cli.report", "Write a page about a replay that can be opened offline."),
     "export": ("holdfast.cli.export", "Write a track for surveyors: CSV, GeoJSON, KML, LAS."),
     "compare": ("holdfast.cli.compare", "Show what differs between two replays, on one page."),
+    "map": ("holdfast.cli.map", "Make a map of the scans of a recording: LAZ, PLY, picture."),
     "batch": ("holdfast.cli.batch", "Replay many recordings or variations side by side."),
     "simulate": ("holdfast.cli.simulate", "Simulate a machine on a site; its truth is known."),
     "lidar-odometry": ("holdfast.cli.lidar_odometry", "Turn the point clouds of a recording into poses."),

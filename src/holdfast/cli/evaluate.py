@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 import click
 from click.core import ParameterSource
 
+from holdfast.cli.claimed import as_json, claimed_consistency, print_consistency
 from holdfast.cli.terminal import guarded_console
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError, RecordingError
@@ -80,6 +81,8 @@ def evaluate(
 
     Several estimates are judged side by side, at the stamps of the reference at which all of them have a pose: one
     table, relative errors over segments, and with --plot the tracks, the errors and a box plot over segments.
+
+    Where a single ESTIMATE has its covariances beside it (`holdfast smooth` writes them), they are judged, too.
     """
     from holdfast.evaluation.plot import check_plot
 
@@ -140,9 +143,11 @@ def _evaluate_one(
     except RecordingError as error:
         named = str(error) if str(estimate) in str(error) or str(reference) in str(error) else None
         raise RecordingError(named or f"{estimate} against {reference}: {error}") from error
+    consistency = claimed_consistency(estimate, pairs, metrics.association.reference_lever_arm)
     _print(verdicts, estimate, reference)
+    print_consistency(consistency)
     if json_file is not None:
-        _write_json(json_file, verdicts, estimate, reference, metrics)
+        _write_json(json_file, verdicts, estimate, reference, metrics, as_json(consistency))
     if plot_file is not None:
         first = verdicts[0]
         plot_accuracy(first, plot_file, f"{estimate.name} against {reference.name}, alignment {first.alignment.name}")
@@ -228,7 +233,14 @@ def _verdicts(pairs: "Pairs", alignment: str, metrics: "Metrics") -> "list[Accur
     return verdicts
 
 
-def _write_json(path: Path, verdicts: "list[Accuracy]", estimate: Path, reference: Path, metrics: "Metrics") -> None:
+def _write_json(  # noqa: PLR0917 (what is written)
+    path: Path,
+    verdicts: "list[Accuracy]",
+    estimate: Path,
+    reference: Path,
+    metrics: "Metrics",
+    consistency: dict[str, Any],
+) -> None:
     from holdfast import __version__
 
     pairs = verdicts[0].pairs
@@ -239,6 +251,7 @@ def _write_json(path: Path, verdicts: "list[Accuracy]", estimate: Path, referenc
         "oriented": pairs.oriented,
         "reference_start_ns": pairs.reference_start_ns,
         "metrics": asdict(metrics),
+        "consistency": consistency,
         "alignments": {verdict.alignment.name: verdict.to_json() for verdict in verdicts},
     }
     with naming_the_output(path):

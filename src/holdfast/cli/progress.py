@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from math import isfinite
 from time import monotonic
 from typing import TYPE_CHECKING
 
@@ -40,7 +41,7 @@ def reading_bar(
     title: str, recording: "Recording", start_s: float = 0.0, duration_s: float | None = None
 ) -> AbstractContextManager[Callable[[int], None] | None]:
     """Show how far a window of a recording, as in `Recording.read`, has been read."""
-    if recording.start_ns is None:
+    if recording.start_ns is None or not isfinite(start_s):  # `Recording.read` says what is wrong with that
         return progress_bar(title, None, None)
     begin_ns = recording.start_ns + round(start_s * 1e9)
     ends_ns = [recording.end_ns, None if duration_s is None else begin_ns + round(duration_s * 1e9)]

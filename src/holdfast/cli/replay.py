@@ -85,8 +85,8 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
         if config is None:
             guess = guessed_config(opened, output)
             config = guess.config
-        rules = _rules(hold_out, outage, config)  # before the results of an earlier replay are overwritten
-        wanted, missing = _wanted(opened, config, strict)
+        rules = rules_of(hold_out, outage, config)  # before the results of an earlier replay are overwritten
+        wanted, missing = wanted_of(opened, config, strict)
         messages = opened.read(wanted, start_s, duration_s)
         with folder:
             with Outputs(Path(output), config) as outputs, _engine(config, realtime) as engine:
@@ -114,8 +114,12 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     print_summary(summary, output)
 
 
-def _wanted(opened: "Recording", config: "Config", strict: bool) -> "tuple[list[Subscription], dict[str, str]]":
-    """Return what the recording can serve, and for each sensor that is missing the reason, after a warning."""
+def wanted_of(opened: "Recording", config: "Config", strict: bool) -> "tuple[list[Subscription], dict[str, str]]":
+    """Return what the recording can serve, and for each sensor that is missing the reason, after a warning.
+
+    Raises:
+        RecordingError: `strict`, or a sensor without which nothing can be estimated is missing.
+    """
     from holdfast.recording.subscriptions import available, subscriptions
 
     if strict:
@@ -133,7 +137,12 @@ def _stopped(run: "Replay") -> list[str]:
     return [f"the estimator had begun anew, and was not running at the end: {run.estimator.waiting_for}"]
 
 
-def _rules(hold_out: Sequence[str], outage: Sequence[str], config: "Config") -> "list[HoldOut]":
+def rules_of(hold_out: Sequence[str], outage: Sequence[str], config: "Config") -> "list[HoldOut]":
+    """Return what is to be held back, as the options say.
+
+    Raises:
+        ConfigError: names the option, or the sensor that is not there.
+    """
     from holdfast.replay.held_out import HoldOut, check_sensors
 
     rules = [HoldOut.parse_every(text) for text in hold_out] + [HoldOut.parse_outage(text) for text in outage]

@@ -64,6 +64,7 @@ class PositionConfig(MountedConfig):
     """What all sensors have that measure the position of a point of the machine."""
 
     topic: Topic
+    time_offset_sigma_s: float = quantity("s", 0.03, ge=0, le=1, doc="of `time_offset_s`, which is estimated; 0: known")
     gate_sigma: float = quantity(
         "sigma",
         4.0,
@@ -116,6 +117,7 @@ class HeadingConfig(JudgedConfig):
 
     kind: Literal["heading"]
     topic: Topic
+    time_offset_sigma_s: float = quantity("s", 0.03, ge=0, le=1, doc="of `time_offset_s`, which is estimated; 0: known")
     mounting_yaw_deg: float | None = quantity(
         "deg", None, ge=-360, le=360, doc="yaw of the measured axis in the IMU frame; else that of the baseline"
     )
@@ -136,6 +138,10 @@ class OdometryConfig(MountedConfig):
     drift_m_per_sqrt_m: float = quantity("m/sqrt(m)", 0.04, ge=0, le=10, doc="random walk of position over distance")
     drift_rad_per_sqrt_m: float = quantity("rad/sqrt(m)", 1e-3, ge=0, le=1, doc="random walk of attitude over distance")
     drift_rad_per_sqrt_rad: float = quantity("sqrt(rad)", 5e-3, ge=0, le=1, doc="random walk of attitude over rotation")
+    mounting_sigma_deg: float = quantity(
+        "deg", 1.0, ge=0, le=45, doc="of the frame's rotation in `extrinsics`, which is estimated; 0: known"
+    )
+    time_offset_sigma_s: float = quantity("s", 0.03, ge=0, le=1, doc="of `time_offset_s`, which is estimated; 0: known")
     max_interval_s: float = quantity("s", 1.0, gt=0, le=10, doc="poses further apart are not joined")
     jump_sigma: float = quantity(
         "sigma", 8.0, gt=3, doc="a motion further from that of the IMU is a jump of the odometry"

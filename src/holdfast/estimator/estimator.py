@@ -11,6 +11,7 @@ from holdfast.config.model import Config
 from holdfast.errors import ConfigError
 from holdfast.estimator.imu_path import ImuPath
 from holdfast.estimator.intake import Intake
+from holdfast.estimator.listener import Listener
 from holdfast.estimator.optimiser import Optimiser
 from holdfast.event_log import EventLog, MeasurementRecord
 from holdfast.geometry.earth import Geodetic, LocalFrame
@@ -24,15 +25,16 @@ class Estimator(Intake):
 
     Args:
         config: what the sensors are, where they sit, and how the estimator is to behave.
+        listener: who is told of all that comes in and goes out, such as a batch smoother.
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, listener: Listener | None = None) -> None:
         self.config = config
         self._imu = config.imu_name
         self._log = EventLog(self._imu)
         self._buffer = ImuBuffer(config.imu)
         self._path = ImuPath(config, self._buffer, self._log)
-        self._optimiser = Optimiser(config, self._buffer, self._log)
+        self._optimiser = Optimiser(config, self._buffer, self._log, listener)
 
     @property
     def datum(self) -> Geodetic | None:
@@ -88,6 +90,10 @@ class Estimator(Intake):
     def noise(self, sensor: str) -> float:
         """Return how many times larger the noise of a sensor is than it claims, as its innovations show."""
         return self._optimiser.monitor.noise(sensor)
+
+    def stamp(self, time_ns: int) -> int:
+        """Return the stamp that the IMU's clock showed at a time of the estimator's own, which never steps."""
+        return self._path.clock.stamp(time_ns)
 
     def take_events(self) -> list[Event]:
         """Return the events since the last call."""

@@ -6,7 +6,7 @@ the configuration. Without a heading the machine has to move: then a batch of po
 """
 
 from collections import deque
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from math import radians
 from typing import Any, TypeVar
@@ -15,16 +15,17 @@ import gtsam
 import numpy as np
 
 from holdfast.config.model import Config
-from holdfast.config.sensors import GnssConfig, RobustLoss
+from holdfast.config.sensors import GnssConfig
 from holdfast.estimator.course import Course, course_of
 from holdfast.estimator.first_heading import Antennas, baseline_heading, pose_heading
 from holdfast.graph.alignment import BatchAligner, BiasPrior, Evidence, level_attitude, thin
 from holdfast.messages import Array, Message
 from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.noise import UNBOUNDED
 from holdfast.sensors.odometry import OdometryNoise
 from holdfast.sensors.position import position_factor
 from holdfast.sensors.preintegration import ImuNoise
-from holdfast.sensors.sensor import Measurement, Parameter, Position, Role, Sensor, Velocity, of_role
+from holdfast.sensors.sensor import Measurement, Parameter, Position, Role, Sensor, State, Velocity, of_role
 from holdfast.sensors.standstill import (
     ENGINE,
     fixes_stand,
@@ -318,9 +319,9 @@ class _PoseAsPoint:
         self.name = name
 
     def factor(
-        self, key: int, position: Position, inflation: float, _arm_key: int | None = None
+        self, keys: Sequence[int], position: Position, inflation: float, _state: State | None = None
     ) -> gtsam.NonlinearFactor:
-        return position_factor(key, position, self.p_I_P, RobustLoss(), inflation)
+        return position_factor(keys[0], position, self.p_I_P, UNBOUNDED, inflation)
 
 
 def _as_position(pose: Any) -> Position:

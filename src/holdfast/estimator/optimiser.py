@@ -6,6 +6,7 @@ Its phase is an `Initialising` or a `Tracking`; a restart makes a new one, and n
 from collections import Counter
 from collections.abc import Iterable
 from math import isfinite
+from typing import TYPE_CHECKING
 
 from holdfast.chassis.encoder import JointModel
 from holdfast.chassis.joint_track import JointTrack
@@ -27,6 +28,9 @@ from holdfast.sensors.registry import inputs_of, sensors_of
 from holdfast.sensors.sensor import Joint, Measurement, Position, Role, StampFilter
 from holdfast.state import EventKind, Health, OptimisedState, Outcome
 
+if TYPE_CHECKING:
+    from holdfast.estimator.listener import Listener
+
 LATE_NS = 10_000_000_000  # by which a measurement that starts the estimator may be late
 
 
@@ -37,10 +41,12 @@ class Optimiser:
         config: of the estimator.
         buffer: of the IMU's samples.
         log: where counts and events go.
+        listener: who is told of all that comes in and goes out.
     """
 
-    def __init__(self, config: Config, buffer: ImuBuffer, log: EventLog) -> None:
+    def __init__(self, config: Config, buffer: ImuBuffer, log: EventLog, listener: "Listener | None" = None) -> None:
         self._config, self._buffer, self._log = config, buffer, log
+        self._listener = listener
         self._start_window_ns = round(config.initialisation.window_s * 1e9) + LATE_NS
         self._sensors = sensors_of(config)
         self._inputs = frozenset(inputs_of(config))
@@ -59,6 +65,8 @@ class Optimiser:
     def _begin(self) -> None:
         """Begin anew, before a start."""
         self.monitor.stop()
+        if self._listener is not None:
+            self._listener.stop()
         self._stamps = StampFilter()
         self._scales = {name: NoiseScale() for name in self._sensors}
         self._lever_arms = LeverArms(self._sensors)
@@ -121,6 +129,8 @@ class Optimiser:
             self._buffer.forget_before(stamp_ns - self._start_window_ns)
         elif self._phase.receive(received):
             self._has_imu = received.has_step
+        if self._listener is not None:
+            self._listener.receive(received)
 
     def wants(self, message: Message) -> bool:
         """Whether a message is of use here: a measurement, or the joint's angle for a sensor on the chassis."""
@@ -148,6 +158,8 @@ class Optimiser:
                 self._log.report(EventKind.REJECTED, message.stamp_ns, name, outcome)
             return None
         self._tell_assumption(message)
+        if self._listener is not None:
+            self._listener.add(measurement, self._joint_at(measurement.stamp_ns))
         if isinstance(self._phase, Tracking):
             self._phase.enqueue(measurement, message.arrival_ns)
             return None
@@ -243,10 +255,13 @@ class Optimiser:
         self.monitor.reset(self._buffer.latest_ns)
 
     def _start(self, state: OptimisedState, successor: Successor) -> Tracking:
+        sensors = self._lever_arms.believed(self._sensors)
+        if self._listener is not None:
+            self._listener.start(state, sensors, self.gravity)
         tracking = Tracking(
             self._config,
             self._buffer,
-            self._lever_arms.believed(self._sensors),
+            sensors,
             self.gravity,
             state,
             scales=self._scales,
@@ -269,6 +284,8 @@ class Optimiser:
         """Add every measurement whose time the IMU has reached, and optimise once; it must have started."""
         assert isinstance(self._phase, Tracking)
         update = self._phase.update()
+        if self._listener is not None:
+            self._listener.update(update, self.monitor.noise, self._phase.graph.published.measured)
         if self._lever_arms.review(self._buffer.latest_ns, self._log):
             state = self._lever_arms.doubtful(update.state, self._config.imu.accelerometer_bias_sigma)
             update = Update(state, (), is_recovery=True, begins_anew=True)

@@ -54,15 +54,15 @@ class StandstillUpdates:
         self._next_ns = 0
         self._added: deque[Standing] = deque()
 
-    def add_to(self, smoothers: Iterable[Smoother]) -> int:
-        """Add the factors that have become certain, to every smoother; return how many times it stood."""
+    def add_to(self, smoothers: Iterable[Smoother]) -> list[int]:
+        """Add the factors that have become certain, to every smoother; return the times at which it stood."""
         every = list(smoothers)
         end = self._buffer.latest_ns - self._half_ns - self._period_ns
         oldest = max(smoother.oldest_ns for smoother in every)
         while self._added and self._added[0].stamp_ns < oldest:
             self._added.popleft()
         first = max(self._next_ns, -(-oldest // self._period_ns) * self._period_ns)
-        added = 0
+        added: list[int] = []
         for stamp in range(first, end + 1, self._period_ns) if self._config.enabled else ():
             self._next_ns = stamp + self._period_ns
             if all(stamp <= smoother.newest_ns and self._is_standing(stamp, smoother) for smoother in every):
@@ -70,7 +70,7 @@ class StandstillUpdates:
                 for smoother in every:
                     smoother.enter_zero_velocity(standing, self._config.velocity_sigma_m_s)
                 self._added.append(standing)
-                added += 1
+                added.append(stamp)
         return added
 
     def take_back(self, smoothers: Iterable[Smoother]) -> int:

@@ -16,6 +16,7 @@ from holdfast.estimator.successor import Successor
 from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import OptimiserError, Smoother
+from holdfast.integrity.calibration import Calibration
 from holdfast.integrity.headings import Headings
 from holdfast.integrity.lever_arms import LeverArms
 from holdfast.integrity.noise_scale import NoiseScale
@@ -23,6 +24,7 @@ from holdfast.integrity.odometries import Odometries
 from holdfast.integrity.positions import Positions
 from holdfast.integrity.recovery import Recovery
 from holdfast.integrity.states import JointAt, States
+from holdfast.sensors.clock import with_estimated_clock
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.sensor import ConstraintSensor, Measurement, Role, Sensor, of_role
 from holdfast.state import EventKind, OptimisedState, Outcome
@@ -38,13 +40,15 @@ class Update(NamedTuple):
     """What one optimisation led to.
 
     `smoothed` are nodes that will not change any more; `is_recovery` says that GNSS was regained by it, `begins_anew`
-    that the state is none of the graphs, but that from which others are to begin.
+    that the state is none of the graphs, but that from which others are to begin. `standing` are times at which the
+    machine was found to stand.
     """
 
     state: OptimisedState
     smoothed: Sequence[tuple[int, gtsam.NavState]]
     is_recovery: bool
     begins_anew: bool = False
+    standing: Sequence[int] = ()
 
 
 class Tracking:
@@ -83,6 +87,7 @@ class Tracking:
         self._roles = {name: sensor.role for name, sensor in sensors.items()}
         self._constraints = [sensor for sensor in sensors.values() if isinstance(sensor, ConstraintSensor)]
         believe_after_s = config.gate.patience_s(has_odometry=bool(of_role(sensors, Role.ODOMETRY)))
+        sensors = {name: with_estimated_clock(sensor) for name, sensor in sensors.items()}
         receivers = of_role(sensors, Role.POSITION)
         self._positions = Positions(config.gate, receivers, scales, lever_arms, log, believe_after_s=believe_after_s)
         self._headings = Headings(of_role(sensors, Role.HEADING), scales, log)
@@ -104,6 +109,7 @@ class Tracking:
         self._constrained_ns = state.stamp_ns
         self._late: set[str] = set()  # sensors whose last measurement was too late
         self._epochs = Epochs()
+        self._calibration = Calibration(sensors, log)
         self.queue = MeasurementQueue()
         self.graph = DualGraph(config, buffer, gravity, self._odometries.new_tracks(), state)
 
@@ -187,13 +193,14 @@ class Tracking:
                 smoother.node(now_ns // self._node_interval_ns * self._node_interval_ns)
         standing = self._standstill.add_to(self.graph.smoothers())
         if standing:
-            self._log.count(STANDSTILL, Outcome.USED, standing)
+            self._log.count(STANDSTILL, Outcome.USED, len(standing))
         for smoother in self.graph.smoothers():
             self._optimise(smoother)
         is_recovery = self._recovery.review(self.graph, now_ns)
         for channel in self._headings, self._states:
             channel.review(self.graph, now_ns)
         self._odometries.review(now_ns)
+        self._calibration.review(self.graph.main, now_ns)
         published = self.graph.published
         contradicting = None if self._odometries.has_agreed() else self._positions.contradicted_by()
         beginning = self.successor.settle_doubt()
@@ -204,7 +211,7 @@ class Tracking:
             return Update(beginning.state, (), is_recovery=True, begins_anew=True)
         if is_recovery:
             self._monitor.recovered(now_ns)
-        return Update(published.newest, published.settled(), is_recovery)
+        return Update(published.newest, published.settled(), is_recovery, standing=standing)
 
     def drop_samples(self) -> None:
         """Drop the samples that no window needs any more."""

@@ -9,7 +9,10 @@ from statistics import NormalDist
 
 import numpy as np
 
+from holdfast.covariances import Covariances
 from holdfast.errors import EstimatorError
+from holdfast.evaluation.association import Pairs
+from holdfast.evaluation.states import States, state_errors
 from holdfast.messages import Array
 
 
@@ -131,3 +134,18 @@ def _upper_fraction(a: float, x: float) -> float:
         change = c * d
         fraction *= change
     return fraction
+
+
+def pose_consistency(pairs: Pairs, covariances: Covariances, probability: float = 0.95) -> dict[str, Consistency]:
+    """Judge the poses of an estimate by their covariances: `position`, and `attitude` where both are oriented.
+
+    Raises:
+        EstimatorError: a covariance is not positive definite.
+    """
+    still = np.zeros_like(pairs.estimate.positions)
+    errors = state_errors(States(pairs.estimate, still), States(pairs.reference, still)).tangent
+    claimed = covariances.at(pairs.estimate.stamps_ns)
+    blocks = {"position": slice(3, 6)} | ({"attitude": slice(0, 3)} if pairs.oriented else {})
+    return {
+        name: consistency(errors[:, block], claimed[:, block, block], probability) for name, block in blocks.items()
+    }

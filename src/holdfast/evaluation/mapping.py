@@ -9,6 +9,7 @@ neither on how often a surface was seen nor on its distance. The map from the tr
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,7 +164,11 @@ def map_quality(
         RecordingError: the trajectory cannot be used, or covers no scan.
     """
     options = options or MapOptions()
-    voxels = build_map(scans, trajectory, T_I_L, options)
+    return judge_map(build_map(scans, trajectory, T_I_L, options), surface, options)
+
+
+def judge_map(voxels: VoxelMap, surface: SurfaceIndex, options: MapOptions) -> MapQuality:
+    """Judge a map by the true surface."""
     distances, pieces = surface.nearest(voxels.points)
     weights = _weights(pieces, voxels.counts, surface)
     regions = surface.regions_of(pieces)
@@ -180,12 +185,14 @@ def build_map(scans: Iterable[MapScan], trajectory: Trajectory, T_I_L: Array, op
     check_trajectory(trajectory, "trajectory")
     used, left_out, cells, rng = 0, 0, _Cells(options.voxel_m), np.random.default_rng(0)
     for scan in scans:
-        points = _in_world(scan, trajectory, T_I_L, options)
-        if points is None:
+        near = options.rows_of(scan.points)
+        stamps_ns = scan.stamp_ns + scan.offsets_ns[near]
+        moved = move_points(scan.points[near], stamps_ns, trajectory, T_I_L, options.max_gap_s)
+        if moved is None:
             left_out += 1
             continue
         used += 1
-        cells.add(points, rng.random(len(points)))
+        cells.add(moved.points, rng.random(len(moved.points)))
     cells.merge()
     if not len(cells.points):
         raise RecordingError(f"the trajectory covers none of the {left_out} scans, so there is no map")
@@ -239,22 +246,47 @@ def write_map(quality: MapQuality, path: Path) -> None:
         raise ConfigError(f"{path}: cannot be written ({error.strerror})") from None
 
 
-def _in_world(scan: MapScan, trajectory: Trajectory, T_I_L: Array, options: MapOptions) -> Array | None:
-    """Return points (N, 3) in W [m], thinned; None if the trajectory does not cover the sweep."""
-    near = options.rows_of(scan.points)
-    stamps, wanted = trajectory.stamps_ns, scan.stamp_ns + scan.offsets_ns[near]
-    if not len(near) or wanted.min() < stamps[0] or wanted.max() > stamps[-1]:
+class Moved(NamedTuple):
+    """Points of a scan in W, with the poses from which they were measured.
+
+    Attributes:
+        points: (N, 3) in W [m].
+        lidar: (N, 3) the position of L in W at the time of each point [m].
+        imu: (N, 3) that of I.
+    """
+
+    points: Array
+    lidar: Array
+    imu: Array
+
+
+def move_points(
+    points: NDArray[np.floating], stamps_ns: NDArray[np.int64], trajectory: Trajectory, T_I_L: Array, max_gap_s: float
+) -> Moved | None:
+    """Move points (N, 3), each in L at its own time (N,), to W; None if the trajectory does not cover them all.
+
+    Args:
+        points: [m].
+        stamps_ns: of the points.
+        trajectory: of I in W; linear in position and slerp in rotation between its poses.
+        T_I_L: (4, 4) pose of the lidar in I.
+        max_gap_s: a longer gap between two poses is not bridged.
+    """
+    stamps = trajectory.stamps_ns
+    wanted, row = np.unique(stamps_ns, return_inverse=True)  # the points of a column have one time
+    if len(stamps) < 2 or not len(wanted) or wanted[0] < stamps[0] or wanted[-1] > stamps[-1]:
         return None
     before = np.clip(np.searchsorted(stamps, wanted, side="right") - 1, 0, len(stamps) - 2)
     gap = stamps[before + 1] - stamps[before]
-    if gap.max() > options.max_gap_s * 1e9:
+    if gap.max() > max_gap_s * 1e9:
         return None
     fraction = (wanted - stamps[before]) / gap
     start, end = trajectory.positions[before], trajectory.positions[before + 1]
     q = quaternions.slerp(trajectory.quaternions[before], trajectory.quaternions[before + 1], fraction)
-    in_imu = scan.points[near].astype(np.float64) @ T_I_L[:3, :3].T + T_I_L[:3, 3]
-    moved: Array = start + fraction[:, None] * (end - start) + quaternions.rotate(q, in_imu)
-    return moved
+    imu = start + fraction[:, None] * (end - start)
+    lidar = imu + quaternions.rotate(q, T_I_L[:3, 3])
+    in_imu = points.astype(np.float64) @ T_I_L[:3, :3].T + T_I_L[:3, 3]
+    return Moved(imu[row] + quaternions.rotate(q[row], in_imu), lidar[row], imu[row])
 
 
 def _keys(points: Array, voxel_m: float) -> NDArray[np.int64]:

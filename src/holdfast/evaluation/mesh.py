@@ -20,7 +20,7 @@ from holdfast.messages import Array
 
 SPACING_M = 0.3  # longest edge of the piece of a triangle that one sample stands for
 NEIGHBOURS = (4, 16, 64)
-CHUNK_POINTS = 50_000  # at a time: bounds the memory
+CHUNK_POINTS = 10_000  # at a time: bounds the memory
 PLY_HEADER_BYTES = 10_000
 VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
 FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3), ("region", "u1")])

@@ -205,11 +205,11 @@ class BatchAligner:
             graph.add(gtsam.ImuFactor2(keys[start], keys[end], gtsam.symbol("b", 0), pim))
         for name, sensor in self._positions.items():
             own = [one for one in evidence.positions if one.sensor == name]
-            arm_key = self._arms[name][0] if name in self._arms else None
+            arm_keys = [self._arms[name][0]] if name in self._arms else []
             gaps_s = [(b.stamp_ns - a.stamp_ns) * 1e-9 for a, b in pairwise(own)]
             for one in own:
                 inflation = shared_inflation(max(p.correlation_s for p in own), [inf, *gaps_s])
-                graph.add(sensor.factor(keys[to_grid(one.stamp_ns)], one, inflation, arm_key))
+                graph.add(sensor.factor([keys[to_grid(one.stamp_ns)], *arm_keys], one, inflation))
         for key, prior in self._arms.values():
             graph.add(gtsam.PriorFactorVector(key, prior.mean, gtsam.noiseModel.Diagonal.Sigmas(prior.sigmas)))
         for velocity in evidence.velocities:

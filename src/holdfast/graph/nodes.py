@@ -30,6 +30,12 @@ class Link:
     is_gap: bool
     placed: Placed
 
+    @property
+    def keys(self) -> tuple[int, int]:
+        """The keys of its two nodes."""
+        start, end, _ = self.placed.factor.keys()
+        return start, end
+
 
 class Timeline:
     """Node stamps and keys, sorted by time."""

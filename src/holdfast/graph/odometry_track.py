@@ -119,8 +119,14 @@ class OdometryTrack:
         elif at is None:
             return Outcome.NO_PREDECESSOR  # from before a jump
         smoother.keep_frame(at.key, pose.stamp_ns)
-        smoother.enter(pose, self._noise.anchored_factor(at.key, key, at.first.T_I0_I.between(pose.T_I0_I)))
+        motion, rate = at.first.T_I0_I.between(pose.T_I0_I), smoother.angular_velocity(pose.stamp_ns)
+        calibration_key = self._calibration_key(smoother, pose)
+        smoother.enter(pose, self._noise.anchored_factor(at.key, key, motion, calibration_key, rate))
         return Outcome.USED
+
+    def _calibration_key(self, smoother: Smoother, pose: TrackPose) -> int | None:
+        prior = self._noise.calibration.prior
+        return None if prior is None else smoother.parameter(pose.sensor, prior, pose.stamp_ns)[0]
 
     def _begin_epoch(self, smoother: Smoother, before: _Epoch | None, pose: TrackPose) -> _Epoch:
         here = smoother.nav(pose.stamp_ns).pose()
@@ -131,7 +137,8 @@ class OdometryTrack:
         else:
             motion = before.first.T_I0_I.between(pose.T_I0_I)
             duration_s = (pose.stamp_ns - before.first.stamp_ns) * 1e-9
-            smoother.add(self._noise.drift_factor(before.key, key, motion, duration_s))
+            calibration_key = self._calibration_key(smoother, pose)
+            smoother.add(self._noise.drift_factor(before.key, key, motion, duration_s, calibration_key))
         self._epochs.append(_Epoch(pose, key))
         return self._epochs[-1]
 

@@ -3,28 +3,37 @@
 A constant is known for longer than a window lives: one that is begun anew takes what the last one knew as its prior.
 """
 
+from collections.abc import Callable
 from copy import copy
+from math import log
 from typing import NamedTuple
 
 import gtsam
 import numpy as np
 
-from holdfast.graph.solver import Solver
+from holdfast.graph.solver import Placed, Solver
 from holdfast.messages import Array
 from holdfast.sensors.sensor import Parameter
 
 MAX_SIZE = 12
+RIGHT, OFF = 0.0, -log(3.0)  # log ratio of the densities under what was configured and under the prior
+HELD = 0.02  # of the error that counts as right: as if there were none
+FREE = 1e6  # sigma of what a factor says nothing about
 REFRESHED_NS = 1_000_000_000  # a marginal is read this often
 
 
 class Known(NamedTuple):
-    """A parameter: its key, estimate (p,) and covariance (p, p), and whether the solver has solved it."""
+    """A parameter: its key, estimate (p,) and covariance (p, p), and whether the solver has solved it.
+
+    `right` is the factor that holds it where it was configured, if it is believed to be right.
+    """
 
     key: int
     value: Array
     covariance: Array
     is_solved: bool
     read_ns: int
+    right: Placed | None = None
 
 
 class Parameters:
@@ -34,10 +43,13 @@ class Parameters:
         self._known: dict[str, Known] = {}
         self._made = 0
 
-    def copy(self) -> "Parameters":
-        """Return an equal one that goes its own way."""
+    def copy(self, solver: Solver, counterpart: Callable[[Placed], Placed]) -> "Parameters":
+        """Return an equal one for a copy of the solver, in which each factor has a counterpart."""
         other = copy(self)
-        other._known = dict(self._known)
+        other._known = {
+            name: known._replace(right=counterpart(known.right)) if known.right and known.key in solver else known
+            for name, known in self._known.items()
+        }
         return other
 
     def use(self, solver: Solver, name: str, prior: Parameter, stamp_ns: int, start: Array | None = None) -> Known:
@@ -49,10 +61,10 @@ class Parameters:
         if known is None or known.key not in solver:
             known = self._insert(solver, known, prior, stamp_ns, start)
         elif known.is_solved:
-            covariance, read_ns = known.covariance, known.read_ns
-            if stamp_ns - read_ns >= REFRESHED_NS:
-                covariance, read_ns = solver.covariance(known.key), stamp_ns
-            known = Known(known.key, solver.vector(known.key), covariance, True, read_ns)
+            known = known._replace(value=solver.vector(known.key))
+            if stamp_ns - known.read_ns >= REFRESHED_NS:
+                known = known._replace(covariance=solver.covariance(known.key), read_ns=stamp_ns)
+                known = _believed(solver, known, prior)
         solver.keep(known.key, stamp_ns)
         self._known[name] = known
         return known
@@ -72,12 +84,72 @@ class Parameters:
         mean, covariance = prior.mean, np.diag(prior.sigmas**2)
         value = mean if start is None else start
         if before is not None:
-            value, mean, covariance = before.value, before.value, before.covariance
+            value, mean, covariance = before.value, *_without_belief(before, prior)
         self._made += 1
         key: int = gtsam.symbol(parameter_letter(len(mean)), self._made)
         solver.insert(key, value, stamp_ns)
         solver.add(gtsam.PriorFactorVector(key, mean, gtsam.noiseModel.Gaussian.Covariance(covariance)))
-        return Known(key, value, covariance, False, stamp_ns)
+        known = Known(key, value, covariance, False, stamp_ns)
+        is_right = prior.if_right is not None if before is None else before.right is not None
+        return _held(solver, known, prior) if is_right else known
+
+
+def _believed(solver: Solver, known: Known, prior: Parameter) -> Known:
+    """Let a parameter go where an error is more plausible than what was configured, or back: (54) in docs/math.md."""
+    log_ratio = _evidence(known, prior)
+    if log_ratio is None:
+        return known
+    if known.right is None and log_ratio > RIGHT:
+        return _held(solver, known, prior)
+    if known.right is not None and log_ratio < OFF:
+        solver.retract(known.right)
+        return known._replace(covariance=_without_belief(known, prior)[1], right=None)
+    return known
+
+
+def _evidence(known: Known, prior: Parameter) -> float | None:
+    """Return how much more plausible it is that a parameter is right than that it is off, as a logarithm.
+
+    None where the measurements say less than the prior, or where there is no telling.
+    """
+    if prior.if_right is None:
+        return None
+    precision = 1.0 / known.covariance.diagonal() - 1.0 / prior.sigmas**2
+    if known.right is not None:
+        precision -= 1.0 / (HELD * prior.if_right) ** 2
+    may_be_right = np.isfinite(prior.if_right)
+    if (precision < 1.0 / prior.sigmas**2)[may_be_right].any():
+        return None
+    variance = 1.0 / np.maximum(precision, 1e-6 / prior.sigmas**2)  # of what the measurements say alone
+    off = (known.value - prior.mean) * variance / known.covariance.diagonal()
+    ratio = _log_density(off, variance + prior.if_right**2) - _log_density(off, variance + prior.sigmas**2)
+    return float(ratio[may_be_right].sum())
+
+
+def _held(solver: Solver, known: Known, prior: Parameter) -> Known:
+    """Hold a parameter where it was configured."""
+    if prior.if_right is None:
+        return known
+    sigmas = np.where(np.isfinite(prior.if_right), HELD * prior.if_right, FREE)
+    factor = gtsam.PriorFactorVector(known.key, prior.mean, gtsam.noiseModel.Diagonal.Sigmas(sigmas))
+    information = np.linalg.inv(known.covariance) + np.diag(sigmas**-2.0)
+    return known._replace(covariance=np.linalg.inv(information), right=solver.add(factor))
+
+
+def _without_belief(known: Known, prior: Parameter) -> tuple[Array, Array]:
+    """Return the estimate (p,) and covariance (p, p) of a parameter as they are if it is not believed to be right."""
+    if known.right is None or prior.if_right is None:
+        return known.value, known.covariance
+    information = np.linalg.inv(known.covariance)
+    covariance = np.linalg.inv(information - np.diag((HELD * prior.if_right) ** -2.0))
+    off: Array = covariance @ information @ (known.value - prior.mean)
+    return prior.mean + off, covariance
+
+
+def _log_density(off: Array, variance: Array) -> Array:
+    """Return the logarithm of the normal density, up to a constant."""
+    density: Array = -0.5 * (off**2 / variance + np.log(variance))
+    return density
 
 
 def parameter_letter(size: int) -> str:

@@ -47,6 +47,7 @@ class Smoother:
         gravity: [m/s^2].
         state: where it begins.
         new_solver: makes an empty solver; without it a `Window`.
+        known: tells the state at the time of a new node [ns], if it is known better than by prediction.
     """
 
     def __init__(
@@ -56,8 +57,11 @@ class Smoother:
         gravity: float,
         state: OptimisedState,
         new_solver: Callable[[], Solver] | None = None,
+        *,
+        known: Callable[[int], gtsam.NavState | None] = lambda _: None,
     ) -> None:
         imu = config.imu
+        self._known = known
         self._config = config.graph
         self._lag_ns = round(config.graph.lag_s * 1e9)
         self.imu = buffer
@@ -94,7 +98,7 @@ class Smoother:
         """
         other = copy(self)
         other._window, counterpart = self._window.copy()
-        other._nodes, other._parameters = self._nodes.copy(), self._parameters.copy()
+        other._nodes, other._parameters = self._nodes.copy(), self._parameters.copy(other._window, counterpart)
         other._links = {start: replace(link, placed=counterpart(link.placed)) for start, link in self._links.items()}
         held = ((key, one, placed) for key, (one, placed) in self._measured.items() if self._holds(placed))
         other._measured = {key: (one, counterpart(placed)) for key, one, placed in held}
@@ -129,6 +133,10 @@ class Smoother:
 
     def __len__(self) -> int:
         return len(self._nodes)
+
+    def links(self) -> list[Link]:
+        """Return the links between neighbouring nodes, in the order of time."""
+        return [self._links[stamp] for stamp in self._nodes.stamps[:-1]]
 
     def node(self, stamp_ns: int) -> int | None:
         """Return the key of the node at a time, making it where there is none; None if the time left the window."""
@@ -208,6 +216,11 @@ class Smoother:
         nav = self._nav(stamp)
         return State(nav, self.covariance(stamp), self._angular_velocity(stamp, nav, self._state.bias), joint)
 
+    def angular_velocity(self, stamp_ns: int) -> Array:
+        """Return the angular velocity (3,) of I at the node at a time, which must exist [rad/s]."""
+        stamp = to_grid(stamp_ns)
+        return self._angular_velocity(stamp, self._nav(stamp), self._state.bias)
+
     def covariance(self, stamp_ns: int) -> Array:
         """Return the covariance (9, 9) of the node at a time, new factors left out.
 
@@ -246,6 +259,10 @@ class Smoother:
         if stamps:
             self._settled_ns = stamps[-1]
         return [(stamp, nav) for stamp in stamps if is_finite(nav := self._nav(stamp))]
+
+    def measured(self, after_ns: int, until_ns: int) -> list[Measurement]:
+        """Return the measurements in (after, until] whose factors the window holds."""
+        return [one for one, _ in self._measured.values() if after_ns < one.stamp_ns <= until_ns]
 
     def last_before(self, stamp_ns: int) -> int | None:
         """Return the stamp of the last node at or before a time, or None if the window starts later."""
@@ -381,7 +398,8 @@ class Smoother:
             self._bias_epoch = epoch
         return key
 
-    def _insert(self, key: int, stamp_ns: int, nav: gtsam.NavState) -> None:
+    def _insert(self, key: int, stamp_ns: int, predicted: gtsam.NavState) -> None:
+        nav = self._known(stamp_ns) or predicted
         self._window.insert(key, nav, stamp_ns)
         self._new_navs[stamp_ns] = nav
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from holdfast.messages import Array
 from holdfast.sensors.odometry import OdometryNoise, TrackPose
+from holdfast.sensors.odometry_calibration import SIZE
 
 MEMORY_NS = 20_000_000_000
 STEP_NS = 1_000_000_000
@@ -25,13 +26,14 @@ LEARNT, MIN_LEARNT = 120, 30  # steps
 BEST = 0.3  # of the configured noise: no odometry is taken for better
 TYPICAL_MAX = 3.0  # of some dozen norms of three unit Gaussians; the tails are what false alarms are made of
 LEARNING_STEPS = 3
+NOMINAL = np.zeros(SIZE)  # a calibration that is as configured
 
 
 class _Observation(NamedTuple):
-    """The frame of the odometry in W as one pose saw it, and how far it may have drifted until then."""
+    """A pose of the odometry and where the machine was estimated then, and how far it may have drifted until then."""
 
     pose: TrackPose
-    T_W_I0: gtsam.Pose3
+    T_W_I: gtsam.Pose3
     translation_variance: float
     rotation_variance: float
     estimate_variance: float
@@ -44,14 +46,14 @@ class Contradiction(NamedTuple):
     """What the odometry says against the estimate.
 
     Attributes:
-        T_W_I0: the odometry's frame in W as it was when they agreed.
+        T_W_I: where the odometry sees the machine now, from where they agreed.
         distance_m: between where that puts the machine and the estimate.
         sigma_m: of that distance.
         since_ns: until when they agreed.
         is_slip: the odometry has lost its hold, rather than that GNSS is wrong.
     """
 
-    T_W_I0: gtsam.Pose3
+    T_W_I: gtsam.Pose3
     distance_m: float
     sigma_m: float
     since_ns: int
@@ -67,6 +69,7 @@ class DriftMonitor:
         self._ratios: deque[float] = deque(maxlen=LEARNT)
         self._doubtful: deque[tuple[int, float]] = deque()  # not learnt yet: a walk may have begun
         self._worst_ratio = 0.0  # of residual and sigma, in the newest comparison
+        self._calibration = NOMINAL
 
     def forget_frame(self) -> None:
         """Forget where the frame was, because the estimate or the odometry has jumped; what was learnt remains."""
@@ -93,11 +96,14 @@ class DriftMonitor:
         """Whether the odometry has moved as GNSS did for long enough to tell later who of them has begun to err."""
         return bool(self._observations) and self._is_learnt() and self._scale() <= AGREED_SCALE
 
-    def observe(self, pose: TrackPose, T_W_I: gtsam.Pose3, covariance: Array) -> Contradiction | None:
+    def observe(
+        self, pose: TrackPose, T_W_I: gtsam.Pose3, covariance: Array, calibration: Array = NOMINAL
+    ) -> Contradiction | None:
         """Take in where a pose that is due was optimised to, and compare it with what was observed before.
 
-        `covariance` (9, 9) is that of its node.
+        `covariance` (9, 9) is that of its node, `calibration` (4,) what is estimated of the odometry.
         """
+        self._calibration = calibration
         last = self._observations[-1] if self._observations else None
         sums = (0.0, 0.0)
         if last is not None:
@@ -105,7 +111,7 @@ class DriftMonitor:
             sigmas = self._noise.drift(motion, (pose.stamp_ns - last.pose.stamp_ns) * 1e-9)
             sums = last.translation_variance + sigmas[3] ** 2, last.rotation_variance + sigmas[0] ** 2
         variance = max(float(covariance[3:6, 3:6].trace()) / 3.0, ESTIMATE_SIGMA_M**2)
-        observation = _Observation(pose, T_W_I * pose.T_I0_I.inverse(), *sums, variance)
+        observation = _Observation(pose, T_W_I, *sums, variance)
         while self._observations and pose.stamp_ns - self._observations[0].pose.stamp_ns > MEMORY_NS:
             self._observations.popleft()
         found = self._compare(observation)
@@ -114,7 +120,7 @@ class DriftMonitor:
 
     def _compare(self, now: _Observation) -> Contradiction | None:
         scale = self._scale()
-        ratios = [_residual_m(then, now) / self._sigma_m(then, now, scale) for then in self._observations]
+        ratios = [self._residual_m(then, now) / self._sigma_m(then, now, scale) for then in self._observations]
         self._worst_ratio = max(ratios, default=0.0)
         worst = self._observations[ratios.index(self._worst_ratio)] if self._worst_ratio > SIGMA else None
         if worst is None or not self._is_learnt():
@@ -123,9 +129,9 @@ class DriftMonitor:
         since_ns = worst.pose.stamp_ns
         while self._doubtful and self._doubtful[-1][0] > since_ns:
             self._doubtful.pop()  # what was seen since the two parted was no drift
-        distance = _residual_m(worst, now)
+        distance = self._residual_m(worst, now)
         is_slip = distance > SLIP_M_S * (now.pose.stamp_ns - since_ns) * 1e-9
-        return Contradiction(worst.T_W_I0, distance, distance / self._worst_ratio, since_ns, is_slip)
+        return Contradiction(self._seen_from(worst, now), distance, distance / self._worst_ratio, since_ns, is_slip)
 
     def _is_learnt(self) -> bool:
         """Whether enough was seen of the odometry for an alarm, and to vouch."""
@@ -142,7 +148,7 @@ class DriftMonitor:
         """Keep what is seen now, and learn from what was seen so long ago that a walk would have been found since."""
         if len(self._observations) >= LEARNING_STEPS:
             then = self._observations[-LEARNING_STEPS]
-            self._doubtful.append((now.pose.stamp_ns, _residual_m(then, now) / self._sigma_m(then, now, 1.0)))
+            self._doubtful.append((now.pose.stamp_ns, self._residual_m(then, now) / self._sigma_m(then, now, 1.0)))
         while self._doubtful and now.pose.stamp_ns - self._doubtful[0][0] > MEMORY_NS:
             self._ratios.append(self._doubtful.popleft()[1])
 
@@ -154,8 +160,11 @@ class DriftMonitor:
         of_odometry += (now.rotation_variance - then.rotation_variance + rotation_variance) * moved**2
         return float(np.sqrt(scale**2 * of_odometry + now.estimate_variance + then.estimate_variance))
 
+    def _residual_m(self, then: _Observation, now: _Observation) -> float:
+        """Return how far the machine of now lies from where the odometry has carried that of then [m]."""
+        return float(np.linalg.norm(now.T_W_I.translation() - self._seen_from(then, now).translation()))
 
-def _residual_m(then: _Observation, now: _Observation) -> float:
-    """Return how far the machine of now lies from where the frame of then puts it [m]."""
-    p_I0_I = now.pose.T_I0_I.translation()
-    return float(np.linalg.norm(now.T_W_I0.transformFrom(p_I0_I) - then.T_W_I0.transformFrom(p_I0_I)))
+    def _seen_from(self, then: _Observation, now: _Observation) -> gtsam.Pose3:
+        """Return the pose of the machine now as the odometry has carried it on from that of then."""
+        motion = then.pose.T_I0_I.between(now.pose.T_I0_I)
+        return then.T_W_I.compose(self._noise.calibration.motion(motion, self._calibration))

@@ -3,11 +3,14 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
+import gtsam
+
 from holdfast.config.model import Config
 from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.odometry_track import OdometryTrack
-from holdfast.integrity.drift_monitor import Contradiction, DriftMonitor
+from holdfast.integrity.drift_monitor import NOMINAL, Contradiction, DriftMonitor
+from holdfast.messages import Array
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
 from holdfast.state import EventKind, Outcome
 
@@ -108,8 +111,9 @@ class Odometries:
         if not self._is_monitored:
             return None
         for name, pose in self._due(graph):
-            node = graph.main.nav(pose.stamp_ns).pose()
-            found = self._odometries[name].monitor.observe(pose, node, graph.main.covariance(pose.stamp_ns))
+            covariance, calibration = graph.main.covariance(pose.stamp_ns), _calibration(graph, name)
+            monitor = self._odometries[name].monitor
+            found = monitor.observe(pose, self.estimated(graph, pose), covariance, calibration)
             if found is None:
                 continue
             others = [one.monitor for other, one in self._odometries.items() if other != name]
@@ -119,6 +123,11 @@ class Odometries:
             self._log.report(EventKind.ODOMETRY_SLIP, now_ns, name, f"{found.distance_m:.2f} m beside GNSS")
             graph.begin_tracks_anew(graph.main, name)
         return None
+
+    def estimated(self, graph: DualGraph, pose: TrackPose) -> gtsam.Pose3:
+        """Return where the main graph sees the machine when a pose was measured, by what it knows of its clock."""
+        nav, rate = graph.main.nav(pose.stamp_ns), graph.main.angular_velocity(pose.stamp_ns)
+        return self._odometries[pose.sensor].model.calibration.after(nav, rate, _calibration(graph, pose.sensor))
 
     def has_agreed(self) -> bool:
         """Whether one that is still there has agreed with GNSS since the start: then the estimate was right, once."""
@@ -144,3 +153,9 @@ class Odometries:
             pose = graph.newest_pose(name)
             if pose is not None and pose.stamp_ns >= graph.main.oldest_ns and one.monitor.is_due(pose):
                 yield name, pose
+
+
+def _calibration(graph: DualGraph, odometry: str) -> Array:
+    """Return what the main graph estimates of an odometry (4,): its mounting and its clock."""
+    estimated = graph.main.parameter_estimate(odometry)
+    return NOMINAL if estimated is None else estimated[0]

@@ -22,6 +22,7 @@ from holdfast.state import EventKind, Outcome
 
 REVIEW_NS = 250_000_000  # used positions are reviewed this often
 SLOW_S, LOWEST_SLOW = 1.0, 0.01  # most of such a claim is a slow error, by which neighbours are alike
+ARM_SIZE = 3  # of a parameter that holds a lever arm
 LEARNT_FROM = Outcome.USED, Outcome.INNOVATION
 BENIGN = {Outcome.LOW_STATUS, Outcome.LARGE_COVARIANCE, Outcome.NO_COVARIANCE, Outcome.NOT_FINITE}
 
@@ -87,7 +88,7 @@ class Positions:
             return Outcome.LATE
         gate, scale, claimed = self.gates[name], self._scales[name], position.covariance
         position = replace(position, covariance=claimed * scale.above)
-        state, _ = self._state(smoother, position)
+        _, state = self._state(smoother, position)
         innovation = self._sensors[name].innovation(position, state)
         prediction = predict(innovation, state)
         worse = None
@@ -99,7 +100,7 @@ class Positions:
                 self.take_out(graph.main, worse, Outcome.BASELINE)
         outcome = gate.judge(position, prediction, now_ns=now_ns, baseline_agrees=worse is not position)
         self._consensus[name].add(position, is_refused=outcome not in (Outcome.USED, Outcome.QUARANTINED))
-        if gate.trust is Trust.TRUSTED and outcome in LEARNT_FROM and not state.parameter.size:
+        if gate.trust is Trust.TRUSTED and outcome in LEARNT_FROM and len(state.parameter) < ARM_SIZE:
             lowest = LOWEST_SLOW if position.correlation_s >= SLOW_S else LOWEST
             scale.learn(innovation._replace(R=claimed), state, position, self._log, lowest)
         if outcome is Outcome.USED:
@@ -190,15 +191,15 @@ class Positions:
         if key is not None:
             scale = self._scales[position.sensor]
             below = scale.value / scale.above
-            _, arm_key = self._state(smoother, position)
-            factor = self._sensors[position.sensor].factor(key, position, inflation * below, arm_key)
-            smoother.enter(position, factor)
+            sensor = self._sensors[position.sensor]
+            keys, state = self._state(smoother, position)
+            smoother.enter(position, sensor.factor([key, *keys], position, inflation * below, state))
         return key is not None
 
-    def _state(self, smoother: Smoother, position: Position) -> tuple[State, int | None]:
-        """Return the state at the node of a position, and the key of the lever arm if that is estimated."""
+    def _state(self, smoother: Smoother, position: Position) -> tuple[list[int], State]:
+        """Return the key of the receiver's parameter, if it has one, and the state at the node of a position."""
         state, prior = smoother.state_at(position.stamp_ns), self._sensors[position.sensor].parameter
         if prior is None:
-            return state, None
-        key, arm, covariance = smoother.parameter(position.sensor, prior, position.stamp_ns)
-        return state._replace(parameter=arm, parameter_covariance=covariance), key
+            return [], state
+        key, value, covariance = smoother.parameter(prior.shared or position.sensor, prior, position.stamp_ns)
+        return [key], state._replace(parameter=value, parameter_covariance=covariance)

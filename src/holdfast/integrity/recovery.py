@@ -76,11 +76,11 @@ class Recovery:
                 gate.become(Trust.LOST, hold_s=WALK_FACTOR * self._config.regain_s)
                 self._log.report(EventKind.RECEIVER_LOST, now_ns, name, reason)
         self._odometries.forget_after(found.since_ns)
-        estimate = graph.main.nav(pose.stamp_ns).pose()
+        estimate = self._odometries.estimated(graph, pose)
         with suppress(OptimiserError):
             graph.main.optimise()  # for the velocity that odometry and IMU see, without that of the walk
-            estimate = graph.main.nav(pose.stamp_ns).pose()
-        graph.move(found.T_W_I0 * pose.T_I0_I * estimate.inverse(), found.sigma_m)
+            estimate = self._odometries.estimated(graph, pose)
+        graph.move(found.T_W_I * estimate.inverse(), found.sigma_m)
 
     def _regain(self, graph: DualGraph, names: list[str], now_ns: int) -> bool:
         """Let the quarantined positions of receivers into the main graph; on trial if it was without GNSS."""

@@ -7,6 +7,8 @@ import numpy as np
 
 from holdfast.graph.smoother import Smoother
 from holdfast.messages import Array
+from holdfast.sensors.clock import receiver_constants
+from holdfast.sensors.position import predicted_position
 from holdfast.sensors.sensor import Position, PositionSensor
 
 
@@ -79,15 +81,17 @@ class UsedPositions:
 
     def _residual_nis(self, positions: list[Position], smoother: Smoother) -> Array:
         """Return the squared residuals (N,) of positions at the optimised states over their covariance."""
-        poses = {stamp_ns: smoother.nav(stamp_ns).pose() for stamp_ns in {one.stamp_ns for one in positions}}
-        arms = {name: self._lever_arm(name, smoother) for name in {one.sensor for one in positions}}
-        predicted = [poses[one.stamp_ns].transformFrom(arms[one.sensor]) for one in positions]
+        stamps = sorted({one.stamp_ns for one in positions})
+        names = {one.sensor for one in positions}
+        constants = {name: receiver_constants(self._sensors[name], self._estimated(name, smoother)) for name in names}
+        states = {stamp: (smoother.nav(stamp), smoother.angular_velocity(stamp)) for stamp in stamps}
+        predicted = [predicted_position(*states[one.stamp_ns], *constants[one.sensor]) for one in positions]
         y: Array = np.array([one.p_W_P for one in positions]) - predicted
         weighted = np.linalg.solve(np.array([one.covariance for one in positions]), y[:, :, None])[:, :, 0]
         squared: Array = (y * weighted).sum(axis=1)
         return squared
 
-    def _lever_arm(self, name: str, smoother: Smoother) -> Array:
-        sensor = self._sensors[name]
-        estimated = None if sensor.parameter is None else smoother.parameter_estimate(name)
-        return sensor.p_I_P if estimated is None else estimated[0]
+    def _estimated(self, name: str, smoother: Smoother) -> Array | None:
+        parameter = self._sensors[name].parameter
+        found = None if parameter is None else smoother.parameter_estimate(parameter.shared or name)
+        return None if found is None else found[0]

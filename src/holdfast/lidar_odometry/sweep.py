@@ -11,6 +11,7 @@ from holdfast.messages import Array
 from holdfast.recording.decode import UndecodableError, stamp_ns
 
 TIME_FIELDS = ("t", "time", "timestamp", "offset_time")
+INTENSITY_FIELDS = ("intensity", "reflectivity", "signal")
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
 MAX_SINCE_STAMP_S = 1e6  # larger times count from the epoch, not from the stamp
 MAX_SWEEP_S = 1e4  # larger floats are nanoseconds
@@ -27,6 +28,7 @@ class Sweep:
         points: (N, 3) each in L at its own time [m].
         offsets_s: (N,) time of each point after the stamp [s], negative before it; or None where it is unknown.
         rates: what a gyroscope measured around the sweep, or None.
+        intensities: (N,) of the returns, in the unit of the driver; or None where the cloud has none.
     """
 
     stamp_ns: int
@@ -34,6 +36,7 @@ class Sweep:
     points: Array
     offsets_s: Array | None
     rates: Rates | None = None
+    intensities: Array | None = None
 
     @property
     def middle_s(self) -> float:
@@ -53,7 +56,8 @@ class Sweep:
         """Return the sweep without points nearer than a range."""
         far = np.einsum("ni,ni->n", self.points, self.points) >= range_m * range_m
         offsets_s = None if self.offsets_s is None else self.offsets_s[far]
-        return replace(self, points=self.points[far], offsets_s=offsets_s)
+        intensities = None if self.intensities is None else self.intensities[far]
+        return replace(self, points=self.points[far], offsets_s=offsets_s, intensities=intensities)
 
 
 def decode_sweep(message: Any) -> Sweep:
@@ -61,7 +65,7 @@ def decode_sweep(message: Any) -> Sweep:
 
     A field named t, time, timestamp or offset_time is the time of each point: integers are nanoseconds after the stamp;
     floats are seconds, or nanoseconds where no sweep could last so many seconds, after the stamp or since the epoch.
-    Times that are all equal are ignored.
+    Times that are all equal are ignored. A field named intensity, reflectivity or signal is how bright a return is.
 
     Raises:
         UndecodableError: fields are missing, do not fit the data or are no times of a sweep.
@@ -75,7 +79,9 @@ def decode_sweep(message: Any) -> Sweep:
     finite = np.isfinite(points).all(axis=1)
     name = next((name for name in TIME_FIELDS if name in names), None)
     offsets_s = None if name is None else _offsets_s(cloud[name][finite], name, at_ns)
-    return Sweep(at_ns, str(message.header.frame_id), points[finite], offsets_s)
+    bright = next((name for name in INTENSITY_FIELDS if name in names), None)
+    intensities = None if bright is None else np.nan_to_num(cloud[bright][finite].astype(np.float64))
+    return Sweep(at_ns, str(message.header.frame_id), points[finite], offsets_s, intensities=intensities)
 
 
 def _structured(message: Any) -> NDArray[np.void]:

@@ -1,5 +1,6 @@
 """Trajectories in the TUM format: `t x y z qx qy qz qw` per line, seconds and metres, `#` begins a comment."""
 
+from array import array
 from collections.abc import Sequence
 from decimal import Decimal
 from math import isfinite
@@ -28,8 +29,7 @@ def read_tum(path: str | Path) -> Trajectory:
         RecordingError: a line is malformed, the stamps do not increase or there is no pose; names file and line.
     """
     path = Path(path)
-    stamps: list[int] = []
-    rows: list[list[float]] = []
+    stamps, rows = array("q"), array("d")  # an hour at 100 Hz in 23 MB
     try:
         stream = path.open(encoding="utf-8-sig", errors="replace")
     except OSError as error:
@@ -43,10 +43,10 @@ def read_tum(path: str | Path) -> Trajectory:
             if stamps and stamp_ns <= stamps[-1]:
                 raise RecordingError(f"{path}:{number}: stamp {cells[0]} is not later than the one before it")
             stamps.append(stamp_ns)
-            rows.append(row)
+            rows.extend(row)
     if not rows:
         raise RecordingError(f"{path}: holds no poses (allowed: lines of t x y z qx qy qz qw)")
-    values = np.array(rows)
+    values = np.array(rows).reshape(-1, 7)
     quaternions = values[:, 3:] / np.linalg.norm(values[:, 3:], axis=1, keepdims=True)
     return Trajectory(np.array(stamps, dtype=np.int64), values[:, :3], quaternions)
 

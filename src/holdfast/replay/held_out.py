@@ -20,6 +20,7 @@ from holdfast.geometry.world import World
 from holdfast.messages import Array, Message
 from holdfast.sensors.registry import sensors_of
 from holdfast.sensors.sensor import Position, PositionSensor, Role, State
+from holdfast.smoothing.block import Block
 from holdfast.state import Estimate, OptimisedState, Outcome
 
 MAX_DELAY_NS = 20_000_000_000  # positions that arrive later than this are not judged
@@ -184,6 +185,17 @@ class HeldOutJudge:
     def add_smoothed(self, stamp_ns: int, nav: gtsam.NavState, frame: LocalFrame | None) -> None:
         """Take in a node that will not change any more."""
         self._append(TrackPoint(stamp_ns, nav.pose(), UNKNOWN, True), frame)
+
+    def add_block(self, block: Block, frame: LocalFrame | None) -> None:
+        """Take in a stretch of the optimum over the recording, with its covariance."""
+        track = block.track
+        covariances = block.covariances.at(track.times_ns)
+        rows = zip(
+            track.times_ns.tolist(), track.positions, track.quaternions, covariances, track.from_imu, strict=True
+        )
+        for stamp_ns, position, (x, y, z, w), covariance, from_imu in rows:
+            pose = gtsam.Pose3(gtsam.Rot3.Quaternion(w, x, y, z), position)
+            self._append(TrackPoint(stamp_ns, pose, covariance, bool(from_imu)), frame)
 
     def _append(self, point: TrackPoint, frame: LocalFrame | None) -> None:
         if self._track and point.stamp_ns <= self._track[-1].stamp_ns:

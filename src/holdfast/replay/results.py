@@ -15,6 +15,7 @@ from holdfast.evaluation.association import associate
 from holdfast.messages import Array
 from holdfast.recording.raw import RawBag
 from holdfast.recording.tum import read_tum
+from holdfast.replay.batch_outputs import CAUSAL
 from holdfast.replay.measurements import MEASUREMENTS, innovation_scores, read_measurements
 from holdfast.replay.outputs import ESTIMATES, EVENTS, SUMMARY
 from holdfast.report.run_record import Errors, Measurements, RunRecord
@@ -51,12 +52,14 @@ def read_run(folder: Path, reference: Path | None) -> RunRecord:
         ConfigError: the folder holds no results of a replay.
         RecordingError: a file in it cannot be read, or the reference does not overlap with the estimate in time.
     """
-    summary, events = read_summary(folder), read_events(folder)
-    world, odometry = (read_tum(folder / f"imu_in_{name}.tum") for name in ("world", "odom"))
+    summary = read_summary(folder)
+    causal = folder / CAUSAL if (folder / CAUSAL).is_dir() else folder  # beside the optimum over the recording
+    events = read_events(causal)
+    world, odometry = (read_tum(causal / f"imu_in_{name}.tum") for name in ("world", "odom"))
     start_ns = int(summary.get("start_ns") or min(int(world.stamps_ns[0]), *(e["stamp_ns"] for e in events)))
-    claims, notes = _read_claims(folder / ESTIMATES)
-    smoothed = _read_smoothed(folder / SMOOTHED)
-    measurements, missing = _read_measurements(folder / MEASUREMENTS)
+    claims, notes = _read_claims(causal / ESTIMATES)
+    smoothed = _read_smoothed(causal / SMOOTHED)
+    measurements, missing = _read_measurements(causal / MEASUREMENTS)
     truth, errors, true_bias_ns, true_biases = None, None, None, None
     if reference is not None and reference.is_dir():
         true_bias_ns, true_biases = _read_true_biases(reference / TRUE_BIASES)
@@ -84,6 +87,7 @@ def read_run(folder: Path, reference: Path | None) -> RunRecord:
         biases=claims.biases,
         true_bias_times_s=None if true_bias_ns is None else (true_bias_ns - start_ns) * np.float64(1e-9),
         true_biases=true_biases,
+        optimum=np.zeros((0, 3)) if causal is folder else read_tum(folder / "imu_in_world.tum").positions,
         reference=None if truth is None else _of_the_time(truth, world),
         smoothed_times_s=np.zeros(0) if smoothed is None else (smoothed.stamps_ns - start_ns) * np.float64(1e-9),
         smoothed=np.zeros((0, 3)) if smoothed is None else smoothed.positions,

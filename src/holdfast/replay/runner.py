@@ -19,6 +19,8 @@ from holdfast.replay.interrupts import Uninterrupted
 from holdfast.replay.measurements import HELD_OUT
 from holdfast.replay.outputs import Outputs
 from holdfast.report.track import JudgedTrack
+from holdfast.smoothing.batch_smoother import BatchSmoother
+from holdfast.smoothing.block import Block
 from holdfast.state import Estimate, EventKind, Health, Outcome, Output
 
 if TYPE_CHECKING:  # starting processes is left to whoever wants them
@@ -49,6 +51,9 @@ class Replay:
         hold_out: what to hold back from the estimator, to judge it.
         keep_track: keep the causal track in memory for a figure.
         realtime: the engine to be used instead of the estimator in one process; whoever made it closes it.
+        batch: finds the optimum over the recording; not with `realtime`.
+        on_block: takes each stretch of it as soon as it is done.
+        on_output: takes the output of each message.
     """
 
     def __init__(
@@ -57,10 +62,15 @@ class Replay:
         outputs: Outputs | None = None,
         hold_out: Iterable[HoldOut] = (),
         keep_track: bool = False,
+        *,
         realtime: "RealtimeEstimator | None" = None,
+        batch: BatchSmoother | None = None,
+        on_block: Callable[[Block], object] = lambda _: None,
+        on_output: Callable[[Output], None] = lambda _: None,
     ) -> None:
-        self.estimator: Estimator | RealtimeEstimator = realtime or Estimator(config)
-        self._realtime = realtime
+        self.estimator: Estimator | RealtimeEstimator = realtime or Estimator(config, batch)
+        self._realtime, self._batch, self._on_block = realtime, batch, on_block
+        self._on_output = on_output
         if outputs is not None and isinstance(self.estimator, Estimator):
             self.estimator.keep_records()
         self.timing = Timing()
@@ -68,6 +78,7 @@ class Replay:
         self.warnings: list[str] = []  # what the estimator had to assume; known once events are written
         self.causal = HeldOutJudge(config, self.estimator.noise)
         self.smoothed = HeldOutJudge(config, self.estimator.noise)
+        self.batch = HeldOutJudge(config, self.estimator.noise)
         self._filter = HoldOutFilter(hold_out, config)
         self._outputs = outputs
         self._judged = 0  # held-out positions that were written
@@ -103,6 +114,7 @@ class Replay:
                     progress(last_ns)
         finally:
             uninterrupted.stop()
+            self._end_batch()
             self.timing.wall_s = perf_counter() - began
             self.timing.recorded_s = (last_ns - first_ns) * 1e-9
             if self._realtime is None:
@@ -120,8 +132,24 @@ class Replay:
         elif message.sensor == self._imu_name:
             self.timing.imu_ns.append(took_ns)
         self._take(output, message.arrival_ns)
+        if self._batch is not None:
+            self._take_blocks(self._batch)
+
+    def _end_batch(self) -> None:
+        if self._batch is not None:
+            self._judge(Output())
+            self._batch.stop()
+            self._take_blocks(self._batch)
+
+    def _take_blocks(self, batch: BatchSmoother) -> None:
+        for done in batch.take():
+            block = done.stamped(self.estimator.stamp) if isinstance(self.estimator, Estimator) else done
+            self._on_block(block)
+            if self._filter:
+                self.batch.add_block(block, self.estimator.world)
 
     def _take(self, output: Output, now_ns: int) -> None:
+        self._on_output(output)
         if self._outputs is not None:
             self._outputs.write(output)
             self._outputs.diagnose(self.estimator, now_ns)
@@ -145,6 +173,8 @@ class Replay:
             message, in_outage = self._filter.held.popleft()
             self.causal.add_message(message, in_outage)
             self.smoothed.add_message(message, in_outage)
+            if self._batch is not None:
+                self.batch.add_message(message, in_outage)
         frame = self.estimator.world
         if output.estimate is not None and self._kept is not None:
             self._keep(output.estimate)

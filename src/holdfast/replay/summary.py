@@ -58,6 +58,7 @@ def summarise_replay(  # noqa: PLR0917
         "held_out": {
             "causal": held_out_summary(replay.causal.judgements, silent),
             "smoothed": held_out_summary(replay.smoothed.judgements, silent),
+            **({"batch": held_out_summary(replay.batch.judgements, silent)} if replay.batch.judgements else {}),
         },
         "warnings": list(warnings),
         "versions": {name: version(name) for name in ("holdfast", "gtsam", "numpy", "rosbags")},

@@ -96,6 +96,7 @@ class RunRecord:
         biases: (B, 6) of the gyroscope [rad/s], then the accelerometer [m/s^2]; without rows where none are known.
         true_bias_times_s: (T,) of a simulation; None where the truth is not known.
         true_biases: (T, 6) as `biases`.
+        optimum: (B, 3) position of I in W by the optimum over the recording [m].
         reference: (R, 3) position of I in W by the reference [m]; None without one.
         smoothed_times_s: (S,) of the nodes that left the window.
         smoothed: (S, 3) position of I in W at them [m].
@@ -120,6 +121,7 @@ class RunRecord:
     biases: Array
     true_bias_times_s: Array | None = None
     true_biases: Array | None = None
+    optimum: Array = field(default_factory=lambda: np.zeros((0, 3)))
     reference: Array | None = None
     smoothed_times_s: Array = field(default_factory=lambda: np.zeros(0))
     smoothed: Array = field(default_factory=lambda: np.zeros((0, 3)))

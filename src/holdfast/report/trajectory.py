@@ -11,7 +11,7 @@ from holdfast.report.outages import LOST, outage_bands, outages, within
 from holdfast.report.page import Block, Cell, Figure, Table, Text
 from holdfast.report.run_record import Measurements, RunRecord
 
-REFERENCE, SMOOTHED, ODOMETRY = "#9aa5b1", "#56b4e9", "#7a5195"
+REFERENCE, SMOOTHED, OPTIMUM, ODOMETRY = "#9aa5b1", "#56b4e9", "#0072b2", "#7a5195"
 FIXES = {"used": "#009e73", "refused": "#e69f00", "held out": "#cc79a7"}  # and what became of them
 WAITED = ("before_start", "quarantined", "ignored")  # neither used nor refused
 
@@ -36,6 +36,8 @@ def _track(run: RunRecord) -> Figure:
     tracks.append(Line("estimate in O", run.odometry[:, 0], run.odometry[:, 1], ODOMETRY, "dot", 1.0))
     if len(run.smoothed):
         tracks.append(Line("smoothed", run.smoothed[:, 0], run.smoothed[:, 1], SMOOTHED))
+    if len(run.optimum):
+        tracks.append(Line("optimum over the recording", run.optimum[:, 0], run.optimum[:, 1], OPTIMUM))
     tracks.append(Line("estimate, as it was published", run.world[:, 0], run.world[:, 1]))
     inside = within(run.times_s, outages(run))
     if inside.any():

@@ -14,6 +14,7 @@ SENTENCES = {
     "estimate_suspect": "The estimate itself is doubted: {sensor} finds it {reason}. Its measurements are accepted.",
     "begun_anew": "The estimate was wrong and is begun anew from what agrees without it: {reason}.",
     "lever_arm": "The lever arms of {sensor}: {reason}.",
+    "calibration": "{sensor} is otherwise than configured: {reason}.",
     "noise": "{sensor} measures otherwise than it claims: {reason}.",
     "gnss_lost": "GNSS is lost: {reason}. The fallback graph takes over in the same IMU tick.",
     "gnss_regained": "GNSS is back: {reason}. The main graph takes over; the odometry frame takes the jump.",

@@ -1,5 +1,6 @@
 """GNSS: which fixes can be trusted by what the receiver says of them, and what they weigh."""
 
+from collections.abc import Sequence
 from copy import copy
 from math import isfinite
 from typing import ClassVar
@@ -36,6 +37,7 @@ class GnssModel:
         self.p_I_P = p_I_P
         self.parameter: Parameter | None = None
         self.limit = config.gate_sigma**2
+        self.loss, self.offset_sigma_s = config.robust_loss, config.time_offset_sigma_s
         self._config = config
 
     def with_estimated_arm(self, sigma_m: float) -> "GnssModel":
@@ -100,11 +102,15 @@ class GnssModel:
         return position_innovation(position, state, self.p_I_P)
 
     def factor(
-        self, key: int, position: Position, inflation: float, arm_key: int | None = None
+        self,
+        keys: Sequence[int],
+        position: Position,
+        inflation: float,
+        state: State | None = None,  # noqa: ARG002 (it is linear about none)
     ) -> gtsam.NonlinearFactor:
         """Return the factor of a fix on a node, and on its arm if that is estimated."""
-        arm = self.p_I_P if arm_key is None else arm_key
-        return position_factor(key, position, arm, self._config.robust_loss, inflation)
+        arm = self.p_I_P if len(keys) == 1 else keys[1]
+        return position_factor(keys[0], position, arm, self.loss, inflation)
 
 
 register(GnssConfig, lambda name, section, config: GnssModel(name, section, lever_arm(name, config)))

@@ -63,6 +63,7 @@ class HeadingModel(StateSensor):
             self.axis, self.antennas = baseline / length_m, tuple(arms)
         self.offset_ns = round(config.time_offset_s * 1e9)
         self.settings = config
+        self.offset_sigma_s = config.time_offset_sigma_s
 
     def without_axis(self) -> "HeadingModel":
         """Return a model of the same sensor whose axis is not known: its headings tell nothing."""

@@ -7,6 +7,7 @@ import gtsam
 from holdfast.config.sensors import RobustLoss
 from holdfast.messages import Array
 
+UNBOUNDED = RobustLoss()  # the square, whatever the residual
 FREE_VARIANCE = 1e12  # of what a factor says nothing about
 FREE_TILT_RAD = 1e2  # the same of roll and pitch: much more, and a rotated covariance could not be inverted
 

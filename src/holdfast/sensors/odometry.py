@@ -13,6 +13,7 @@ from holdfast.config.sensors import OdometryConfig
 from holdfast.geometry.world import World
 from holdfast.messages import Array, Message, SensorPose
 from holdfast.sensors.noise import FREE_VARIANCE, noise_model
+from holdfast.sensors.odometry_calibration import OdometryCalibration
 from holdfast.sensors.sensor import Role, mounting, pose_of, register
 from holdfast.state import Outcome
 
@@ -20,6 +21,7 @@ MAX_SPEED_M_S = 100.0
 MAX_SCALE = 30.0
 LOOSE_TILT_RAD = 0.2  # of a pseudo-global pose, whose roll and pitch are left to the IMU
 STILL_M_S = 1e-3  # velocity of a frame, which has one only because it shares the type of the nodes
+STANDING = np.zeros(3)
 STANDING_DRIFT_M_PER_SQRT_S = 1e-4  # what even a standing odometry is allowed; a tenth of it in rad
 
 
@@ -44,6 +46,7 @@ class OdometryModel:
         self.offset_ns = round(config.time_offset_s * 1e9)
         self.max_interval_ns = round(config.max_interval_s * 1e9)
         self.adjoint: Array = T_I_L.AdjointMap()
+        self.calibration = OdometryCalibration(config, T_I_L)
         self._T_I_L = T_I_L
         self._T_L_I = T_I_L.inverse()
 
@@ -68,6 +71,7 @@ class OdometryNoise:
 
     def __init__(self, model: OdometryModel) -> None:
         self.scale = 1.0
+        self.calibration = model.calibration
         self._config = model.config
         self._adjoint = model.adjoint
 
@@ -117,12 +121,25 @@ class OdometryNoise:
         """
         return self._between(key_i, key_j, motion, self.covariance(motion))
 
-    def anchored_factor(self, frame_key: int, key: int, motion: gtsam.Pose3) -> gtsam.NonlinearFactor:
+    def anchored_factor(
+        self,
+        frame_key: int,
+        key: int,
+        motion: gtsam.Pose3,
+        calibration_key: int | None = None,
+        angular_velocity: Array = STANDING,
+    ) -> gtsam.NonlinearFactor:
         """Return the factor that joins a node to a pose on the track, `motion` away: (29) in docs/math.md.
 
-        Its noise is that of one pose, half the variance of a motion between two.
+        Its noise is that of one pose, half the variance of a motion between two. Where the calibration is estimated,
+        it is on that, too; then it needs the `angular_velocity` (3,) of I [rad/s].
         """
-        return self._between(frame_key, key, motion, self._at_imu(0.5 * self._sigmas() ** 2))
+        covariance = self._at_imu(0.5 * self._sigmas() ** 2)
+        if calibration_key is None:
+            return self._between(frame_key, key, motion, covariance)
+        noise = noise_model(covariance, self._config.robust_loss)
+        keys = frame_key, key, calibration_key
+        return self.calibration.anchored_factor(keys, motion, angular_velocity, noise)
 
     def pseudo_global_factor(self, key: int, T_W_I: gtsam.Pose3) -> gtsam.NonlinearFactor:
         """Return the pose factor in W of the paper's fallback graph (IV-A.4b): roll and pitch are left to the IMU."""
@@ -133,11 +150,18 @@ class OdometryNoise:
         model = noise_model(covariance, self._config.robust_loss)
         return gtsam.PriorFactorNavState(key, gtsam.NavState(T_W_I, np.zeros(3)), model)
 
-    def drift_factor(self, before_key: int, key: int, motion: gtsam.Pose3, duration_s: float) -> gtsam.NonlinearFactor:
-        """Return the factor between two poses on the track, which may drift between them: (29) in docs/math.md."""
+    def drift_factor(
+        self, before_key: int, key: int, motion: gtsam.Pose3, duration_s: float, calibration_key: int | None = None
+    ) -> gtsam.NonlinearFactor:
+        """Return the factor between two poses on the track, which may drift between them: (29) in docs/math.md.
+
+        Where the calibration is estimated, it is on that, too.
+        """
         covariance = np.eye(9) * STILL_M_S**2
         covariance[:6, :6] = np.diag(self.drift(motion, duration_s) ** 2)
         model = gtsam.noiseModel.Gaussian.Covariance(covariance)
+        if calibration_key is not None:
+            return self.calibration.drift_factor((before_key, key, calibration_key), motion, model)
         return gtsam.BetweenFactorNavState(before_key, key, gtsam.NavState(motion, np.zeros(3)), model)
 
     def _drift(self, distance_m: float, rotation_rad: float) -> Array:

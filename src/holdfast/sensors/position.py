@@ -35,3 +35,16 @@ def position_factor(
     if isinstance(p_I_P, int):
         return gtsam.GPSFactor2ArmCalib(key, p_I_P, position.p_W_P, noise)
     return gtsam.GPSFactor2Arm(key, position.p_W_P, p_I_P, noise)
+
+
+def predicted_position(nav: gtsam.NavState, angular_velocity: Array, arm: Array, offset_s: float) -> Array:
+    """Return where a point with a lever arm (3,) [m] is so long after the time of a node."""
+    pose = nav.pose()
+    at: Array = pose.transformFrom(arm)
+    if offset_s != 0.0:
+        at += offset_s * (nav.velocity() + pose.rotation().rotate(_cross(angular_velocity, arm)))
+    return at
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

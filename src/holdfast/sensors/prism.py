@@ -1,5 +1,6 @@
 """A prism that a robotic total station follows: positions in the station's site grid, and how they lie in W."""
 
+from collections.abc import Sequence
 from math import radians
 from typing import ClassVar
 
@@ -39,6 +40,7 @@ class PrismModel:
         self.limit = config.gate_sigma**2
         self._R_W_grid: Array = gtsam.Rot3.Yaw(radians(config.grid_yaw_deg)).matrix()
         self._p_W_grid = np.array(config.grid_position_m)
+        self.loss, self.offset_sigma_s = config.robust_loss, config.time_offset_sigma_s
         self._config = config
 
     def convert(self, message: PointPosition, world: World) -> Position | Outcome:  # noqa: ARG002 (the grid is in W)
@@ -59,11 +61,15 @@ class PrismModel:
         return position_innovation(position, state, self.p_I_P)
 
     def factor(
-        self, key: int, position: Position, inflation: float, arm_key: int | None = None
+        self,
+        keys: Sequence[int],
+        position: Position,
+        inflation: float,
+        state: State | None = None,  # noqa: ARG002 (it is linear about none)
     ) -> gtsam.NonlinearFactor:
         """Return the factor of a position on a node, and on its arm if that is estimated."""
-        arm = self.p_I_P if arm_key is None else arm_key
-        return position_factor(key, position, arm, self._config.robust_loss, inflation)
+        arm = self.p_I_P if len(keys) == 1 else keys[1]
+        return position_factor(keys[0], position, arm, self.loss, inflation)
 
 
 register(PrismConfig, lambda name, section, config: PrismModel(name, section, lever_arm(name, config)))

@@ -16,9 +16,10 @@ import gtsam
 import numpy as np
 
 from holdfast.config.model import Config
-from holdfast.config.sensors import JudgedConfig, SensorConfig
+from holdfast.config.sensors import JudgedConfig, RobustLoss, SensorConfig
 from holdfast.geometry.world import World
 from holdfast.messages import Array, Message, SensorPose
+from holdfast.sensors.noise import UNBOUNDED, noise_model
 from holdfast.state import Outcome
 
 RECENT = 64  # stamps per sensor among which a duplicate is looked for
@@ -106,10 +107,20 @@ class Innovation(NamedTuple):
 
 
 class Parameter(NamedTuple):
-    """A constant of a sensor that the graph estimates, such as a scale factor: prior mean (p,) and sigmas (p,)."""
+    """A constant of a sensor that the graph estimates, such as a scale factor.
+
+    Attributes:
+        mean: (p,) of the prior.
+        sigmas: (p,) of the prior.
+        if_right: (p,) sigmas that hold where the mean is right after all, inf where there is no telling. The prior is
+            then a mixture of both: what was configured is either right or far off.
+        shared: name of a parameter that several sensors share, such as the clock of one receiver; empty: its own.
+    """
 
     mean: Array
     sigmas: Array
+    if_right: Array | None = None
+    shared: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,9 +180,19 @@ class PositionSensor(Sensor, Protocol):
         """Compare a position with a state."""
 
     def factor(
-        self, key: int, position: Position, inflation: float, arm_key: int | None = None
+        self, keys: Sequence[int], position: Position, inflation: float, state: State | None = None
     ) -> gtsam.NonlinearFactor:
-        """Return the factor on a node, and on the parameter if there is one, its covariance times `inflation`."""
+        """Return the factor on a node, and on the parameter if there is one, its covariance times `inflation`.
+
+        `state` is the estimate of the node, which only a factor needs that depends on the angular velocity.
+        """
+
+
+class Comparing(Protocol):
+    """What compares its measurements with one state."""
+
+    def innovation(self, measurement: Any, state: State) -> Innovation | Outcome:
+        """Compare a measurement with a state, or say why it cannot be compared."""
 
 
 class StateSensor(Sensor, Protocol):
@@ -218,8 +239,13 @@ class ConstraintSensor(StateSensor, Protocol):
         """Return the measurement at a time."""
 
 
-def innovation_factor(
-    sensor: StateSensor, keys: Sequence[int], measurement: Any, state: State, covariance: Array
+def innovation_factor(  # noqa: PLR0917 (what a factor is made of)
+    sensor: Comparing,
+    keys: Sequence[int],
+    measurement: Any,
+    state: State,
+    covariance: Array,
+    loss: RobustLoss = UNBOUNDED,
 ) -> gtsam.NonlinearFactor:
     """Return the factor |h(x, p) - z| weighed by a covariance (m, m), with h and its derivatives from `innovation`.
 
@@ -240,7 +266,7 @@ def innovation_factor(
                 jacobians[k] = by_variable
         return -found.y
 
-    return gtsam.CustomFactor(gtsam.noiseModel.Gaussian.Covariance(covariance), list(keys), error)
+    return gtsam.CustomFactor(noise_model(covariance, loss), list(keys), error)
 
 
 def pose_of(message: SensorPose) -> gtsam.Pose3 | Outcome:

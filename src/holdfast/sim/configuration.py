@@ -1,4 +1,7 @@
-"""The configuration that a machine's owner would write: what calibration and datasheets know, never the truth."""
+"""The configuration that a machine's owner would write: what calibration and datasheets know, never the truth.
+
+Where the scenario says so, the owner is mistaken.
+"""
 
 from math import atan2, degrees
 from typing import Any
@@ -8,7 +11,7 @@ from holdfast.config.load import config_of
 from holdfast.config.model import Config
 from holdfast.sim.datasheets import Sheet, SimulatedSensor
 from holdfast.sim.readings import generator
-from holdfast.sim.scenario import BASE, CABIN, Scenario
+from holdfast.sim.scenario import BASE, CABIN, Scenario, merged
 from holdfast.sim.sensors import KINDS
 from holdfast.sim.sensors.imu import SimulatedImu
 from holdfast.sim.sensors.joint import SimulatedJoint
@@ -46,7 +49,8 @@ def configuration_data(scenario: Scenario, seed: int = 0) -> dict[str, Any]:
         error_deg = HEADING_SIGMA_DEG * float(generator(seed, "initial heading").standard_normal())
         heading_deg = round(_true_heading_deg(scenario) + error_deg, 2)
         data["initialisation"] = {"heading_deg": heading_deg, "heading_sigma_deg": HEADING_SIGMA_DEG}
-    return data
+    written: dict[str, Any] = merged(data, scenario.written)
+    return written
 
 
 def _entry(name: str, sheet: Sheet, scenario: Scenario) -> dict[str, Any]:

@@ -172,6 +172,8 @@ class Scenario(Section):
     activities: tuple[Activity, ...] = Field((), description="one after the other; then the machine stands")
     faults: tuple[Fault, ...] = ()
     earth_rotation: bool = Field(False, description="the IMUs feel the rotation of the earth")
+    like: str | None = Field(None, description="another scenario, whose keys hold where this one has none")
+    written: dict[str, Any] = Field({}, description="keys of the configuration that its owner wrote otherwise")
     # of the machine
     chassis: Chassis
     drive: Drive = Drive()
@@ -259,10 +261,12 @@ def load_scenario(name_or_path: str, overrides: dict[str, Any] | None = None) ->
     document = _read("scenarios", name_or_path, Path())
     document.data |= overrides or {}
     beside = Path(name_or_path).parent
+    if isinstance(like := document.data.get("like"), str):
+        document.data = merged(_read("scenarios", like, beside).data, document.data)
     for key, folder in FOLDERS.items():
         name = document.data.get(key)
         if isinstance(name, str):
-            document.data = _merged(_read(folder, name, beside).data, document.data)
+            document.data = merged(_read(folder, name, beside).data, document.data)
     _take_away_absent(document.data)
     return validate(document, Scenario)
 
@@ -287,8 +291,8 @@ def _read(folder: str, name: str, beside: Path) -> Document:
     return read_document(read_yaml(path, f"shipped are {', '.join(shipped(folder))}"), str(path))
 
 
-def _merged(below: Any, above: Any) -> Any:
+def merged(below: Any, above: Any) -> Any:
     """Return `above` with what only `below` has; lists and plain values of `above` replace those of `below`."""
     if not (isinstance(below, dict) and isinstance(above, dict)):
         return above
-    return below | {key: _merged(below.get(key), value) for key, value in above.items()}
+    return below | {key: merged(below.get(key), value) for key, value in above.items()}

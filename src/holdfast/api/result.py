@@ -1,0 +1,56 @@
+"""What an estimation over a recording gives to a notebook."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from holdfast.api.trajectory import Trajectory
+from holdfast.errors import ConfigError
+from holdfast.extras import needing
+from holdfast.state import Event
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """The results of one recording.
+
+    Attributes:
+        world: I in W at each sample of the IMU, as it was published: causal, it may jump.
+        odometry: I in O, which never jumps.
+        base: the chassis B in W; None where it is not known.
+        smoothed: of `smooth` the optimum over the recording at each sample, with its covariances; of `replay` the nodes
+            as they left the sliding window; None if there are none.
+        events: what happened, in the order of time.
+        summary: what `holdfast replay` writes to summary.json: counts, errors at held-out fixes, time.
+        folder: of the files.
+    """
+
+    world: Trajectory
+    odometry: Trajectory
+    base: Trajectory | None
+    smoothed: Trajectory | None
+    events: Sequence[Event]
+    summary: Mapping[str, Any]
+    folder: Path
+    _kept: TemporaryDirectory[str] | None = field(default=None, repr=False)  # as long as someone has the result
+
+    def report(self, path: str | PathLike[str]) -> Path:
+        """Write an HTML page about it, which needs no network; return its path.
+
+        Raises:
+            ConfigError: plotly is not installed, or the name does not end in .html.
+        """
+        with needing("a report", "report"):
+            import plotly  # noqa: F401
+        from holdfast.replay.results import read_run
+        from holdfast.report.page import write_page
+        from holdfast.report.single_run import single_run_page
+
+        file = Path(path)
+        if file.suffix.lower() not in (".html", ".htm"):
+            raise ConfigError(f"{file}: the name must end in .html")
+        write_page(single_run_page(read_run(self.folder, None)), file)
+        return file

@@ -1,0 +1,161 @@
+"""`holdfast.replay` and `holdfast.smooth`: a recording in, arrays out."""
+
+import json
+from collections.abc import Mapping
+from contextlib import ExitStack
+from os import PathLike
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from holdfast.api.kept import Kept
+from holdfast.api.progress import shown
+from holdfast.api.result import Result
+from holdfast.config.load import config_of, load_config
+from holdfast.config.model import Config
+from holdfast.errors import ConfigError, EstimatorError
+from holdfast.recording.source import open_recording
+from holdfast.recording.subscriptions import subscriptions
+from holdfast.replay.batch_outputs import CAUSAL, BatchOutputs
+from holdfast.replay.held_out import HoldOut, check_sensors
+from holdfast.replay.never_started import never_started
+from holdfast.replay.outputs import SUMMARY, Outputs
+from holdfast.replay.results import read_events
+from holdfast.replay.runner import Replay
+from holdfast.replay.summary import summarise_replay
+from holdfast.smoothing.batch_smoother import OVERLAP_S, WINDOW_S, BatchSmoother
+from holdfast.state import Event, EventKind
+
+AnyPath = str | PathLike[str]
+AnyConfig = Config | Mapping[str, Any] | AnyPath
+
+
+def replay(
+    recording: AnyPath,
+    config: AnyConfig,
+    *,
+    hold_out: Mapping[str, int] | None = None,
+    outage: Mapping[str, tuple[float, float]] | None = None,
+    start_s: float = 0.0,
+    duration_s: float | None = None,
+    output: AnyPath | None = None,
+    progress: bool = False,
+) -> Result:
+    """Run the estimator over a recording, as it would have run on the machine.
+
+    Args:
+        recording: a bag, an MCAP, a folder of CSV files, or `kitti`.
+        config: a file, what such a file holds, or a `Config`.
+        hold_out: `{"gnss": 2}` keeps every second fix from the estimator, which is judged by it: `summary["held_out"]`.
+        outage: `{"gnss": (120.0, 180.0)}` keeps all of this time [s since the first message].
+        start_s: skips the beginning of the recording [s].
+        duration_s: takes only so much of it [s].
+        output: folder for the files that `holdfast replay` writes; without it they go with the result.
+        progress: show how far it is.
+
+    Raises:
+        ConfigError: the configuration, or an argument, is wrong.
+        RecordingError: the recording cannot be read.
+        EstimatorError: the estimator never started; says why.
+    """
+    return _run(recording, config, hold_out, outage, (start_s, duration_s), output, progress, None)
+
+
+def smooth(
+    recording: AnyPath,
+    config: AnyConfig,
+    *,
+    hold_out: Mapping[str, int] | None = None,
+    outage: Mapping[str, tuple[float, float]] | None = None,
+    start_s: float = 0.0,
+    duration_s: float | None = None,
+    output: AnyPath | None = None,
+    progress: bool = False,
+    window_s: float = WINDOW_S,
+    overlap_s: float = OVERLAP_S,
+) -> Result:
+    """Find the best trajectory of a whole recording: each state from all that was measured before and after it.
+
+    Arguments and errors are those of `replay`, but for two: `window_s` is solved at once [s], with `overlap_s` of what
+    follows it [s]; memory grows with both. `Result.smoothed` is the optimum, the rest that of the causal run from which
+    it starts.
+    """
+    return _run(recording, config, hold_out, outage, (start_s, duration_s), output, progress, (window_s, overlap_s))
+
+
+def _run(  # noqa: PLR0917 (of the two above)
+    recording: AnyPath,
+    config: AnyConfig,
+    hold_out: Mapping[str, int] | None,
+    outage: Mapping[str, tuple[float, float]] | None,
+    span_s: tuple[float, float | None],
+    output: AnyPath | None,
+    progress: bool,
+    batch_s: tuple[float, float] | None,
+) -> Result:
+    loaded, kept = resolved(config), Kept()
+    rules = _rules(hold_out or {}, outage or {}, loaded)
+    batch = None if batch_s is None else BatchSmoother(loaded, *batch_s)
+    temporary = TemporaryDirectory(prefix="holdfast-") if output is None else None
+    folder = Path(temporary.name if output is None and temporary is not None else output or "")
+    with open_recording(Path(recording)) as opened, ExitStack() as stack:
+        messages = opened.read(subscriptions(loaded), *span_s)
+        causal = folder if batch is None else folder / CAUSAL
+        outputs = stack.enter_context(Outputs(causal, loaded))
+        files = None if batch is None else stack.enter_context(BatchOutputs(folder, loaded))
+        takers = [kept.add_block] + ([] if files is None else [files.write])
+        run = Replay(
+            loaded, outputs, rules, batch=batch, on_output=kept.add, on_block=lambda block: [f(block) for f in takers]
+        )
+        with shown(opened.start_ns, opened.end_ns, progress) as show:
+            run.run(messages, None, show)
+        run.write_events()
+        warnings = [*opened.warnings, *run.warnings, *([] if batch is None else batch.warnings())]
+    summary = summarise_replay(run, str(recording), warnings, True)
+    _write_summary(causal, summary)
+    if files is not None and batch is not None:
+        summary["smooth"] = files.summary(batch)
+        _write_summary(folder, summary)
+    if not run.estimator.initialised:
+        why = never_started(run.estimator.waiting_for, run.estimator.counts, loaded)
+        raise EstimatorError(f"{recording}: the estimator never started: {why}")
+    events = [_event(one) for one in read_events(causal)]
+    return Result(kept.world(), kept.odometry(), kept.base(), kept.smoothed(), events, summary, folder, temporary)
+
+
+def resolved(config: AnyConfig) -> Config:
+    """Return the configuration that a path, plain data or a `Config` mean.
+
+    Raises:
+        ConfigError: it is none of them, or holds mistakes; the text has one line per mistake.
+    """
+    if isinstance(config, Config):
+        return config
+    if isinstance(config, Mapping):
+        return config_of(dict(config), "config")
+    if isinstance(config, str | PathLike):
+        return load_config(config)
+    raise ConfigError(f"config: must be a path, a dict or a Config, not {type(config).__name__}")
+
+
+def _rules(hold_out: Mapping[str, int], outage: Mapping[str, tuple[float, float]], config: Config) -> list[HoldOut]:
+    rules = []
+    for sensor, every in hold_out.items():
+        if not isinstance(every, int) or every < 2:
+            raise ConfigError(f"hold_out[{sensor!r}]: must be an integer >= 2, not {every!r}")
+        rules.append(HoldOut(sensor, every))
+    for sensor, span in outage.items():
+        start_s, end_s = span
+        if not start_s < end_s:
+            raise ConfigError(f"outage[{sensor!r}]: must end after it starts [s], not {span!r}")
+        rules.append(HoldOut(sensor, None, start_s, end_s))
+    check_sensors(rules, config)
+    return rules
+
+
+def _event(one: Mapping[str, Any]) -> Event:
+    return Event(one["stamp_ns"], EventKind(one["kind"]), one["sensor"], one["reason"], one.get("data", {}))
+
+
+def _write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
+    (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")

@@ -1,0 +1,49 @@
+"""`holdfast.simulate`: a machine on a site, whose truth is known."""
+
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+from holdfast.api.trajectory import Trajectory
+from holdfast.errors import ConfigError
+from holdfast.extras import needing
+
+
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """A simulated recording.
+
+    Attributes:
+        recording: for `holdfast.replay` or `holdfast.smooth`.
+        config: that belongs to it.
+        truth: I in W, as it was.
+    """
+
+    recording: Path
+    config: Path
+    truth: Trajectory
+
+
+def simulate(
+    scenario: str | PathLike[str],
+    output: str | PathLike[str],
+    *,
+    seed: int = 0,
+    duration_s: float | None = None,
+) -> Simulated:
+    """Simulate a scenario, a shipped one or a YAML file, into a folder; equal seeds give equal bytes.
+
+    Raises:
+        ConfigError: there is no such scenario, it holds mistakes, or the simulator's packages are not installed.
+    """
+    with needing("simulating", "sim"):
+        from holdfast.sim.recorder import write_truth
+        from holdfast.sim.scenario import load_scenario
+        from holdfast.trial.run import CONFIG, RECORDING, write_simulation
+    if duration_s is not None and not duration_s > 1.0:
+        raise ConfigError(f"duration_s: must be > 1, not {duration_s!r}")
+    loaded = load_scenario(str(scenario), {} if duration_s is None else {"duration_s": duration_s})
+    folder = Path(output)
+    write_truth(write_simulation(loaded, seed, folder), folder / "truth")
+    truth = Trajectory.read(folder / "truth" / "imu_in_world.tum")
+    return Simulated(folder / RECORDING, folder / CONFIG, truth)

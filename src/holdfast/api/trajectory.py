@@ -1,0 +1,211 @@
+"""A trajectory as a notebook wants it: arrays, a data frame, errors against another one, and a figure."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from holdfast import state
+from holdfast.covariances import Covariances
+from holdfast.errors import ConfigError
+from holdfast.evaluation import quaternions
+from holdfast.evaluation.absolute import Statistics, ape, summarise
+from holdfast.evaluation.alignment import AlignmentName, align
+from holdfast.evaluation.association import Association, associate
+from holdfast.extras import needing
+from holdfast.messages import Array
+from holdfast.recording.covariance_csv import CovarianceWriter, beside, read_covariances
+from holdfast.recording.tum import read_tum, write_tum
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SHOWN = (("horizontal_m", "horizontal [m]"), ("vertical_m", "vertical [m]"), ("yaw_deg", "yaw [deg]"))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Errors:
+    """Errors of a trajectory at the stamps of a reference, estimate minus reference.
+
+    Attributes:
+        stamps_ns: (M,).
+        values: by name, (M,) each: translation_m, horizontal_m, vertical_m, east_m, north_m, up_m, and where both have
+            an orientation rotation_deg, roll_deg, pitch_deg, yaw_deg.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    values: Mapping[str, Array]
+
+    def __getitem__(self, name: str) -> Array:
+        """Return one of the errors (M,)."""
+        return self.values[name]
+
+    def statistics(self) -> dict[str, Statistics]:
+        """Return mean, std, rms, median, p95 and max of each error."""
+        found = {name: summarise(of) for name, of in self.values.items()}
+        return {name: of for name, of in found.items() if of is not None}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """The motion of one frame in another at N stamps.
+
+    Attributes:
+        stamps_ns: (N,) strictly increasing, on the IMU's clock.
+        positions: (N, 3) [m].
+        quaternions_xyzw: (N, 4) of unit norm.
+        velocities: (N, 3) [m/s], expressed in the other frame; None where they are not known.
+        covariances: (N, 9, 9) of rotation [rad], position [m] and velocity [m/s], each in the body frame; or None.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    positions: Array
+    quaternions_xyzw: Array
+    velocities: Array | None = None
+    covariances: Array | None = None
+
+    @classmethod
+    def read(cls, path: str | PathLike[str]) -> "Trajectory":
+        """Read a TUM file, and the covariances beside it if there are any.
+
+        Raises:
+            RecordingError: names file and line.
+        """
+        poses, file = read_tum(Path(path)), beside(Path(path))
+        covariances = read_covariances(file).at(poses.stamps_ns) if file.exists() else None
+        return cls(poses.stamps_ns, poses.positions, poses.quaternions, None, covariances)
+
+    def write(self, path: str | PathLike[str]) -> None:
+        """Write a TUM file, and the covariances beside it if they are known."""
+        write_tum(Path(path), self.poses)
+        if self.covariances is not None:
+            with CovarianceWriter(beside(Path(path))) as writer:
+                writer.extend(Covariances(self.stamps_ns, self.covariances))
+
+    def __len__(self) -> int:
+        """Return the number of stamps."""
+        return len(self.stamps_ns)
+
+    @property
+    def times_s(self) -> Array:
+        """The stamps (N,) in seconds since the first."""
+        times: Array = (self.stamps_ns - self.stamps_ns[:1]) * np.float64(1e-9)
+        return times
+
+    @property
+    def poses(self) -> state.Trajectory:
+        """Stamps, positions and quaternions alone, as the evaluation takes them."""
+        return state.Trajectory(self.stamps_ns, self.positions, self.quaternions_xyzw)
+
+    def sigmas_m(self) -> Array:
+        """Return the standard deviations (N, 3) of the position along the axes of the other frame [m].
+
+        Raises:
+            ConfigError: the covariances are not known.
+        """
+        if self.covariances is None:
+            raise ConfigError("the covariances of this trajectory are not known")
+        axes = quaternions.rotate(self.quaternions_xyzw[:, None, :], np.eye(3)[None])  # rows: body axes in W
+        variances = np.einsum("nki,nkl,nli->ni", axes, self.covariances[:, 3:6, 3:6], axes)
+        sigmas: Array = np.sqrt(variances)
+        return sigmas
+
+    def interpolate(self, stamps_ns: ArrayLike) -> "Trajectory":
+        """Return it at other stamps (M,): linear in position, velocity and covariance, slerp in rotation.
+
+        Raises:
+            ConfigError: the stamps are no increasing integers, or beyond the ends.
+        """
+        stamps = np.asarray(stamps_ns)
+        if stamps.ndim != 1 or not np.issubdtype(stamps.dtype, np.integer) or (np.diff(stamps) <= 0).any():
+            raise ConfigError(
+                f"stamps_ns: must be increasing integers of shape (M,) [ns], not {stamps.dtype} {stamps.shape}"
+            )
+        if len(stamps) and not self.stamps_ns[0] <= stamps[0] <= stamps[-1] <= self.stamps_ns[-1]:
+            raise ConfigError(f"stamps_ns: must be within {self.stamps_ns[0]} and {self.stamps_ns[-1]}")
+        after = np.clip(np.searchsorted(self.stamps_ns, stamps, side="right"), 1, len(self) - 1)
+        length = self.stamps_ns[after] - self.stamps_ns[after - 1]
+        fraction = (stamps - self.stamps_ns[after - 1]) / length
+
+        def linear(values: Array | None) -> Array | None:
+            if values is None:
+                return None
+            part = fraction.reshape(-1, *[1] * (values.ndim - 1))
+            between: Array = (1.0 - part) * values[after - 1] + part * values[after]
+            return between
+
+        turned = quaternions.slerp(self.quaternions_xyzw[after - 1], self.quaternions_xyzw[after], fraction)
+        positions = linear(self.positions)
+        assert positions is not None
+        return Trajectory(stamps.astype(np.int64), positions, turned, linear(self.velocities), linear(self.covariances))
+
+    def errors(self, reference: "Trajectory", *, alignment: AlignmentName = "none", max_gap_s: float = 0.5) -> Errors:
+        """Return the errors at the stamps of a reference.
+
+        Args:
+            reference: what is true.
+            alignment: `none`, `yaw` (and translation) or `se3`: how it is moved onto the reference first.
+            max_gap_s: longer gaps between two poses are not bridged [s].
+
+        Raises:
+            RecordingError: the two do not overlap in time, or cannot be aligned.
+        """
+        pairs = associate(self.poses, reference.poses, Association(max_gap_s=max_gap_s))
+        pairs = align(pairs, alignment).apply(pairs)
+        return Errors(pairs.reference.stamps_ns, ape(pairs))
+
+    def to_dataframe(self, library: Literal["polars", "pandas"] | None = None) -> Any:
+        """Return a data frame with a row per stamp: of polars if that is installed, else of pandas.
+
+        Raises:
+            ConfigError: neither is installed, or not the one that is asked for.
+        """
+        columns: dict[str, Any] = {"stamp_ns": self.stamps_ns}
+        columns |= {f"p_{axis}_m": self.positions[:, k] for k, axis in enumerate("xyz")}
+        columns |= {f"q_{axis}": self.quaternions_xyzw[:, k] for k, axis in enumerate("xyzw")}
+        if self.velocities is not None:
+            columns |= {f"v_{axis}_m_s": self.velocities[:, k] for k, axis in enumerate("xyz")}
+        if self.covariances is not None:
+            columns |= {f"sigma_{axis}_m": self.sigmas_m()[:, k] for k, axis in enumerate("xyz")}
+        for name in ("polars", "pandas") if library is None else (library,):
+            try:
+                return import_module(name).DataFrame(columns)
+            except ModuleNotFoundError:
+                continue
+        raise ConfigError(f"a data frame needs {library or 'polars or pandas'}: pip install {library or 'polars'}")
+
+    def plot(self, reference: "Trajectory | None" = None) -> "Figure":
+        """Return a figure: the track from above, and the errors over time if there is a reference.
+
+        Raises:
+            ConfigError: matplotlib is not installed.
+        """
+        with needing("a figure", "plot"):
+            from matplotlib.figure import Figure
+        figure = Figure(figsize=(10.0, 4.0), layout="constrained")
+        if reference is None:
+            above = figure.add_subplot()
+        else:
+            grid = figure.add_gridspec(len(SHOWN), 2)
+            above = figure.add_subplot(grid[:, 0])
+            above.plot(
+                reference.positions[:, 0], reference.positions[:, 1], color="0.6", linewidth=3, label="reference"
+            )
+            errors = self.errors(reference)
+            times_s = (errors.stamps_ns - self.stamps_ns[0]) * 1e-9
+            for row, (name, label) in enumerate((name, label) for name, label in SHOWN if name in errors.values):
+                axes = figure.add_subplot(grid[row, 1])
+                axes.plot(times_s, errors[name], linewidth=0.8)
+                axes.set_ylabel(label)
+            axes.set_xlabel("time [s]")
+        above.plot(self.positions[:, 0], self.positions[:, 1], linewidth=1.0, label="estimate")
+        above.set_aspect("equal", adjustable="datalim")
+        above.set_xlabel("east [m]")
+        above.set_ylabel("north [m]")
+        above.legend()
+        return figure

@@ -1,0 +1,105 @@
+"""`holdfast smooth`: a recording in, the best trajectory of the whole of it out, with covariance."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from holdfast.cli.progress import reading_bar
+from holdfast.cli.replay import check_window, print_summary, rules_of, wanted_of, write_summary
+from holdfast.cli.writing import naming_the_output, write_json
+from holdfast.errors import ConfigError, EstimatorError, HoldfastError
+from holdfast.output_folder import replaced
+
+if TYPE_CHECKING:
+    from holdfast.replay.runner import Replay
+
+
+@click.command()
+@click.argument("recording", type=click.Path())
+@click.option("-c", "--config", "config_path", required=True, type=click.Path(), help="Configuration (YAML).")
+@click.option("-o", "--output", required=True, type=click.Path(), help="Folder for the results.")
+@click.option("--start", "start_s", type=float, default=0.0, metavar="SECONDS", help="Skip the beginning.")
+@click.option("--duration", "duration_s", type=float, metavar="SECONDS", help="Take only this much.")
+@click.option("--hold-out", multiple=True, metavar="SENSOR=N", help="Hold back every N-th message, to judge by it.")
+@click.option("--outage", multiple=True, metavar="SENSOR=START:END", help="Hold back all messages of this time [s].")
+@click.option("--strict", is_flag=True, help="Refuse a recording that lacks a sensor of the configuration.")
+@click.option("--window", "window_s", type=float, default=300.0, show_default=True, help="Solved at once [s].")
+@click.option("--overlap", "overlap_s", type=float, default=120.0, show_default=True, help="And what follows it [s].")
+def smooth(  # noqa: PLR0917 (click passes the options by name)
+    recording: str,
+    config_path: str,
+    output: str,
+    start_s: float,
+    duration_s: float | None,
+    hold_out: tuple[str, ...],
+    outage: tuple[str, ...],
+    strict: bool,
+    window_s: float,
+    overlap_s: float,
+) -> None:
+    """Estimate the best trajectory of RECORDING: each state from all that was measured before and after it.
+
+    Writes to the output folder: imu_in_world.tum and base_in_world.tum (at each sample of the IMU),
+    imu_in_world.covariance.csv (at each node), biases.csv, refused.csv (which measurements weigh less than they claim)
+    and summary.json; in causal/ what `holdfast replay` writes, of the run from which it starts.
+
+    A window and what follows it are solved together, then the next window begins with all that is known: memory does
+    not grow with the recording.
+    """
+    from holdfast.config.load import load_config
+    from holdfast.recording.source import open_recording
+    from holdfast.replay.batch_outputs import CAUSAL, BatchOutputs
+    from holdfast.replay.never_started import never_started
+    from holdfast.replay.outputs import SUMMARY, Outputs
+    from holdfast.replay.runner import Replay
+    from holdfast.smoothing.batch_smoother import BatchSmoother
+
+    check_window(start_s, duration_s)
+    _check_lengths(window_s, overlap_s)
+    config, folder = load_config(config_path), Path(output)
+    rules = rules_of(hold_out, outage, config)
+    with open_recording(recording) as opened, naming_the_output(output):
+        wanted, missing = wanted_of(opened, config, strict)
+        messages = opened.read(wanted, start_s, duration_s)
+        batch = BatchSmoother(config, window_s, overlap_s)
+        with replaced(output, "smooth", (recording, config_path)):
+            with Outputs(folder / CAUSAL, config) as outputs, BatchOutputs(folder, config) as files:
+                run = Replay(config, outputs, rules, batch=batch, on_block=files.write)
+                failure: BaseException | None = None
+                try:
+                    with reading_bar("smoothing", opened, start_s, duration_s) as progress:
+                        run.run(messages, None, progress)
+                except (HoldfastError, KeyboardInterrupt) as error:
+                    failure = error
+                run.write_events()
+            warnings = [*opened.warnings, *run.warnings, *batch.warnings()]
+            summary = write_summary(run, recording, warnings, folder / CAUSAL, failure is None, missing)
+            summary["smooth"] = files.summary(batch)
+            write_json(folder / SUMMARY, summary)
+            for warning in warnings:
+                click.echo(f"warning: {warning}", err=True)
+            if failure is not None:
+                raise failure
+    if not run.has_started:
+        why = never_started(run.estimator.waiting_for, run.estimator.counts, config)
+        raise EstimatorError(f"{recording}: the estimator never started: {why}")
+    print_summary(summary, output)
+    _print_smooth(summary["smooth"], run)
+
+
+def _check_lengths(window_s: float, overlap_s: float) -> None:
+    if not 10.0 <= window_s <= 36_000.0:
+        raise ConfigError(f"--window {window_s:g}: must be from 10 to 36000 s")
+    if not 5.0 <= overlap_s <= 3600.0:
+        raise ConfigError(f"--overlap {overlap_s:g}: must be from 5 to 3600 s")
+
+
+def _print_smooth(found: dict[str, Any], run: "Replay") -> None:
+    """Print what became of the measurements, and what the optimum cost."""
+    click.echo(
+        f"optimum: cost {found['cost']:.4g} after {found['iterations']} iterations in {len(found['windows'])} windows, "
+        f"{found['wall_s']:.1f} s of {run.timing.wall_s:.1f} s"
+    )
+    for sensor, outcomes in found["counts"].items():
+        click.echo(f"  {sensor:10s} " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()))

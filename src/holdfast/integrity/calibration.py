@@ -1,0 +1,93 @@
+"""Which mountings and clocks are otherwise than configured, as the graph has found: told once it is sure."""
+
+from collections.abc import Iterator, Mapping
+from math import degrees
+from typing import NamedTuple
+
+import numpy as np
+
+from holdfast.event_log import EventLog
+from holdfast.graph.smoother import Smoother
+from holdfast.messages import Array
+from holdfast.sensors.clock import has_estimated_clock
+from holdfast.sensors.odometry import OdometryModel
+from holdfast.sensors.sensor import Sensor
+from holdfast.state import EventKind
+
+REVIEW_NS = 1_000_000_000
+SIGMA = 4.0  # it is tested every second
+SLACK_S, SLACK_RAD = 2e-3, 5e-3  # an error that nobody need correct
+NEWS = 0.25  # of what was told last
+
+
+class Finding(NamedTuple):
+    """A constant of a sensor that is otherwise than configured.
+
+    Attributes:
+        what: which of its constants.
+        off: by how much [s or rad].
+        sigma: of that.
+        slack: below it nothing is told.
+    """
+
+    what: str
+    off: float
+    sigma: float
+    slack: float
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether it is so beyond doubt, and matters."""
+        return self.off > SIGMA * self.sigma + self.slack
+
+
+class Calibration:
+    """What was told of the constants of all sensors.
+
+    Args:
+        sensors: the models, by name.
+        log: where events go.
+    """
+
+    def __init__(self, sensors: Mapping[str, Sensor], log: EventLog) -> None:
+        self._sensors, self._log = sensors, log
+        self._told: dict[tuple[str, str], float] = {}
+        self._reviewed_ns = 0
+
+    def review(self, smoother: Smoother, now_ns: int) -> None:
+        """Report what is new, once a second."""
+        if now_ns - self._reviewed_ns < REVIEW_NS:
+            return
+        self._reviewed_ns = now_ns
+        for name, sensor in self._sensors.items():
+            parameter = getattr(sensor, "parameter", None)
+            estimate = smoother.parameter_estimate(name if parameter is None else parameter.shared or name)
+            if estimate is None:
+                continue
+            for finding, in_words in _findings(sensor, *estimate):
+                told = self._told.get((name, finding.what))
+                if finding.is_sure and (told is None or abs(finding.off - told) > NEWS * told):
+                    self._told[name, finding.what] = finding.off
+                    self._log.report(EventKind.CALIBRATION, now_ns, name, in_words)
+
+
+def _findings(sensor: Sensor, value: Array, sigmas: Array) -> Iterator[tuple[Finding, str]]:
+    """Yield the constants of a sensor with what is to be told of them."""
+    is_odometry = isinstance(sensor, OdometryModel)
+    if is_odometry or has_estimated_clock(sensor):
+        off_s, sigma_s = float(value[-1]), float(sigmas[-1])
+        early_or_late = "early" if off_s > 0.0 else "late"
+        text = (
+            f"its stamps are {abs(off_s) * 1e3:.1f} ms {early_or_late}, sigma {sigma_s * 1e3:.1f} ms: "
+            f"add {off_s:.4f} to time_offset_s"
+        )
+        yield Finding("clock", abs(off_s), sigma_s, SLACK_S), text
+    if is_odometry:
+        off_rad, along = float(np.linalg.norm(value[:3])), value[:3] / max(float(np.linalg.norm(value[:3])), 1e-9)
+        sigma_rad = float(np.linalg.norm(along * sigmas[:3]))
+        x, y, z = np.degrees(value[:3])
+        text = (
+            f"mounted {degrees(off_rad):.1f} deg otherwise than configured, sigma {degrees(sigma_rad):.1f} deg: "
+            f"rotated by {x:.2f}, {y:.2f}, {z:.2f} deg about its own axes"
+        )
+        yield Finding("mounting", off_rad, sigma_rad, SLACK_RAD), text

@@ -1,0 +1,99 @@
+"""A sensor whose clock is off by a constant that the graph estimates, behind the sensor's own parameter.
+
+A measurement stamped t was taken at t + tau. Over so short a time the state moves by its own twist, so that
+h(x(t + tau)) = h(x) + H xi tau: (53) in docs/math.md. That holds for every sensor whose innovation depends on attitude
+and position, and asks nothing of it.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from holdfast.messages import Array, GnssFix
+from holdfast.sensors.sensor import Innovation, Parameter, Position, PositionSensor, Role, State, innovation_factor
+from holdfast.state import Outcome
+
+GNSS_CLOCK = "clock of GNSS"
+IF_RIGHT_S = 5e-3  # of clocks that are synchronised: sensors have filters inside
+
+
+class EstimatedClock:
+    """A sensor with its offset [s] as the last element of its parameter; all else is the sensor's.
+
+    Args:
+        sensor: of which an innovation and a factor are asked.
+        sigma_s: of the offset.
+    """
+
+    def __init__(self, sensor: Any, sigma_s: float) -> None:
+        self._sensor = sensor
+        own = Parameter(np.zeros(0), np.zeros(0)) if sensor.parameter is None else sensor.parameter
+        is_gnss = sensor.role is Role.HEADING or sensor.message is GnssFix
+        shared = GNSS_CLOCK if is_gnss and not len(own.mean) else ""
+        if_right = np.append(np.full(len(own.mean), np.inf), IF_RIGHT_S)
+        self.parameter = Parameter(np.append(own.mean, 0.0), np.append(own.sigmas, sigma_s), if_right, shared)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._sensor, name)
+
+    def first_parameter(self, measurement: Any, state: State) -> Array:
+        """Return the parameter (p,) about which the first factor is linearised."""
+        if len(self.parameter.mean) == 1:
+            return self.parameter.mean
+        return np.append(self._sensor.first_parameter(measurement, state), 0.0)
+
+    def innovation(self, measurement: Any, state: State) -> Innovation | Outcome:
+        """Compare a measurement with a state at the time when it was taken."""
+        own = state._replace(parameter=state.parameter[:-1], parameter_covariance=state.parameter_covariance[:-1, :-1])
+        found: Innovation | Outcome = self._sensor.innovation(measurement, own)
+        if isinstance(found, Outcome):
+            return found
+        by_offset = found.H[:, :6] @ np.concatenate([state.angular_velocity, state.nav.bodyVelocity()])
+        y, J = found.y - by_offset * state.parameter[-1], np.empty((len(by_offset), len(state.parameter)))
+        J[:, :-1], J[:, -1] = found.J, by_offset
+        return Innovation(y, found.H, found.R, J)
+
+    def factor(
+        self, keys: Sequence[int], measurement: Any, state: State, innovation: Innovation, inflation: float
+    ) -> gtsam.NonlinearFactor:
+        """Return the factor of a measurement on a node and the parameter."""
+        return innovation_factor(self, keys, measurement, state, innovation.R * inflation)
+
+
+class PositionClock:
+    """The same of a sensor of positions, whose factor is asked for in another way."""
+
+    def __init__(self, sensor: Any, sigma_s: float) -> None:
+        self._clocked = EstimatedClock(sensor, sigma_s)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._clocked, name)
+
+    def factor(self, keys: Sequence[int], position: Position, inflation: float, state: State) -> gtsam.NonlinearFactor:
+        """Return the factor of a position on a node and the parameter."""
+        covariance = position.covariance * inflation
+        return innovation_factor(self._clocked, keys, position, state, covariance, self._clocked.loss)
+
+
+def receiver_constants(sensor: PositionSensor, value: Array | None) -> tuple[Array, float]:
+    """Return the lever arm (3,) [m] and the offset [s] of a receiver, given what is estimated of it (p,)."""
+    if sensor.parameter is None or value is None:
+        return sensor.p_I_P, 0.0
+    has_clock = has_estimated_clock(sensor)
+    own = value[:-1] if has_clock else value
+    return own if own.size else sensor.p_I_P, float(value[-1]) if has_clock else 0.0
+
+
+def has_estimated_clock(sensor: Any) -> bool:
+    """Whether the last element of the sensor's parameter is its offset."""
+    return isinstance(sensor, EstimatedClock | PositionClock)
+
+
+def with_estimated_clock(sensor: Any) -> Any:
+    """Return a sensor with the offset of its clock to be estimated, unless the configuration says that it is known."""
+    sigma_s: float = getattr(sensor, "offset_sigma_s", 0.0)
+    if sigma_s == 0.0:
+        return sensor
+    return PositionClock(sensor, sigma_s) if sensor.role is Role.POSITION else EstimatedClock(sensor, sigma_s)

@@ -1,0 +1,122 @@
+"""What the graph estimates of an odometry beside its drift: the rotation of its mounting, and the offset of its clock.
+
+Both are one parameter (4,): the rotation vector delta [rad] by which L is mounted otherwise than `extrinsics` says, in
+the axes of L, and tau [s], by which its poses are younger than their stamps: (52) in docs/math.md.
+"""
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+
+from holdfast.config.sensors import OdometryConfig
+from holdfast.messages import Array
+from holdfast.sensors.sensor import Parameter
+
+KNOWN = 1e-7  # sigma [rad, s] of what is known
+SIZE = 4
+IF_RIGHT_S = 5e-3  # of clocks that are synchronised: sensors have filters inside
+
+
+class OdometryCalibration:
+    """The parameter of one odometry, and the factors on it.
+
+    Args:
+        config: of the odometry.
+        T_I_L: the pose of its sensor in I, as configured.
+    """
+
+    def __init__(self, config: OdometryConfig, T_I_L: gtsam.Pose3) -> None:
+        self._T_I_L, self._T_L_I = T_I_L, T_I_L.inverse()
+        self._adjoint: Array = T_I_L.AdjointMap()[:, :3]
+        sigmas = np.array([*np.repeat(np.radians(config.mounting_sigma_deg), 3), config.time_offset_sigma_s])
+        if_right = np.array([*np.full(3, np.inf), IF_RIGHT_S])
+        self.prior = Parameter(np.zeros(SIZE), np.maximum(sigmas, KNOWN), if_right) if sigmas.any() else None
+
+    def motion(self, motion: gtsam.Pose3, parameter: Array) -> gtsam.Pose3:
+        """Return a motion of I with another mounting: C motion C^-1, C = T_I_L Exp(delta) T_L_I."""
+        turned = gtsam.Pose3(gtsam.Rot3.Expmap(parameter[:3]), np.zeros(3))
+        correction = self._T_I_L.compose(turned).compose(self._T_L_I)
+        return correction.compose(motion).compose(correction.inverse())
+
+    def after(self, nav: gtsam.NavState, angular_velocity: Array, parameter: Array) -> gtsam.Pose3:
+        """Return the pose of I at the time when a pose of the odometry with the stamp of a state was measured."""
+        twist = np.concatenate([angular_velocity, nav.bodyVelocity()])
+        return nav.pose().compose(gtsam.Pose3.Expmap(twist * parameter[3]))
+
+    def anchored_factor(
+        self, keys: Sequence[int], motion: gtsam.Pose3, angular_velocity: Array, noise: gtsam.noiseModel.Base
+    ) -> gtsam.NonlinearFactor:
+        """Return the factor on a frame, a node and the parameter: the node's pose after tau is `motion` from the frame.
+
+        Args:
+            keys: of the frame, the node and the parameter.
+            motion: of I from the frame to the pose, as the configured mounting has it.
+            angular_velocity: (3,) of I at the node [rad/s].
+            noise: of the error (6,), rotation first.
+        """
+        frame_key, node_key, parameter_key = keys
+
+        def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
+            frame, node = values.atNavState(frame_key).pose(), values.atNavState(node_key)
+            parameter = values.atVector(parameter_key)
+            twist = np.concatenate([angular_velocity, node.bodyVelocity()])
+            by_twist = np.zeros((6, 6), order="F")
+            shift = gtsam.Pose3.Expmap(twist * parameter[3], by_twist)
+            expected = self.motion(motion, parameter)
+            moved = frame.between(node.pose()).compose(shift)
+            off = expected.between(moved)
+            if jacobians is None:
+                return gtsam.Pose3.Logmap(off)
+            by_off = np.zeros((6, 6), order="F")
+            residual: Array = gtsam.Pose3.Logmap(off, by_off)
+            jacobians[0] = np.zeros((6, 9))
+            jacobians[0][:, :6] = -by_off @ moved.inverse().AdjointMap()
+            jacobians[1] = np.zeros((6, 9))
+            jacobians[1][:, :6] = by_off @ shift.inverse().AdjointMap()
+            by_velocity = by_off @ by_twist[:, 3:] * parameter[3]
+            jacobians[1][:, :3] += by_velocity @ gtsam.SO3.Hat(node.bodyVelocity())
+            jacobians[1][:, 6:] = by_velocity
+            jacobians[2] = np.column_stack([by_off @ self._by_mounting(expected, off, parameter), by_off @ twist])
+            return residual
+
+        return gtsam.CustomFactor(noise, list(keys), error)
+
+    def drift_factor(
+        self, keys: Sequence[int], motion: gtsam.Pose3, noise: gtsam.noiseModel.Base
+    ) -> gtsam.NonlinearFactor:
+        """Return the factor on two frames and the parameter: the second is `motion` from the first, and does not move.
+
+        Args:
+            keys: of the frames and the parameter.
+            motion: of I from the first to the second, as the configured mounting has it.
+            noise: of the error (9,): rotation, translation, velocity of the second frame.
+        """
+        before_key, key, parameter_key = keys
+
+        def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
+            before, here = values.atNavState(before_key).pose(), values.atNavState(key)
+            parameter = values.atVector(parameter_key)
+            expected = self.motion(motion, parameter)
+            moved = before.between(here.pose())
+            off = expected.between(moved)
+            by_off = np.zeros((6, 6), order="F")
+            residual = np.concatenate([gtsam.Pose3.Logmap(off, by_off), here.bodyVelocity()])
+            if jacobians is not None:
+                jacobians[0] = np.zeros((9, 9))
+                jacobians[0][:6, :6] = -by_off @ moved.inverse().AdjointMap()
+                jacobians[1] = np.eye(9)
+                jacobians[1][:6, :6] = by_off
+                jacobians[1][6:, :3] = gtsam.SO3.Hat(here.bodyVelocity())
+                jacobians[2] = np.zeros((9, SIZE))
+                jacobians[2][:6, :3] = by_off @ self._by_mounting(expected, off, parameter)
+            return residual
+
+        return gtsam.CustomFactor(noise, list(keys), error)
+
+    def _by_mounting(self, expected: gtsam.Pose3, off: gtsam.Pose3, parameter: Array) -> Array:
+        """Return the derivative (6, 3) of the tangent of `off` = expected^-1 moved by delta."""
+        by_correction = (expected.inverse().AdjointMap() - np.eye(6)) @ self._adjoint
+        by_delta = by_correction @ gtsam.Rot3.ExpmapDerivative(-parameter[:3])
+        result: Array = -off.inverse().AdjointMap() @ by_delta
+        return result

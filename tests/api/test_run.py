@@ -1,0 +1,142 @@
+"""`holdfast.replay` and `holdfast.smooth` as functions: a recording in, arrays out."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_drive import write_config, write_mcap
+
+import holdfast
+from holdfast.recording.tum import read_tum
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "api_example.py"
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("api")
+    return write_mcap(folder / "bag"), write_config(folder / "config.yaml", base=True)
+
+
+@pytest.fixture(scope="module")
+def smoothed(drive, tmp_path_factory):
+    return holdfast.smooth(*drive, hold_out={"gnss": 5}, output=tmp_path_factory.mktemp("out") / "smoothed")
+
+
+def test_the_arrays_are_those_of_the_files(smoothed):
+    for track, name in (
+        (smoothed.world, "causal/imu_in_world"),
+        (smoothed.odometry, "causal/imu_in_odom"),
+        (smoothed.base, "causal/base_in_world"),
+        (smoothed.smoothed, "imu_in_world"),
+    ):
+        written = read_tum(smoothed.folder / f"{name}.tum")
+        assert np.array_equal(track.stamps_ns, written.stamps_ns)
+        assert np.allclose(track.positions, written.positions, atol=1e-8)
+        assert np.allclose(abs((track.quaternions_xyzw * written.quaternions).sum(axis=1)), 1.0)
+
+
+def test_shapes_are_as_documented(smoothed):
+    for track in (smoothed.world, smoothed.odometry, smoothed.smoothed):
+        n = len(track)
+        assert track.positions.shape == (n, 3) and track.quaternions_xyzw.shape == (n, 4)
+        assert track.velocities.shape == (n, 3) and track.covariances.shape == (n, 9, 9)
+
+
+def test_the_velocity_in_o_is_that_of_the_positions_in_o(smoothed):
+    moved = np.gradient(smoothed.odometry.positions, smoothed.odometry.stamps_ns * 1e-9, axis=0)
+    assert np.median(abs(moved - smoothed.odometry.velocities)) < 0.02
+
+
+def test_events_and_summary_are_there(smoothed):
+    assert any(event.kind == "initialised" for event in smoothed.events)
+    assert smoothed.summary["held_out"]["batch"]["all"]["horizontal_m"]["rms"] < 0.05
+
+
+def test_without_an_output_the_files_go_with_the_result(drive):
+    result = holdfast.replay(*drive, duration_s=12.0)
+    folder = result.folder
+    assert (
+        (folder / "imu_in_world.tum").exists() and result.smoothed is not None and result.smoothed.covariances is None
+    )
+    del result
+    assert not folder.exists()
+
+
+def test_a_report_is_written(smoothed, tmp_path):
+    pytest.importorskip("plotly")
+    assert smoothed.report(tmp_path / "page.html").stat().st_size > 10_000
+    with pytest.raises(holdfast.ConfigError, match=r"must end in \.html"):
+        smoothed.report(tmp_path / "page.pdf")
+
+
+def test_a_config_may_be_a_path_plain_data_or_a_config(drive):
+    from ruamel.yaml import YAML
+
+    path = drive[1]
+    data = YAML(typ="safe").load(Path(path).read_text())
+    ends = [
+        holdfast.replay(drive[0], config, duration_s=8.0).world.positions[-1]
+        for config in (path, str(path), data, holdfast.load_config(path))
+    ]
+    assert all(np.array_equal(end, ends[0]) for end in ends)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"config": 3}, "config: must be a path, a dict or a Config, not int"),
+        ({"hold_out": {"gnss": 1}}, r"hold_out\['gnss'\]: must be an integer >= 2, not 1"),
+        ({"hold_out": {"gps": 2}}, "sensor 'gps' is not configured"),
+        ({"outage": {"gnss": (20.0, 10.0)}}, r"outage\['gnss'\]: must end after it starts"),
+    ],
+)
+def test_a_mistaken_argument_is_named(drive, options, text):
+    with pytest.raises(holdfast.ConfigError, match=text):
+        holdfast.replay(drive[0], **({"config": drive[1]} | options))
+
+
+def test_a_recording_in_which_nothing_starts_says_why(drive):
+    with pytest.raises(holdfast.EstimatorError, match="never started"):
+        holdfast.replay(*drive, duration_s=0.5)
+
+
+def test_the_package_of_that_name_is_still_one():
+    from holdfast.replay.runner import Replay
+
+    assert holdfast.replay.runner.Replay is Replay and callable(holdfast.replay)
+
+
+def test_importing_holdfast_imports_nothing_heavy():
+    code = "import sys, holdfast; print({'numpy', 'gtsam', 'pydantic', 'numba'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
+
+
+def test_a_simulation_can_be_smoothed_and_judged_by_its_truth(tmp_path):
+    pytest.importorskip("trimesh")
+    simulated = holdfast.simulate("quick", tmp_path / "quick", seed=1, duration_s=20.0)
+    result = holdfast.smooth(simulated.recording, simulated.config)
+    assert result.smoothed is not None
+    errors = result.smoothed.errors(simulated.truth)
+    assert errors.statistics()["horizontal_m"].rms < 0.03
+    with pytest.raises(holdfast.ConfigError, match="duration_s: must be > 1"):
+        holdfast.simulate("quick", tmp_path / "quick", duration_s=0.1)
+
+
+@pytest.mark.slow
+def test_the_example_passes_mypy_strict_outside_of_the_repository(tmp_path):
+    copy = tmp_path / "api_example.py"
+    copy.write_text(EXAMPLE.read_text())
+    command = [sys.executable, "-m", "mypy", "--strict", copy.name]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.slow
+def test_the_example_runs():
+    done = subprocess.run([sys.executable, EXAMPLE, "60"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "batch  against" in done.stdout

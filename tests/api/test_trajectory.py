@@ -1,0 +1,88 @@
+"""Trajectories as arrays: interpolation, errors, frames of data, files, figures."""
+
+import numpy as np
+import pytest
+
+import holdfast
+from holdfast.evaluation import quaternions
+from holdfast.evaluation.states import from_rotation_vector
+
+
+def turning(n=50, **more):
+    """A circle at 1 rad/s and 2 m radius, 10 Hz."""
+    t = np.arange(n) * 0.1
+    positions = 2.0 * np.column_stack([np.sin(t), 1.0 - np.cos(t), 0.0 * t])
+    q = from_rotation_vector(np.column_stack([0.0 * t, 0.0 * t, t]))
+    velocities = 2.0 * np.column_stack([np.cos(t), np.sin(t), 0.0 * t])
+    return holdfast.Trajectory((t * 1e9).round().astype(np.int64), positions, q, velocities, **more)
+
+
+def test_interpolation_keeps_the_given_poses_and_turns_evenly_between_them():
+    track = turning()
+    assert np.allclose(track.interpolate(track.stamps_ns[3:9]).positions, track.positions[3:9])
+    between = track.interpolate(np.array([1_250_000_000]))
+    assert np.allclose(2.0 * np.arctan2(between.quaternions_xyzw[0, 2], between.quaternions_xyzw[0, 3]), 1.25)
+    assert between.velocities.shape == (1, 3) and between.covariances is None
+
+
+@pytest.mark.parametrize("stamps", [[0.5], [[1, 2]], [5, 4], [-1], [10**12]])
+def test_stamps_that_cannot_be_interpolated_are_named(stamps):
+    with pytest.raises(holdfast.ConfigError, match="stamps_ns: must be"):
+        turning().interpolate(np.array(stamps))
+
+
+def test_errors_are_those_of_the_estimate_minus_the_reference():
+    track = turning()
+    moved = holdfast.Trajectory(track.stamps_ns, track.positions + np.array([0.3, 0.4, 0.1]), track.quaternions_xyzw)
+    errors = moved.errors(track)
+    assert np.allclose(errors["horizontal_m"], 0.5) and np.allclose(errors["up_m"], 0.1)
+    assert errors.statistics()["east_m"].rms == pytest.approx(0.3)
+    assert moved.errors(track, alignment="se3")["translation_m"].max() < 1e-9
+
+
+def test_sigmas_are_along_the_axes_of_the_world():
+    body = np.tile(np.diag(np.square([1.0, 1.0, 1.0, 0.1, 0.2, 0.3, 1.0, 1.0, 1.0])), (50, 1, 1))
+    track = turning(covariances=body)
+    assert np.allclose(track.sigmas_m()[0], [0.1, 0.2, 0.3])
+    quarter = int(np.argmin(abs(track.times_s - np.pi / 2)))
+    assert np.allclose(track.sigmas_m()[quarter], [0.2, 0.1, 0.3], atol=0.01)
+    with pytest.raises(holdfast.ConfigError, match="covariances"):
+        turning().sigmas_m()
+
+
+def test_a_data_frame_has_a_row_per_stamp():
+    pandas = pytest.importorskip("pandas")
+    frame = turning().to_dataframe("pandas")
+    assert isinstance(frame, pandas.DataFrame) and len(frame) == 50
+    assert list(frame.columns[:4]) == ["stamp_ns", "p_x_m", "p_y_m", "p_z_m"] and "v_z_m_s" in frame.columns
+
+
+def test_a_library_that_is_not_installed_is_named(monkeypatch):
+    def missing(name):
+        raise ModuleNotFoundError(name)
+
+    monkeypatch.setattr("holdfast.api.trajectory.import_module", missing)
+    with pytest.raises(holdfast.ConfigError, match="pip install polars"):
+        turning().to_dataframe()
+
+
+def test_a_trajectory_comes_back_from_its_files(tmp_path):
+    covariances = np.tile(np.diag(np.arange(1.0, 10.0)), (50, 1, 1))
+    turning(covariances=covariances).write(tmp_path / "track.tum")
+    again = holdfast.Trajectory.read(tmp_path / "track.tum")
+    assert np.allclose(again.positions, turning().positions, atol=1e-9)
+    assert again.covariances is not None and np.allclose(again.covariances, covariances)
+
+
+def test_a_figure_shows_track_and_errors():
+    pytest.importorskip("matplotlib")
+    assert len(turning().plot().axes) == 1
+    assert len(turning().plot(turning()).axes) == 4
+
+
+def test_quaternions_of_matrices_are_those_of_the_rotations():
+    rng = np.random.default_rng(0)
+    q = from_rotation_vector(rng.normal(size=(200, 3)) * 2.0)
+    q[:3] = np.eye(4)[:3]  # half turns
+    R = np.stack([quaternions.rotate(q, np.tile(axis, (200, 1))) for axis in np.eye(3)], axis=2)
+    assert np.allclose(abs((quaternions.of_matrices(R) * q).sum(axis=1)), 1.0)

@@ -1,0 +1,74 @@
+"""Mountings and clocks that are otherwise than the configuration says: found, named, and no longer an error."""
+
+import gtsam
+import numpy as np
+import pytest
+from motion import T_I_L, Drive, error, estimates, fixes, imu, in_order, link, machine, ns, run, scans
+
+from holdfast.state import EventKind
+
+
+class StopAndGo(Drive):
+    """Its speed swings: on a circle at a constant one, a late stamp looks like another heading."""
+
+    def phase(self, t):
+        u, du, ddu = super().phase(t)
+        swing = 1.0 + 0.7 * np.cos(2.0 * u)
+        return np.array([u + 0.35 * np.sin(2.0 * u), du * swing, ddu * swing - 1.4 * np.sin(2.0 * u) * du**2])
+
+
+DRIVE = StopAndGo(radius_m=4.0, speed=0.35)  # 0.4 to 2.4 m/s
+END_S = 40.0
+TURNED = np.radians([1.5, -1.0, 2.0])
+
+
+def drive(turned=(0.0, 0.0, 0.0), lidar_late_s=0.0, fixes_late_s=0.0, seed=0, **settings):
+    """The lidar sits otherwise than the configuration says, and stamps are late."""
+    rng = np.random.default_rng(seed)
+    sent = in_order(
+        imu(DRIVE, 0.0, END_S, 100.0, rng),
+        fixes(DRIVE, 0.0, END_S, 10.0, rng, stamp_shift_s=fixes_late_s),
+        scans(DRIVE, 0.0, END_S, 5.0, rng, (3e-4, 0.005), phase_s=0.0071, stamp_shift_s=lidar_late_s, delay_s=0.1),
+    )
+    config = machine(**settings)
+    mount = T_I_L * gtsam.Pose3(gtsam.Rot3.Expmap(-np.asarray(turned)), np.zeros(3))
+    links = [one for one in config.model_dump()["extrinsics"] if one["child"] != "lidar"]
+    data = config.model_dump(exclude_unset=True) | {"extrinsics": [*links, link("imu", "lidar", mount)]}
+    estimator, outputs = run(type(config).model_validate(data), sent)
+    late = [error(DRIVE, one)[3:6] for one in estimates(outputs) if one.stamp_ns > ns(END_S / 2)]
+    found = [event for event in estimator.events if event.kind is EventKind.CALIBRATION]
+    return found, float(np.sqrt(np.mean(np.square(late)) * 3.0))
+
+
+RIGHT_M = drive()[1]
+
+
+def test_what_is_right_is_not_accused():
+    found, _ = drive(seed=1)
+    assert found == []
+
+
+def test_a_lidar_mounted_otherwise_is_named_and_costs_nothing():
+    found, rms_m = drive(turned=TURNED)
+    assert [event.sensor for event in found][:1] == ["lidar"]
+    assert "mounted 2." in found[-1].reason and "otherwise than configured" in found[-1].reason
+    assert rms_m < 1.2 * RIGHT_M
+
+
+def test_what_the_configuration_says_is_known_is_not_doubted():
+    found, _ = drive(turned=TURNED, lidar_={"mounting_sigma_deg": 0.0})
+    assert not any("mounted" in event.reason for event in found)
+
+
+@pytest.mark.parametrize(("lidar_late_s", "fixes_late_s"), [(0.035, 0.0), (0.0, 0.02), (-0.04, 0.055)])
+def test_clocks_that_are_off_are_named_and_cost_nothing(lidar_late_s, fixes_late_s):
+    found, rms_m = drive(lidar_late_s=lidar_late_s, fixes_late_s=fixes_late_s)
+    assert rms_m < 1.2 * RIGHT_M
+    told = {event.sensor: event.reason for event in found}
+    for sensor, late_s in (("lidar", lidar_late_s), ("gnss", fixes_late_s)):
+        if late_s:
+            words = told[sensor].split()
+            off_ms = float(words[words.index("ms") - 1]) * (1.0 if "late," in words else -1.0)
+            assert off_ms == pytest.approx(late_s * 1e3, abs=4.0)
+        else:
+            assert sensor not in told

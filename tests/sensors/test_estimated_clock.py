@@ -1,0 +1,71 @@
+"""The offset of a sensor's clock as the last element of its parameter."""
+
+from types import SimpleNamespace
+
+import gtsam
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numeric import assert_derivatives, random_state
+
+from holdfast.config.sensors import GnssConfig, HeadingConfig
+from holdfast.sensors.clock import has_estimated_clock, receiver_constants, with_estimated_clock
+from holdfast.sensors.gnss import GnssModel
+from holdfast.sensors.heading import AxisYaw, HeadingModel
+from holdfast.sensors.sensor import Position
+
+ARM = np.array([0.3, -0.2, 2.0])
+
+
+def antenna(**settings):
+    return GnssModel("gnss", GnssConfig(kind="gnss", topic="/fix", **settings), ARM)
+
+
+def position_of(p_W_P):
+    return Position(0, "gnss", np.array(p_W_P), np.eye(3) * 0.01**2, 0.0)
+
+
+@given(st.integers(0, 10_000))
+def test_a_late_stamp_of_a_fix_and_of_a_heading_is_explained_by_the_offset(seed):
+    """The innovation at the offset is that of where the machine was so long after the stamp, to second order."""
+    rng = np.random.default_rng(seed)
+    state, offset_s = random_state(seed, (0.0,), tilt_rad=0.0), float(rng.uniform(-0.02, 0.02))
+    state = state._replace(angular_velocity=state.angular_velocity * [0.0, 0.0, 1.0])
+    twist = np.concatenate([state.angular_velocity, state.nav.bodyVelocity()])
+    later = state.nav.pose().compose(gtsam.Pose3.Expmap(twist * offset_s))
+    late = state._replace(parameter=np.array([offset_s]))
+    fix = with_estimated_clock(antenna()).innovation(position_of(later.transformFrom(ARM)), late)
+    assert abs(fix.y).max() < 5.0 * offset_s**2 * (1.0 + np.linalg.norm(twist) ** 2)
+    heading = HeadingModel("heading", HeadingConfig(kind="heading", topic="/heading", mounting_yaw_deg=0.0), {})
+    x, y, _ = later.rotation().rotate(np.array([1.0, 0.0, 0.0]))
+    found = with_estimated_clock(heading).innovation(AxisYaw(0, "heading", float(np.arctan2(y, x)), 0.01), late)
+    assert abs(found.y).max() < 5.0 * offset_s**2 * (1.0 + np.linalg.norm(twist) ** 2)
+
+
+@given(st.integers(0, 10_000))
+def test_the_innovation_has_the_derivatives_that_it_claims_also_behind_an_arm_that_is_estimated(seed):
+    for model, sigmas in ((antenna(), (0.0,)), (antenna().with_estimated_arm(0.5), (0.5, 0.5, 0.5, 0.0))):
+        state = random_state(seed, sigmas)
+        state = state._replace(parameter=np.append(state.parameter[:-1], 1e-9))  # products of tau are of second order
+        assert_derivatives(with_estimated_clock(model), position_of([3.0, -2.0, 1.0]), state)
+
+
+def test_a_clock_that_is_known_is_not_estimated():
+    known = antenna(time_offset_sigma_s=0.0)
+    assert with_estimated_clock(known) is known and not has_estimated_clock(known)
+    assert with_estimated_clock(SimpleNamespace(role="state")).role == "state"  # a kind that knows nothing of it
+
+
+def test_arm_and_offset_are_told_apart():
+    arm = ARM + 0.1
+    assert receiver_constants(antenna(), None)[1] == 0.0
+    found = receiver_constants(with_estimated_clock(antenna()), np.array([0.02]))
+    np.testing.assert_array_equal(found[0], ARM)
+    assert found[1] == pytest.approx(0.02)
+    both = with_estimated_clock(antenna().with_estimated_arm(0.5))
+    np.testing.assert_array_equal(both.parameter.mean, [*ARM, 0.0])
+    assert both.parameter.shared == "" and with_estimated_clock(antenna()).parameter.shared == "clock of GNSS"
+    found = receiver_constants(both, np.array([*arm, -0.01]))
+    np.testing.assert_array_equal(found[0], arm)
+    assert found[1] == pytest.approx(-0.01)
