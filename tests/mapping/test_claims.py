@@ -8,6 +8,7 @@ import pytest
 
 from holdfast.errors import RecordingError
 from holdfast.mapping.claims import SMOOTHED, PoseCovariances, read_pose_covariances
+from holdfast.recording.covariance_csv import HEADER
 from holdfast.state import Trajectory
 
 R_W_I = gtsam.Rot3.RzRyRx(0.3, -0.4, 1.9)
@@ -29,7 +30,7 @@ def test_sigmas_are_those_of_sampled_poses():
 def test_covariances_of_smooth_are_brought_from_the_axes_of_I_to_those_of_W(tmp_path: Path):
     P, stamp_ns, lever = covariance(2, 9), 1_700_000_000_000_000_000, np.array([3.0, 1.0, -2.0])
     cells = ",".join(f"{value:.12g}" for value in P[np.triu_indices(9)])
-    (tmp_path / SMOOTHED).write_text(f"stamp_ns,...\n{stamp_ns},{cells}\n")
+    (tmp_path / SMOOTHED).write_text(f"{','.join(HEADER)}\n{stamp_ns},{cells}\n")
     poses = Trajectory(np.array([stamp_ns]), np.zeros((1, 3)), R_W_I.toQuaternion().coeffs()[None])
     found = read_pose_covariances(tmp_path, poses)
     assert found is not None

@@ -51,6 +51,7 @@ class LazyGroup(click.Group):
         if cmd_name not in COMMANDS:
             return None
         command: click.Command = getattr(import_module(COMMANDS[cmd_name][0]), cmd_name.replace("-", "_"))
+        end_if_interrupted()
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
@@ -70,13 +71,23 @@ def _one_line(message: Warning | str, *_: object, **__: object) -> str:
     return f"warning: {shortened(str(message))}\n"
 
 
+_CAUGHT: list[int] = []  # the signals that came
+
+
+def end_if_interrupted() -> None:
+    """Raise the `KeyboardInterrupt` that an import has swallowed, if one has: compiled modules may."""
+    if _CAUGHT:
+        raise KeyboardInterrupt
+
+
 @contextmanager
 def _interruptible() -> Iterator[list[int]]:
     """Turn Ctrl-C, the end that a service manager asks for and a closed terminal into `KeyboardInterrupt`.
 
     Yields the signals that came. Compiled modules make an `ImportError` of the exception: it is turned back.
     """
-    caught: list[int] = []
+    caught = _CAUGHT
+    caught.clear()
 
     def note(number: int, _: FrameType | None) -> None:
         is_again = number in caught

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from holdfast.cli import end_if_interrupted
 from holdfast.errors import ConfigError, EstimatorError
 from holdfast.extras import needing
 
@@ -65,6 +66,7 @@ def live(config_path: str, record_path: str | None, view_target: str | None, dur
         _show(f"listening on domain {network.domain_id}: {', '.join(node.inputs.topics)}")
         _show(f"publishing {', '.join(node.outputs.topics)}")
         gc.collect()
+        end_if_interrupted()
         gc.freeze()  # looking through all that the imports have left would hold up the IMU path for tens of ms
         end = None if duration_s is None else monotonic() + duration_s
         node.run(lambda: stopped() is None and (end is None or monotonic() < end))
