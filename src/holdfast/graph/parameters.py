@@ -13,12 +13,12 @@ import numpy as np
 
 from holdfast.graph.solver import Placed, Solver
 from holdfast.messages import Array
+from holdfast.sensors.noise import FREE_VARIANCE
 from holdfast.sensors.sensor import Parameter
 
 MAX_SIZE = 12
 RIGHT, OFF = 0.0, -log(3.0)  # log ratio of the densities under what was configured and under the prior
 HELD = 0.02  # of the error that counts as right: as if there were none
-FREE = 1e6  # sigma of what a factor says nothing about
 REFRESHED_NS = 1_000_000_000  # a marginal is read this often
 
 
@@ -130,7 +130,7 @@ def _held(solver: Solver, known: Known, prior: Parameter) -> Known:
     """Hold a parameter where it was configured."""
     if prior.if_right is None:
         return known
-    sigmas = np.where(np.isfinite(prior.if_right), HELD * prior.if_right, FREE)
+    sigmas = np.where(np.isfinite(prior.if_right), HELD * prior.if_right, FREE_VARIANCE**0.5)
     factor = gtsam.PriorFactorVector(known.key, prior.mean, gtsam.noiseModel.Diagonal.Sigmas(sigmas))
     information = np.linalg.inv(known.covariance) + np.diag(sigmas**-2.0)
     return known._replace(covariance=np.linalg.inv(information), right=solver.add(factor))

@@ -61,7 +61,7 @@ class Calibration:
         self._reviewed_ns = now_ns
         for name, sensor in self._sensors.items():
             parameter = getattr(sensor, "parameter", None)
-            estimate = smoother.parameter_estimate(name if parameter is None else parameter.shared or name)
+            estimate = smoother.parameter_estimate(name if parameter is None else parameter.name(name))
             if estimate is None:
                 continue
             for finding, in_words in _findings(sensor, *estimate):

@@ -201,5 +201,5 @@ class Positions:
         state, prior = smoother.state_at(position.stamp_ns), self._sensors[position.sensor].parameter
         if prior is None:
             return [], state
-        key, value, covariance = smoother.parameter(prior.shared or position.sensor, prior, position.stamp_ns)
+        key, value, covariance = smoother.parameter(prior.name(position.sensor), prior, position.stamp_ns)
         return [key], state._replace(parameter=value, parameter_covariance=covariance)

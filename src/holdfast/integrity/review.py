@@ -93,5 +93,5 @@ class UsedPositions:
 
     def _estimated(self, name: str, smoother: Smoother) -> Array | None:
         parameter = self._sensors[name].parameter
-        found = None if parameter is None else smoother.parameter_estimate(parameter.shared or name)
+        found = None if parameter is None else smoother.parameter_estimate(parameter.name(name))
         return None if found is None else found[0]

@@ -122,7 +122,7 @@ class JudgedSensor:
         if prior is None:
             return [], state
         start = self._sensor.first_parameter(measurement, state)
-        key, value, covariance = smoother.parameter(prior.shared or self._sensor.name, prior, stamp_ns, start)
+        key, value, covariance = smoother.parameter(prior.name(self._sensor.name), prior, stamp_ns, start)
         return [key], state._replace(parameter=value, parameter_covariance=covariance)
 
 

@@ -11,11 +11,11 @@ import numpy as np
 
 from holdfast.config.sensors import OdometryConfig
 from holdfast.messages import Array
+from holdfast.sensors.clock import IF_RIGHT_S
 from holdfast.sensors.sensor import Parameter
 
 KNOWN = 1e-7  # sigma [rad, s] of what is known
 SIZE = 4
-IF_RIGHT_S = 5e-3  # of clocks that are synchronised: sensors have filters inside
 
 
 class OdometryCalibration:

@@ -122,6 +122,10 @@ class Parameter(NamedTuple):
     if_right: Array | None = None
     shared: str = ""
 
+    def name(self, sensor: str) -> str:
+        """Return the name under which the graph knows the parameter of a sensor."""
+        return self.shared or sensor
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Position:
