@@ -88,6 +88,7 @@ class EncoderState(StrEnum):
     ABSENT = "absent"  # no reading has come
     LATE = "late"  # it fell silent, or what comes is too old or contradicts the gyroscopes
     FROZEN = "frozen"  # it repeats a reading although the joint turns
+    WRONG_ZERO = "wrong_zero"  # its zero is not where the configuration has it; the one that was learnt is used
 
 
 class Health(StrEnum):

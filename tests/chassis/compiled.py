@@ -4,13 +4,15 @@ from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
-from slewing import machine
+from slewing import AT_REST, machine
 
 from holdfast.chassis.encoder import JointModel
+from holdfast.chassis.kinematics import BaseGeometry
 from holdfast.chassis.turn_joint import OUTCOMES, ROTATIONS, TurnJoint, joint_record
 from holdfast.kernel import joint_filter, layout, turn_joint
 
 NO_GYRO_GAP_NS = 10**9
+MOUNT = BaseGeometry(machine()).record(has_joint=True)[0]
 
 
 class JointFilter:
@@ -77,7 +79,8 @@ class JointOverTime(TurnJoint):
     """`TurnJoint`, advanced without a cabin."""
 
     def advance(self, stamp_ns, cabin_rate_rad_s, *, from_imu):
-        one = self.record[0]
-        is_known = turn_joint.advance(one, self.rotations, self.waiting, stamp_ns, float(cabin_rate_rad_s), from_imu)
+        one, rates = self.record[0], (float(cabin_rate_rad_s), np.array([0.0, 0.0, cabin_rate_rad_s]))
+        known = one, self.rotations, self.waiting, MOUNT, stamp_ns
+        is_known = turn_joint.advance(*known, *rates, AT_REST, from_imu)
         self.count()
         return Motion(*one["motion"].tolist()) if is_known else None

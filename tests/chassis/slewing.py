@@ -116,14 +116,13 @@ def received(motion, times=TIMES, joint_s=0.004, base_s=0.001, bias=0.0):
     ]
 
 
-def chassis_at(base, estimate):
-    """The chassis at an estimate, as the kernel of the IMU path asks for it."""
+def chassis_at(base, estimate, force=AT_REST):
+    """The chassis at an estimate, as the kernel of the IMU path asks for it, with the specific force of its sample."""
     mount, joint, rotations, waiting = base.records
     values = estimate.values.copy()
     row = values.view(PUBLISHED)[0]
-    is_known = at(
-        mount[0], joint, rotations, waiting, row["estimate"], row["chassis"], estimate.stamp_ns, estimate.from_imu
-    )
+    known = mount[0], joint, rotations, waiting, row["estimate"], row["chassis"]
+    is_known = at(*known, estimate.stamp_ns, estimate.from_imu, force)
     base.count()
     encoder = base.note(estimate.stamp_ns, int(joint[0]["encoder"]) if mount[0]["has_joint"] else NO_ENCODER)
     return BaseState(estimate.stamp_ns, values, encoder) if is_known else None
@@ -141,14 +140,21 @@ class Chassis:
         self.base.count()
         return self.log.counts
 
-    def run(self, estimates, messages):
-        """Feed both in the order of arrival, an estimate arriving 1 ms after its stamp; return all states."""
+    def run(self, estimates, messages, forces=None):
+        """Feed both in the order of arrival, an estimate arriving 1 ms after its stamp; return all states.
+
+        Args:
+            estimates: of the cabin.
+            messages: of encoder and base IMU.
+            forces: (N, 3) specific force of each estimate's sample [m/s^2].
+        """
+        of_stamps = {} if forces is None else {e.stamp_ns: f for e, f in zip(estimates, forces, strict=True)}
         rows = [(e.stamp_ns + 1_000_000, 0, e) for e in estimates] + [(m.arrival_ns, 1, m) for m in messages]
         imu_arrival_ns, states = 0, []
         for arrival_ns, _, row in sorted(rows, key=lambda row: row[:2]):
             if isinstance(row, Estimate):
                 imu_arrival_ns = arrival_ns
-                states.append(chassis_at(self.base, row))
+                states.append(chassis_at(self.base, row, of_stamps.get(row.stamp_ns, AT_REST)))
             else:
                 self.base.add(row, imu_arrival_ns)
         return states
@@ -222,7 +228,8 @@ def encoder_zero_rad(simulation):
 def calibrated(simulation, **joint):
     """The configuration with the encoder's zero as a calibration finds it."""
     config = configuration(simulation.scenario).model_dump(exclude_unset=True)
-    config["sensors"]["joint"] |= {"zero_offset_deg": float(-np.degrees(encoder_zero_rad(simulation))), **joint}
+    known = {"zero_offset_deg": float(-np.degrees(encoder_zero_rad(simulation))), "zero_offset_sigma_deg": 1e-3}
+    config["sensors"]["joint"] |= known | joint
     return Config.model_validate(config)
 
 
@@ -242,7 +249,8 @@ def run_simulated(simulation, config=None, names=("base_imu", "joint")):
         nav = gtsam.NavState(gtsam.Rot3(cabin.R_W_F[row]), cabin.p_W[row], cabin.v_W[row])
         estimates.append(Estimate.of(stamp, nav, T_W_O, NO_BIAS, NO_COVARIANCE, rates[row], True))
     chassis_run = Chassis(config or calibrated(simulation))
-    states = chassis_run.run(estimates, messages_of(simulation, *names))
+    forces = imu.readings.values["specific_force"].copy()
+    states = chassis_run.run(estimates, messages_of(simulation, *names), forces)
     known = [row for row, state in enumerate(states) if state is not None]
     return chassis_run, errors(simulation, imu.readings.times_s, chassis, [(row, states[row]) for row in known])
 

@@ -12,15 +12,13 @@ from holdfast.kernel.turn_joint import MAX_STEP_RAD
 from holdfast.messages import ImuSample, JointAngle
 from holdfast.state import EncoderState, Outcome
 
-Z = np.array([0.0, 0.0, 1.0])
-
 
 class Standing:
     """A joint at 100 Hz, where nothing turns but what is asked for."""
 
     def __init__(self, has_gyro=True):
         config, self.log, self.t, self.has_gyro = machine(), EventLog("imu"), 0.0, has_gyro
-        gyro = BaseGyro(config.base_imu[1], Z) if has_gyro else None
+        gyro = BaseGyro(config.base_imu[1], np.eye(4)) if has_gyro else None
         self.joint = JointOverTime(JointModel(config.joint[1]), gyro, config, self.log)
 
     @property

@@ -99,6 +99,15 @@ def test_every_shipped_machine_has_a_chassis(name: str) -> None:
     assert configuration(load_scenario(name)).has_base()
 
 
+def test_an_owner_may_be_mistaken_about_the_zero_of_the_encoder_and_about_nothing_else():
+    right, wrong = (configuration(load_scenario(name)).model_dump() for name in ("rounds", "wrong-encoder"))
+    assert wrong["sensors"]["joint"].pop("zero_offset_deg") == 2.0
+    assert right["sensors"]["joint"].pop("zero_offset_deg") == 0.0
+    assert wrong == right
+    # what the datasheet says of the axes of the base IMU, 0.5 mrad, is all that looks like a zero
+    assert right["sensors"]["base_imu"]["mounting_sigma_deg"] == pytest.approx(np.degrees(5e-4))
+
+
 def test_an_owner_may_be_mistaken_about_a_mounting_and_about_nothing_else():
     right, wrong = configuration(load_scenario("rounds")), configuration(load_scenario("wrong-mount"))
     turned = np.linalg.inv(right.T_I("lidar")) @ wrong.T_I("lidar")

@@ -1,8 +1,8 @@
-"""The gyroscope in the chassis: which readings can be used, and what they say of turning about the joint's axis."""
+"""The base IMU: which readings can be used, and what its gyroscope says of turning about the joint's axis."""
 
 from math import isfinite
 
-from holdfast.config.sensors import InertialConfig
+from holdfast.config.sensors import BaseImuConfig
 from holdfast.messages import Array, ImuSample
 from holdfast.state import Outcome
 
@@ -11,18 +11,20 @@ class BaseGyro:
     """Checks and projects; noise [rad^2/s], bias [rad^2/s^2] and its walk [rad^2/s^3] are variances.
 
     Args:
-        config: of the base IMU; of its noise only the gyroscope's matters.
-        axis: (3,) unit vector of the joint's axis in the base IMU's frame.
+        config: of the base IMU.
+        T_J_S: (4, 4) its pose in J, the joint as it sits in the chassis.
     """
 
-    def __init__(self, config: InertialConfig, axis: Array) -> None:
+    def __init__(self, config: BaseImuConfig, T_J_S: Array) -> None:
+        self.config = config
+        self.T_J_S = T_J_S
         self.offset_ns = round(config.time_offset_s * 1e9)
         self.max_gap_ns = round(config.max_gap_s * 1e9)
         self.noise_variance = config.gyroscope_noise_density**2
         self.bias_variance = config.gyroscope_bias_sigma**2
         self.walk_variance = config.gyroscope_random_walk**2
         self._ranges = (config.gyroscope_range, config.accelerometer_range)
-        self._axis: list[float] = axis.tolist()
+        self._axis: list[float] = T_J_S[2, :3].tolist()  # of the joint, in S
 
     def check(self, sample: ImuSample) -> Outcome:
         """Say whether a sample can be used."""

@@ -83,6 +83,10 @@ class BaseKinematics:
         else:
             self._joint.add(message, imu_arrival_ns)
 
+    def corrected(self, reading: JointAngle) -> JointAngle:
+        """Return a reading of the encoder with the zero that was learnt."""
+        return reading if self._joint is None else self._joint.corrected(reading)
+
     def count(self) -> None:
         """Count what became of the readings that an estimate has taken in."""
         if self._joint is not None:
@@ -109,5 +113,7 @@ def _turn_joint(config: Config, log: EventLog) -> TurnJoint | None:
     gyro = None
     if config.base_imu is not None:
         name, base_imu = config.base_imu
-        gyro = BaseGyro(base_imu, config.T(config.frame_of(name), config.turn_joint.parent)[:3, 2])
+        T_J_S = config.T(config.turn_joint.parent, config.frame_of(name)).copy()
+        T_J_S[:3, 3] -= config.turn_joint.matrix()[:3, 3]
+        gyro = BaseGyro(base_imu, T_J_S)
     return TurnJoint(JointModel(config.joint[1]), gyro, config, log)

@@ -4,6 +4,7 @@ A reading that is ahead of the cabin's estimate waits until that has reached its
 come, so that the cabin's next sample need not wait for them.
 """
 
+from dataclasses import replace
 from math import inf, sqrt
 from typing import Any
 
@@ -11,12 +12,13 @@ import numpy as np
 
 from holdfast.chassis.base_gyro import BaseGyro
 from holdfast.chassis.encoder import JointModel
+from holdfast.chassis.encoder_zero import ZeroReport, fill_zero
 from holdfast.config.model import Config
 from holdfast.event_log import EventLog
 from holdfast.kernel import layout
 from holdfast.kernel.joint_filter import ANY_RATE_RAD2_S2, LAG_SIGMA_S, LAG_WALK_S_SQRT_S, MAX_LAG_S
 from holdfast.kernel.turn_joint import ABSENT, CORRECTED_S, add_reading
-from holdfast.messages import ImuSample, JointAngle
+from holdfast.messages import ImuSample, JointAngle, as_doubles
 from holdfast.sensors.sensor import StampFilter
 from holdfast.state import EncoderState, Outcome
 
@@ -30,7 +32,15 @@ STAMP = layout.JOINT.names.index("stamp_ns")  # type: ignore[union-attr]
 
 OUTCOMES = Outcome.USED, Outcome.LATE, Outcome.INNOVATION, Outcome.FROZEN  # as `kernel.joint_filter` numbers them
 # and `kernel.turn_joint`; the last where there is none
-ENCODERS = EncoderState.OK, EncoderState.ABSENT, EncoderState.LATE, EncoderState.FROZEN, None
+ENCODERS = (
+    EncoderState.OK,
+    EncoderState.ABSENT,
+    EncoderState.LATE,
+    EncoderState.FROZEN,
+    EncoderState.WRONG_ZERO,
+    None,
+)
+NOT_MEASURED = np.zeros(3)
 
 
 def joint_record(encoder: JointModel, gyro: BaseGyro | None, config: Config) -> Any:
@@ -48,7 +58,7 @@ def joint_record(encoder: JointModel, gyro: BaseGyro | None, config: Config) -> 
         joint["P"][7], joint["P"][9] = gyro.bias_variance, LAG_SIGMA_S**2
         joint["bias_walk"], joint["lag_walk"] = gyro.walk_variance, LAG_WALK_S_SQRT_S**2
         joint["gyro_density2"] = gyro.noise_variance
-    joint["angle_variance"], joint["zero_variance"] = encoder.variance, encoder.zero_variance
+    joint["angle_variance"] = encoder.variance
     joint["cabin_density2"] = imu.gyroscope_noise_density**2
     joint["motion_ratio2"] = imu.gyroscope_error_ratio**2 * CORRECTED_S
     joint["silent_density2"] = config.motion_model.angular_rate_density**2
@@ -75,13 +85,17 @@ class TurnJoint:
     def __init__(self, encoder: JointModel, gyro: BaseGyro | None, config: Config, log: EventLog) -> None:
         self._model, self._gyro, self._log = encoder, gyro, log
         self._sensors = config.base_imu[0] if config.base_imu else "", config.joint[0] if config.joint else ""
-        self.record: Any = np.repeat(joint_record(encoder, gyro, config), 2)
+        record = joint_record(encoder, gyro, config)
+        fill_zero(record[0]["zero"], encoder, gyro, config.imu)
+        self.record: Any = np.repeat(record, 2)
         self._one = self.record[0]
         self._numbers = memoryview(self.record.view(np.int64).data)  # the same, five times faster to read
         self._last = max(self._sensors)  # of two at one stamp
         self.rotations: Any = np.zeros(ROTATIONS, layout.ROTATION)
         self.waiting: Any = np.zeros(MAX_WAITING, layout.JOINT_READING)
         self._stamps = StampFilter()
+        names = self._sensors[1], self._sensors[0], config.imu_name
+        self._zero = ZeroReport(self._one["zero"], names, config.imu.gyroscope_error_ratio, log)
 
     @property
     def encoder(self) -> EncoderState | None:
@@ -95,10 +109,13 @@ class TurnJoint:
             message: in the order of arrival.
             imu_arrival_ns: when the newest sample of the cabin's IMU arrived.
         """
+        rate = force = NOT_MEASURED
         if isinstance(message, JointAngle):
             outcome, value, offset_ns = self._model.check(message), self._model.angle(message), self._model.offset_ns
         elif self._gyro is not None:
             outcome, value, offset_ns = self._gyro.check(message), self._gyro.rate(message), self._gyro.offset_ns
+            rate = as_doubles(message.angular_velocity, "angular_velocity")
+            force = as_doubles(message.specific_force, "specific_force")
         else:
             outcome, value, offset_ns = Outcome.IGNORED, 0.0, 0
         stamp_ns = message.stamp_ns + offset_ns
@@ -108,7 +125,13 @@ class TurnJoint:
             self._log.count(message.sensor, outcome)
             return
         order, is_angle = int(message.sensor == self._last), int(isinstance(message, JointAngle))
-        add_reading(self.record, self.rotations, self.waiting, stamp_ns, order, is_angle, value)
+        add_reading(self.record, self.rotations, self.waiting, stamp_ns, order, is_angle, value, rate, force)
+        self._zero.review(stamp_ns)
+
+    def corrected(self, reading: JointAngle) -> JointAngle:
+        """Return a reading with the zero that was learnt, as far as that has come in."""
+        applied_rad = float(self._one["zero"]["applied_rad"])
+        return replace(reading, angle_rad=reading.angle_rad + applied_rad) if applied_rad else reading
 
     def count(self) -> None:
         """Count what became of the readings that were taken since the last call."""

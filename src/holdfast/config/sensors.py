@@ -254,6 +254,13 @@ class JointConfig(SensorConfig):
 
 
 class BaseImuConfig(InertialConfig):
-    """The inertial measurement unit on the chassis; of its noise only the gyroscope's matters."""
+    """The inertial measurement unit on the chassis."""
 
     kind: Literal["base_imu"]
+    mounting_sigma_deg: float = quantity(
+        "deg",
+        0.3,
+        ge=0,
+        le=45,
+        doc="of its yaw in `extrinsics` and of the axes in it: the encoder's zero is learnt no better than that",
+    )

@@ -126,7 +126,7 @@ class Estimator(Intake):
         if isinstance(message, ImuSample | JointAngle) and self._path.serves_chassis(message.sensor):
             self._path.add_to_chassis(message)
         if self._optimiser.wants(message):
-            return self._process_measurement(message)
+            return self._process_measurement(self._path.corrected(message))
         if not self._path.serves_chassis(message.sensor):
             self._log.count(message.sensor, Outcome.IGNORED)
         return NOTHING

@@ -23,7 +23,7 @@ from holdfast.kernel.imu_path import (
     process,
 )
 from holdfast.kernel.samples import IS_LINE, STEPPED
-from holdfast.messages import Array, ImuSample, JointAngle, as_doubles
+from holdfast.messages import Array, ImuSample, JointAngle, Message, as_doubles
 from holdfast.sensors.imu import NEWEST, ImuBuffer
 from holdfast.state import BaseState, Estimate, EventKind, OptimisedState, Outcome, Output
 
@@ -233,6 +233,10 @@ class ImuPath:
     def add_to_chassis(self, message: ImuSample | JointAngle) -> None:
         """Take in a reading of a sensor of the chassis or the turn joint."""
         self._chassis.add(message, self._buffer.arrival_ns)
+
+    def corrected(self, message: Message) -> Message:
+        """Return a message as the optimiser is to have it: the encoder's with the zero that was learnt."""
+        return self._chassis.corrected(message) if isinstance(message, JointAngle) else message
 
     def count(self) -> None:
         """Count the samples that were used, and what became of the readings of the chassis until now."""

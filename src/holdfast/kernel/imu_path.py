@@ -41,7 +41,7 @@ HAS_NEWS = -1  # nothing was done: the optimiser has published a state that shou
 TAKEN, IS_PENDING, HAS_ESTIMATE, FROM_IMU, IS_SOUND, HAS_CHASSIS, CHASSIS_IS_UNSOUND = 4, 8, 16, 32, 64, 128, 256
 IS_OVERDUE = 512  # no new state for long
 ENCODER_FLAG = 1024  # times the state of the encoder, one of `turn_joint`, or this:
-NO_ENCODER = 4
+NO_ENCODER = 5
 
 LEAVE = 2  # for so many samples a new state is left to calls that are in less of a hurry
 
@@ -58,10 +58,10 @@ def open_path(address: int) -> Any:
 
 
 @inner
-def _complete(path: Any, propagations: Any, work: Any, stamp_ns: int, before_ns: int) -> int:
+def _complete(path: Any, propagations: Any, work: Any, sample: Any, before_ns: int) -> int:
     """Publish the state that has been carried to a sample; return what came of it, in flags."""
     mount, joint = records_at(path.mount_at, 1, MOUNT)[0], records_at(path.joint_at, 2, JOINT)
-    newest, published = propagations[path.newest], path.published
+    newest, published, stamp_ns = propagations[path.newest], path.published, sample.stamp_ns
     estimate = published.estimate
     for k in range(1 + path.is_replaced):
         state = propagations[(path.newest + k) % 2]
@@ -80,7 +80,8 @@ def _complete(path: Any, propagations: Any, work: Any, stamp_ns: int, before_ns:
         chassis = published.chassis
         rotations = records_at(path.rotations_at, path.rotation_rows, ROTATION)
         waiting = records_at(path.waiting_at, path.waiting_rows, JOINT_READING)
-        if mount.has_chassis and at(mount, joint, rotations, waiting, estimate, chassis, stamp_ns, from_imu):
+        known = (mount, joint, rotations, waiting, estimate, chassis)
+        if mount.has_chassis and at(*known, stamp_ns, from_imu, sample.force):
             total = chassis.joint_angle_rad + chassis.joint_rate_rad_s
             total += chassis.velocity[0] + chassis.velocity[1] + chassis.velocity[2]
             flags |= HAS_CHASSIS if isfinite(total) else CHASSIS_IS_UNSOUND
@@ -145,7 +146,7 @@ def _reach(path: Any, propagations: Any, held: Any, samples: Any, work: Any, bro
         return brought | IS_PENDING
     for k in range(1 + path.is_replaced):
         step(propagations[(path.newest + k) % 2], held, samples, work)
-    return brought | _complete(path, propagations, work, stamp_ns, before_ns)
+    return brought | _complete(path, propagations, work, samples[held.end - 1], before_ns)
 
 
 @inner
@@ -242,7 +243,7 @@ def catch_up(address: int, brought: int) -> int:
         if k == 1 or not brought & IS_LINE:
             state = propagations[(path.newest + k) % 2]
             advance(path, state, held, samples, blocks, work, brought & STEPPED != 0)
-    return (brought & ~IS_PENDING) | _complete(path, propagations, work, held.newest_ns, before_ns)
+    return (brought & ~IS_PENDING) | _complete(path, propagations, work, samples[held.end - 1], before_ns)
 
 
 @entry(VOID, INT64, BOOL, BOOL)

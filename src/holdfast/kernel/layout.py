@@ -116,7 +116,10 @@ PATH = np.dtype([
 ROTATION = np.dtype([("stamp_ns", INT), ("angle_rad", FLOAT)])
 """By how much the joint has turned until a time, since long ago."""
 
-JOINT_READING = np.dtype([("stamp_ns", INT), ("order", INT), ("is_angle", INT), ("value", FLOAT)])
+JOINT_READING = np.dtype([
+    ("stamp_ns", INT), ("order", INT), ("is_angle", INT), ("value", FLOAT),
+    ("rate", FLOAT, 3), ("force", FLOAT, 3),  # of the base IMU, in its own axes
+])  # fmt: skip
 """A reading of the encoder [rad] or the base gyroscope [rad/s]; `order` is that of sensors at equal stamps."""
 
 REPEATS = np.dtype([
@@ -125,6 +128,33 @@ REPEATS = np.dtype([
     ("least_rad", FLOAT),  # of hidden rotation, for a frozen one
 ])  # fmt: skip
 """The encoder while it repeats a reading: (35) in docs/math.md."""
+
+CABIN_ROWS = 128  # some tenths of a second
+
+ZERO = np.dtype([
+    # what the cabin has measured, in the axes of J: rate, its vertical part turned along, force, its vertical part
+    ("rows", INT), ("stamps_ns", INT, CABIN_ROWS), ("integrals", FLOAT, (CABIN_ROWS, 8)),
+    ("cabin", FLOAT, 8), ("cabin_rate", FLOAT, 3),  # at the newest row
+    # what the base IMU has measured since the window began: rate and force in the axes of J
+    ("base_ns", INT), ("since_ns", INT),  # of the newest reading, and of the window's begin; NEVER
+    ("base", FLOAT, 6), ("base_rate", FLOAT, 3), ("base_integrals", FLOAT, 6), ("smooth", FLOAT, 6),
+    ("cabin_at_start", FLOAT, 8), ("smooth_at_start", FLOAT, 6),
+    # increments over a window that is done
+    ("is_pending", INT), ("window_s", FLOAT),
+    ("window_cabin", FLOAT, 8), ("window_base", FLOAT, 6), ("window_change", FLOAT, 6),
+    # the regressions of rates and forces
+    ("windows", INT), ("x", FLOAT, (2, 9)), ("P", FLOAT, (2, 9, 9)),
+    ("variance", FLOAT, 2),  # of an increment, per second of the window
+    ("h", FLOAT, 9), ("Ph", FLOAT, 9),  # scratch paper
+    # what comes of it
+    ("correction_rad", FLOAT), ("correction_variance", FLOAT), ("is_wrong", INT),
+    ("is_contradictory", INT),  # rates and forces do not agree
+    ("applied_rad", FLOAT),  # of the correction, until now
+    # what is configured
+    ("R_J_S", FLOAT, (3, 3)), ("p_J_S", FLOAT, 3),  # of the base IMU
+    ("walk", FLOAT, (2, 9)), ("floor", FLOAT, 2), ("mounting_variance", FLOAT), ("zero_variance", FLOAT),
+])  # fmt: skip
+"""The zero of the encoder, and the measurements from which it is learnt."""
 
 JOINT = np.dtype([
     ("stamp_ns", INT),  # NEVER before the first
@@ -142,10 +172,11 @@ JOINT = np.dtype([
     ("counts", INT, (2, 4)),  # readings by outcome: rates, angles; since they were last counted
     ("motion", FLOAT, 4),  # angle, its sigma, rate of the chassis, its sigma
     ("repeats", REPEATS),
+    ("zero", ZERO),
     # what is configured
     ("has_gyro", INT), ("max_age_ns", INT), ("memory_ns", INT), ("accept_after_ns", INT), ("gyro_gap_ns", INT),
     ("bias_walk", FLOAT), ("lag_walk", FLOAT), ("gyro_density2", FLOAT),
-    ("angle_variance", FLOAT), ("zero_variance", FLOAT),
+    ("angle_variance", FLOAT),
     ("cabin_density2", FLOAT), ("motion_ratio2", FLOAT), ("silent_density2", FLOAT),
 ])  # fmt: skip
 """The turn joint and its filter."""

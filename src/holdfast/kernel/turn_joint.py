@@ -3,11 +3,14 @@
 from math import copysign, cos, inf, sin, sqrt
 from typing import Any
 
+from holdfast.kernel.base_comparison import KNOWN_RAD2, add_base, add_cabin, forget_cabin
 from holdfast.kernel.compiling import entry, inner
+from holdfast.kernel.encoder_zero import correct_slowly, learn
 from holdfast.kernel.joint_filter import FROZEN, LATE, USED, add_angle, add_rate, predict, rotation_until
 from holdfast.kernel.layout import JOINT, JOINT_READING, NEVER, ROTATION, records
 from holdfast.kernel.so3 import multiply, rotate, unrotate
-from holdfast.kernel.types import FLOAT64, INT64, VOID
+from holdfast.kernel.types import FLOAT64, INT64, VECTOR, VOID
+from holdfast.messages import Array
 
 CORRECTED_S = 0.1  # so long an error in proportion to the cabin's turning adds up before the encoder corrects it
 MAX_STEP_RAD = 2.5e-4  # that the encoder may correct the angle at once: T_O_B does not step
@@ -15,28 +18,45 @@ SETTLE_S = 0.5  # in which the rest of the correction flows in
 AT_ONCE_NS = 50_000_000  # a longer silence of the cabin's IMU is crossed from reading to reading
 FROZEN_STEPS = 3.0  # an encoder that has rotated by so many of its steps without a new reading is frozen
 
-OK, ABSENT, IS_LATE, IS_FROZEN = range(4)  # states of the encoder
+OK, ABSENT, IS_LATE, IS_FROZEN, IS_WRONG = range(5)  # states of the encoder; the last has a wrong zero, which is known
 
 
 @inner
-def advance(joint: Any, rotations: Any, waiting: Any, stamp_ns: int, cabin_rate_rad_s: float, from_imu: bool) -> bool:
+def advance(
+    joint: Any,
+    rotations: Any,
+    waiting: Any,
+    mount: Any,
+    stamp_ns: int,
+    cabin_rate_rad_s: float,
+    rate: Any,
+    force: Any,
+    from_imu: bool,
+) -> bool:
     """Go on to the next estimate, taking in the readings on the way; False if no angle was ever read.
 
     Args:
         joint: a `JOINT`, whose `motion` is set.
         rotations: rows of `ROTATION`.
         waiting: rows of `JOINT_READING` in the order of their stamps; those until the estimate are taken in.
+        mount: a `MOUNT`.
         stamp_ns: of the estimate, not before the last one.
         cabin_rate_rad_s: mean rate of the cabin about the axis since the estimate before, bias removed.
+        rate: (3,) angular velocity of I at the estimate, bias removed [rad/s].
+        force: (3,) specific force of I [m/s^2].
         from_imu: False where the cabin's IMU was silent.
     """
     density2 = joint.silent_density2
     if from_imu:
         density2 = joint.cabin_density2 + joint.motion_ratio2 * cabin_rate_rad_s * cabin_rate_rad_s
     step_ns = 0 if joint.stamp_ns == NEVER else stamp_ns - joint.stamp_ns
-    at_once, had_encoder = step_ns <= AT_ONCE_NS, joint.encoder == OK
+    at_once, had_encoder = step_ns <= AT_ONCE_NS, _is_usable(joint.encoder)
     if at_once:
         predict(joint, rotations, stamp_ns, cabin_rate_rad_s, density2)
+    if at_once and from_imu and joint.has_gyro and had_encoder and joint.P[0] < KNOWN_RAD2:
+        add_cabin(joint.zero, mount, stamp_ns, joint.angle_rad, rate, force)
+    else:
+        forget_cabin(joint.zero)
     count = 0
     while count < joint.waiting and waiting[count].stamp_ns <= stamp_ns:
         if not at_once:
@@ -55,8 +75,11 @@ def advance(joint: Any, rotations: Any, waiting: Any, stamp_ns: int, cabin_rate_
     if abs(corrected_rad) > MAX_STEP_RAD and (joint.has_gyro or not had_encoder):
         joint.held_rad += corrected_rad - copysign(MAX_STEP_RAD, corrected_rad)
     joint.held_rad *= max(0.0, 1.0 - step_ns * 1e-9 / SETTLE_S)
-    joint.motion[0] = joint.angle_rad - joint.held_rad
-    joint.motion[1] = sqrt(max(joint.P[0], 0.0) + joint.zero_variance + joint.held_rad * joint.held_rad)
+    zero, held_rad = joint.zero, joint.held_rad
+    left_rad = correct_slowly(zero, step_ns * 1e-9)
+    joint.motion[0] = joint.angle_rad - held_rad + zero.applied_rad
+    of_zero = zero.correction_variance + left_rad * left_rad
+    joint.motion[1] = sqrt(max(joint.P[0], 0.0) + of_zero + held_rad * held_rad)
     joint.motion[2], joint.motion[3] = joint.rate_rad_s, sqrt(max(joint.P[4], 0.0))
     return True
 
@@ -73,6 +96,7 @@ def _take(joint: Any, rotations: Any, reading: Any) -> None:
             if since_ns <= joint.gyro_gap_ns:
                 joint.gyro_period_s = since_ns * 1e-9
         add_rate(joint, reading.stamp_ns, reading.value, joint.gyro_density2 / joint.gyro_period_s)
+        add_base(joint.zero, reading, joint.gyro_gap_ns)
     joint.counts[reading.is_angle, outcome] += 1
     if was_known:
         joint.corrected_rad += joint.angle_rad - before_rad
@@ -137,7 +161,14 @@ def _judge_encoder(joint: Any, stamp_ns: int) -> int:
     newest_ns = joint.angle_ns if joint.repeats.is_frozen else joint.used_ns
     if stamp_ns - newest_ns > joint.max_age_ns:
         return IS_LATE
-    return IS_FROZEN if joint.repeats.is_frozen else OK
+    if joint.repeats.is_frozen:
+        return IS_FROZEN
+    return IS_WRONG if joint.zero.is_wrong else OK
+
+
+@inner
+def _is_usable(encoder: int) -> bool:
+    return encoder in (OK, IS_WRONG)
 
 
 @inner
@@ -191,7 +222,15 @@ def _drop(joint: Any, waiting: Any, count: int) -> None:
 
 @inner
 def at(
-    mount: Any, joint: Any, rotations: Any, waiting: Any, estimate: Any, out: Any, stamp_ns: int, from_imu: bool
+    mount: Any,
+    joint: Any,
+    rotations: Any,
+    waiting: Any,
+    estimate: Any,
+    out: Any,
+    stamp_ns: int,
+    from_imu: bool,
+    force: Any,
 ) -> bool:
     """Let `out` be the `CHASSIS` at an `ESTIMATE`; False before the first reading of the encoder.
 
@@ -204,6 +243,7 @@ def at(
         out: the chassis.
         stamp_ns: of the estimate.
         from_imu: False where the cabin's IMU was silent.
+        force: (3,) specific force of its sample [m/s^2].
     """
     w, turning, before_rad_s = estimate.angular_velocity, joint[0], mount.axis_rate_rad_s
     _, _, rate_rad_s = unrotate(mount.T_I_A.R, w[0], w[1], w[2])
@@ -213,7 +253,7 @@ def at(
     mount.stamp_ns, mount.axis_rate_rad_s = stamp_ns, rate_rad_s
     if mount.has_joint:
         mean_rad_s = 0.5 * (before_rad_s + rate_rad_s) if from_imu else rate_rad_s
-        if not advance(turning, rotations, waiting, stamp_ns, mean_rad_s, from_imu):
+        if not advance(turning, rotations, waiting, mount, stamp_ns, mean_rad_s, w, force, from_imu):
             return False
     else:
         turning.motion[2] = rate_rad_s
@@ -224,9 +264,17 @@ def at(
 # --- what Python calls: compiled here, so it comes last
 
 
-@entry(VOID, *(records(one) for one in (JOINT, ROTATION, JOINT_READING)), INT64, INT64, INT64, FLOAT64)
+@entry(VOID, *(records(one) for one in (JOINT, ROTATION, JOINT_READING)), INT64, INT64, INT64, FLOAT64, VECTOR, VECTOR)
 def add_reading(
-    joint: Any, rotations: Any, waiting: Any, stamp_ns: int, order: int, is_angle: int, value: float
+    joint: Any,
+    rotations: Any,
+    waiting: Any,
+    stamp_ns: int,
+    order: int,
+    is_angle: int,
+    value: float,
+    rate: Array,
+    force: Array,
 ) -> None:
     """Take in a reading whose stamp the filter has reached, or let it wait; where all rows wait, the first is late.
 
@@ -238,6 +286,8 @@ def add_reading(
         order: of the sensor among readings with equal stamps.
         is_angle: whether it is an angle [rad] rather than a rate [rad/s].
         value: of the reading.
+        rate: (3,) angular velocity [rad/s] of the base IMU, in its own axes; not used of an angle.
+        force: (3,) its specific force [m/s^2].
     """
     turning = joint[0]
     if turning.waiting == len(waiting):
@@ -249,7 +299,10 @@ def add_reading(
         k -= 1
     reading = waiting[k]
     reading.stamp_ns, reading.order, reading.is_angle, reading.value = stamp_ns, order, is_angle, value
+    reading.rate[:], reading.force[:] = rate, force
     turning.waiting += 1
     if turning.stamp_ns != NEVER and stamp_ns <= turning.stamp_ns:  # then it is the first, for none waits that long
         _take(turning, rotations, reading)
         _drop(turning, waiting, 1)
+    if turning.zero.is_pending:
+        learn(turning.zero)

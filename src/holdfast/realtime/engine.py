@@ -243,7 +243,7 @@ class RealtimeEstimator(Intake):
         if isinstance(message, ImuSample | JointAngle) and self._path.serves_chassis(name):
             self._path.add_to_chassis(message)
         if name in self._inputs:
-            self._ask(message)
+            self._ask(self._path.corrected(message))
             return self._flush() if self._in_step else self._take_new()
         if not self._path.serves_chassis(name):
             self._log.count(name, Outcome.IGNORED)

@@ -4,6 +4,7 @@ A reading is the value at its instant: nothing averages over the sample period, 
 (an engine at 28 Hz) is part of the reading, aliased as in an IMU without a filter.
 """
 
+from math import degrees
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -163,5 +164,10 @@ def entry(sheet: SimulatedInertial) -> dict[str, Any]:
     }
 
 
-for _sheet in (SimulatedImu, SimulatedBaseImu):
-    register(SensorKind(_sheet, measure, MESSAGE, encode, entry, faults={"line": line}))
+def base_entry(sheet: SimulatedInertial) -> dict[str, Any]:
+    """Return the same and how well the directions of its axes are known: the housing is mounted as in `extrinsics`."""
+    return entry(sheet) | {"mounting_sigma_deg": degrees(sheet.misalignment_sigma_rad)}
+
+
+for _sheet, _entry in ((SimulatedImu, entry), (SimulatedBaseImu, base_entry)):
+    register(SensorKind(_sheet, measure, MESSAGE, encode, _entry, faults={"line": line}))
