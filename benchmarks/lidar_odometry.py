@@ -20,6 +20,7 @@ from holdfast.config.load import load_config
 from holdfast.evaluation.association import Pairs, associate
 from holdfast.evaluation.relative import rpe
 from holdfast.lidar_odometry.gyroscope import Gyroscope
+from holdfast.lidar_odometry.masked import Masked, Masking
 from holdfast.lidar_odometry.reader import SweepReader
 from holdfast.lidar_odometry.registration import METHODS, make_registration
 from holdfast.lidar_odometry.runner import Options, choose_topic
@@ -38,7 +39,7 @@ HEADER = (
 
 def register(folder: Path, method: str, gyroscope_helps: bool, threads: int, seconds: float) -> tuple:
     """Return the trajectory of one method and its times a sweep [ms]; runs in a process of its own."""
-    registration = make_registration(method, threads)
+    registration = Masked(make_registration(method, threads), Masking())
     stamps_ns, positions, quaternions, times_ms = [], [], [], []
     options = Options(replace=True)
     with RawBag(folder / "recording.mcap") as bag:

@@ -134,3 +134,19 @@ def test_the_frame_of_an_odometry_drifts_as_configured():
         add(one, smoother, seen(t))
     sigma = np.sqrt(np.trace(smoother.newest.covariance[3:6, 3:6]) / 3.0)
     assert 0.3 < sigma / (0.04 * np.sqrt(15.0)) < 1.5
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_direction_that_the_odometry_claims_not_to_know_is_left_to_the_imu(mode):
+    """The poses slide along x of the IMU by 1 m/s, and say so: neither is it a jump, nor does the estimate follow."""
+    smoother, one, free = smoother_of(DRIVE, 6.0), track(mode), np.zeros((6, 6))
+    free[3, 3] = 0.3**2
+    for t in np.arange(0.1, 2.1, 0.2):
+        add(one, smoother, seen(t))
+    slid, slip = seen(1.9).T_I0_I, gtsam.Pose3(gtsam.Rot3(), np.array([0.2, 0.0, 0.0]))
+    for t in np.arange(2.1, 4.1, 0.2):
+        slid = slid * DRIVE.pose(t - 0.2).between(DRIVE.pose(t)) * slip
+        pose = TrackPose(ns(t), "lidar", slid, free)
+        assert not add(one, smoother, pose).has_jumped
+    off = DRIVE.nav(3.9).pose().between(smoother.newest.nav.pose()).translation()
+    assert np.linalg.norm(off) < 0.3

@@ -118,7 +118,10 @@ def test_an_unknown_scenario_is_reported_with_those_that_there_are():
 @pytest.mark.parametrize(
     ("text", "report"),
     [
-        (MINIMAL.replace("yard", "backyard"), "backyard: no such site (allowed: oberglatt, rough, wangen, yard"),
+        (
+            MINIMAL.replace("yard", "backyard"),
+            "backyard: no such site (allowed: field, gallery, oberglatt, rough, wangen, yard",
+        ),
         (MINIMAL.replace("excavator_low", "tank"), "tank: no such machine (allowed: dumper, excavator_low"),
         (MINIMAL + "duration: 5\n", "mine.yaml:4 duration: unknown key, did you mean duration_s?"),
         (

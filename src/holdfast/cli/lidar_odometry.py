@@ -39,6 +39,21 @@ from holdfast.output_folder import add_results, check_output_file
 @click.option(
     "--min-range-m", type=click.FloatRange(0), default=1.0, show_default=True, help="Nearer points are the machine."
 )
+@click.option(
+    "--machine-box",
+    "machine_boxes",
+    type=float,
+    nargs=6,
+    multiple=True,
+    metavar="X Y Z X Y Z",
+    help="Points between these corners, in the lidar's frame [m], are the machine; may be repeated.",
+)
+@click.option(
+    "--learn-machine/--no-learn-machine",
+    default=True,
+    show_default=True,
+    help="Learn from moving which points are the machine and its arm.",
+)
 @click.option("--keep-scans", is_flag=True, help="Copy the clouds too.")
 @click.option("--replace", is_flag=True, help="Drop what BAG itself has on the output topic.")
 @click.option("--force", is_flag=True, help="Overwrite the output.")
@@ -52,6 +67,8 @@ def lidar_odometry(  # noqa: PLR0917 (click passes the options by name)
     threads: int,
     latency_s: float,
     min_range_m: float,
+    machine_boxes: tuple[tuple[float, ...], ...],
+    learn_machine: bool,
     keep_scans: bool,
     replace: bool,
     force: bool,
@@ -63,12 +80,14 @@ def lidar_odometry(  # noqa: PLR0917 (click passes the options by name)
     """
     from holdfast.config.load import load_config
     from holdfast.lidar_odometry.gyroscope import Gyroscope
+    from holdfast.lidar_odometry.masked import Masking, boxes_of
     from holdfast.lidar_odometry.registration import DEFAULT_METHOD, check_installed
     from holdfast.lidar_odometry.runner import Options, choose_topic, run
     from holdfast.recording.mcap_writer import McapWriter
     from holdfast.recording.raw import RawBag
 
-    options = Options(topic, output_topic, method, threads, latency_s, min_range_m, keep_scans, replace)
+    masking = Masking(boxes_of(machine_boxes), learn_machine)
+    options = Options(topic, output_topic, method, threads, latency_s, min_range_m, keep_scans, replace, masking)
     if config_path is not None and method != DEFAULT_METHOD:
         raise ConfigError(f"--config: {method} takes no gyroscope (allowed: with {DEFAULT_METHOD})")
     check_installed(method)
@@ -88,6 +107,10 @@ def lidar_odometry(  # noqa: PLR0917 (click passes the options by name)
         click.echo(f"warning: {warning}", err=True)
     milliseconds = (perf_counter() - began_s) / summary.poses * 1e3
     click.echo(f"{chosen} -> {output_topic}: {summary.poses} poses by {method}, {milliseconds:.0f} ms each")
+    click.echo(
+        f"{100 * summary.cut / summary.poses:.0f} % of the points lay on the machine; {summary.unheld} poses have "
+        "directions that the scan does not hold, which their covariance tells"
+    )
     click.echo(f"written to {output}")
 
 

@@ -142,6 +142,10 @@ class OdometryConfig(MountedConfig):
         "deg", 1.0, ge=0, le=45, doc="of the frame's rotation in `extrinsics`, which is estimated; 0: known"
     )
     time_offset_sigma_s: float = quantity("s", 0.03, ge=0, le=1, doc="of `time_offset_s`, which is estimated; 0: known")
+    covariance: Literal["directions", "always", "never"] = Field(
+        "directions",
+        description="of a message: what it adds to the noise; `directions`: those that it says are not known",
+    )
     max_interval_s: float = quantity("s", 1.0, gt=0, le=10, doc="poses further apart are not joined")
     jump_sigma: float = quantity(
         "sigma", 8.0, gt=3, doc="a motion further from that of the IMU is a jump of the odometry"

@@ -14,6 +14,7 @@ import gtsam
 import numpy as np
 
 from holdfast.graph.smoother import FREE, Smoother
+from holdfast.messages import Array
 from holdfast.sensors.odometry import STILL_M_S, OdometryNoise, TrackPose, is_possible
 from holdfast.state import Outcome
 
@@ -44,6 +45,7 @@ class OdometryTrack:
         self._newest: TrackPose | None = None
         self._epochs: list[_Epoch] = []
         self._T_W_I0: gtsam.Pose3 | None = None  # where the frame is frozen
+        self._slack = np.zeros((6, 6))  # what the odometry has claimed since then not to know
 
     def copy(self, mode: Mode) -> "OdometryTrack":
         """Return a track for a clone of the smoother, which goes on in its own way."""
@@ -63,7 +65,7 @@ class OdometryTrack:
     def freeze(self, smoother: Smoother) -> None:
         """Hold the frame where the newest pose sees it: T_W_I(t_j) T_I0_I(t_j)^-1, of Eq. (10) with the extrinsics."""
         if self._newest is not None and self._newest.stamp_ns >= smoother.oldest_ns:
-            self._T_W_I0 = _frame_seen_by(smoother, self._newest)
+            self._T_W_I0, self._slack = _frame_seen_by(smoother, self._newest), np.zeros((6, 6))
 
     def add(self, smoother: Smoother, key: int, pose: TrackPose) -> Joined:
         """Join the node of a pose, which exists under `key`, to what was before."""
@@ -73,6 +75,7 @@ class OdometryTrack:
             self._newest = pose
         if before is not None and before.stamp_ns < pose.stamp_ns:
             motion = before.T_I0_I.between(pose.T_I0_I)
+            self._slack = _carried(self._slack, motion, pose.excess)
             if not is_possible(motion, (pose.stamp_ns - before.stamp_ns) * 1e-9):
                 self._epochs, self._T_W_I0 = [], None
                 return Joined(Outcome.OUT_OF_RANGE)
@@ -90,7 +93,7 @@ class OdometryTrack:
         if before.stamp_ns < smoother.oldest_ns or not smoother.imu.is_trusted(before.stamp_ns, pose.stamp_ns):
             return False
         predicted = smoother.nav(before.stamp_ns).pose().between(smoother.nav(pose.stamp_ns).pose())
-        return self._noise.has_jumped(motion, predicted)
+        return self._noise.has_jumped(motion, predicted, pose.excess)
 
     def _add_relative(
         self, smoother: Smoother, key: int, before: TrackPose | None, pose: TrackPose, motion: gtsam.Pose3 | None
@@ -100,14 +103,14 @@ class OdometryTrack:
         previous_key = smoother.node(before.stamp_ns)
         if previous_key is None:
             return Outcome.NO_PREDECESSOR
-        smoother.enter(pose, self._noise.relative_factor(previous_key, key, motion))
+        smoother.enter(pose, self._noise.relative_factor(previous_key, key, motion, pose.excess))
         return Outcome.USED
 
     def _add_frozen(self, smoother: Smoother, key: int, pose: TrackPose) -> Outcome:
         if self._T_W_I0 is None:
-            self._T_W_I0 = _frame_seen_by(smoother, pose)
+            self._T_W_I0, self._slack = _frame_seen_by(smoother, pose), np.zeros((6, 6))
             return Outcome.NO_PREDECESSOR
-        smoother.enter(pose, self._noise.pseudo_global_factor(key, self._T_W_I0 * pose.T_I0_I))
+        smoother.enter(pose, self._noise.pseudo_global_factor(key, self._T_W_I0 * pose.T_I0_I, self._slack))
         return Outcome.USED
 
     def _add_anchored(self, smoother: Smoother, key: int, pose: TrackPose) -> Outcome:
@@ -138,9 +141,19 @@ class OdometryTrack:
             motion = before.first.T_I0_I.between(pose.T_I0_I)
             duration_s = (pose.stamp_ns - before.first.stamp_ns) * 1e-9
             calibration_key = self._calibration_key(smoother, pose)
-            smoother.add(self._noise.drift_factor(before.key, key, motion, duration_s, calibration_key))
+            drift = self._noise.drift_factor(before.key, key, motion, duration_s, calibration_key, pose.excess)
+            smoother.add(drift)
         self._epochs.append(_Epoch(pose, key))
         return self._epochs[-1]
+
+
+def _carried(slack: Array, motion: gtsam.Pose3, excess: Array | None) -> Array:
+    """Return a covariance (6, 6) in the tangent of I after a motion, and what the odometry claims of that added."""
+    if excess is None and not slack.any():
+        return slack
+    adjoint = motion.inverse().AdjointMap()
+    carried: Array = adjoint @ slack @ adjoint.T
+    return carried if excess is None else carried + excess
 
 
 def _frame_seen_by(smoother: Smoother, pose: TrackPose) -> gtsam.Pose3:
@@ -149,7 +162,12 @@ def _frame_seen_by(smoother: Smoother, pose: TrackPose) -> gtsam.Pose3:
 
 
 def _is_over(epoch: _Epoch, pose: TrackPose) -> bool:
-    """Whether the machine has moved on so far since an epoch began that the odometry may have drifted."""
+    """Whether the machine has moved on so far since an epoch began that the odometry may have drifted, or claims to.
+
+    A pose that claims so begins an epoch of its own, so that what it claims stands between it and the pose before.
+    """
+    if pose.excess is not None:
+        return True
     motion = epoch.first.T_I0_I.between(pose.T_I0_I)
     return (
         pose.stamp_ns - epoch.first.stamp_ns >= EPOCH_NS

@@ -93,6 +93,8 @@ class Odometries:
             reason = f"the IMU did not measure this motion{often}"
             self._log.report(EventKind.ODOMETRY_JUMP, pose.stamp_ns, pose.sensor, reason)
             odometry.monitor.forget_frame()
+        if pose.excess is not None:
+            odometry.monitor.forget_frame()  # it does not know its motion, and so cannot contradict
         self._log.record(pose.stamp_ns, pose.sensor, outcome)
         return outcome
 

@@ -29,7 +29,10 @@ class Registered:
         stamp_ns: the instant.
         T_L0_L: (4, 4) pose of the lidar in the frame where it was in its first sweep.
         covariance: (6, 6) of this registration against the map, rotation [rad] then translation [m], expressed in L
-            (GTSAM's order); or None where the library reports none. The drift of the map is not in it.
+            (GTSAM's order); or None where the library reports none. In directions that the scan does not hold it is
+            that of the motion since the pose before, which was guessed. The drift of the map is not in it.
+        unheld: number of directions that the scan does not hold.
+        cut: fraction of the points that lay on the machine and were not used.
         restarted: the sweep could not be joined to the map; a new one begins, and the motion since the last pose is
             not measured.
     """
@@ -38,6 +41,8 @@ class Registered:
     T_L0_L: Array
     covariance: Array | None = None
     restarted: bool = False
+    unheld: int = 0
+    cut: float = 0.0
 
 
 class Registration(Protocol):

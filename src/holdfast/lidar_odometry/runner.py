@@ -9,6 +9,7 @@ import numpy as np
 
 from holdfast.errors import ConfigError, RecordingError
 from holdfast.lidar_odometry.gyroscope import Gyroscope
+from holdfast.lidar_odometry.masked import Masking
 from holdfast.lidar_odometry.reader import SweepReader
 from holdfast.lidar_odometry.registration import DEFAULT_METHOD, Registered
 from holdfast.lidar_odometry.sweep import Sweep
@@ -35,6 +36,7 @@ class Options:
         latency_s: a pose arrives so long after its cloud.
         min_range_m: nearer points are those of the machine itself.
         replace: the recording's own messages on `output_topic` are dropped.
+        masking: of points on the machine itself.
     """
 
     topic: str | None = None
@@ -45,13 +47,21 @@ class Options:
     min_range_m: float = 1.0
     keep_scans: bool = False
     replace: bool = False
+    masking: Masking = field(default_factory=Masking)
 
 
 @dataclass(slots=True)
 class Summary:
-    """Counts and warnings of a run."""
+    """Counts and warnings of a run.
+
+    Attributes:
+        unheld: poses with directions that the scan did not hold.
+        cut: sum over the poses of the fraction of points that lay on the machine.
+    """
 
     poses: int = 0
+    unheld: int = 0
+    cut: float = 0.0
     warnings: list[str] = field(default_factory=list)
 
 
@@ -109,7 +119,7 @@ def run(  # noqa: PLR0917 (all but the last two are needed)
     dropped = {options.output_topic} if options.keep_scans else {options.output_topic, topic}
     copier = RawCopier(writer, [channel for channel in bag.channels if channel.topic not in dropped])
     reader = SweepReader(bag, topic, options.min_range_m, gyroscope)
-    with RegistrationProcess(options.method, options.threads) as process:
+    with RegistrationProcess(options.method, options.threads, options.masking) as process:
         poses = _Poses(process, writer, options, summary)
         try:
             for arrival_ns, channel, raw in bag.messages():
@@ -171,6 +181,8 @@ class _Poses:
         while self._encoder and self._due_ns and (until_ns is None or self._due_ns[0] <= until_ns):
             registered = self._process.result()
             self._summary.poses += 1
+            self._summary.unheld += registered.unheld > 0
+            self._summary.cut += registered.cut
             if registered.restarted:
                 self._summary.warnings.append(
                     f"at {registered.stamp_ns} ns a new map begins, after a gap or because the sweep does not fit: the "

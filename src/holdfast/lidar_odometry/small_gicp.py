@@ -11,6 +11,7 @@ import gtsam
 import numpy as np
 import small_gicp
 
+from holdfast.lidar_odometry.degeneracy import Degeneracy, Observability
 from holdfast.lidar_odometry.deskew import Rates, deskew
 from holdfast.lidar_odometry.registration import Registered
 from holdfast.lidar_odometry.sweep import Sweep
@@ -36,6 +37,7 @@ class SmallGicp:
     Between sweeps the lidar is predicted, and during a sweep its points are deskewed, with the gyroscope's rotation if
     the sweep brings it, else with a constant rate; in either case with a constant velocity. Both are found twice: from
     the last two sweeps, and again when this one has been aligned coarsely, because a cabin starts and stops within one.
+    In directions that the sweep does not hold, the prediction stays.
     """
 
     def __init__(self, threads: int) -> None:
@@ -45,6 +47,8 @@ class SmallGicp:
         self._angular = np.zeros(3)
         self._velocity = np.zeros(3)
         self._map = small_gicp.GaussianVoxelMap(VOXEL_M)
+        self._degeneracy = Degeneracy()
+        self._found: Observability | None = None  # of the sweep before; the coarse pass is too coarse to tell
 
     def register(self, sweep: Sweep) -> Registered:
         """Join the next sweep to the map; the first one makes the map."""
@@ -55,26 +59,36 @@ class SmallGicp:
             self._angular, self._velocity = np.zeros(3), np.zeros(3)
             return self._begin(sweep, at_s, self._T_L0_L)
         rotation = self._rates(sweep).rotation(at_s - interval_s, at_s)
-        T_L0_L = self._T_L0_L.compose(gtsam.Pose3(rotation, self._velocity * interval_s))
+        guess = T_L0_L = self._T_L0_L.compose(gtsam.Pose3(rotation, self._velocity * interval_s))
         self._velocity = rotation.unrotate(self._velocity)
+        found = self._found
         for resolution_m in RESOLUTIONS_M:
             cloud = self._cloud(sweep, at_s, resolution_m)
             result = self._align(cloud, T_L0_L)
             if result.num_inliers < LOST_INLIER_FRACTION * cloud.size():
                 return self._begin(sweep, at_s, T_L0_L)
-            T_L0_L = gtsam.Pose3(result.T_target_source)
+            if resolution_m == RESOLUTIONS_M[-1]:
+                found = self._degeneracy.look(_points(cloud), self._T_L0_L.between(guess).matrix())
+            T_L0_L = _where_held(found, guess, gtsam.Pose3(result.T_target_source))
             motion = self._T_L0_L.between(T_L0_L)
             self._velocity = motion.rotation().unrotate(motion.translation()) / interval_s
             self._angular = gtsam.Rot3.Logmap(motion.rotation()) / interval_s
         self._map.insert(cloud, T_L0_L.matrix())
         self._at_ns, self._T_L0_L = at_ns, T_L0_L
-        return Registered(at_ns, T_L0_L.matrix(), covariance(result))
+        assert found is not None
+        self._found = found
+        guessed = self._degeneracy.guess_covariance(interval_s, found, sweep.rates is not None)
+        claimed = found.covariance(covariance(result), guessed, gtsam.Pose3.Logmap(motion))
+        return Registered(at_ns, T_L0_L.matrix(), claimed, unheld=found.unheld)
 
     def _begin(self, sweep: Sweep, at_s: float, T_L0_L: gtsam.Pose3) -> Registered:
         at_ns, restarted = sweep.stamp_ns + round(at_s * 1e9), self._at_ns > NEVER_NS
         self._map = small_gicp.GaussianVoxelMap(VOXEL_M)
         self._map.set_lru(MEMORY_SWEEPS, 100)
-        self._map.insert(self._cloud(sweep, at_s, RESOLUTIONS_M[-1]), T_L0_L.matrix())
+        cloud = self._cloud(sweep, at_s, RESOLUTIONS_M[-1])
+        self._map.insert(cloud, T_L0_L.matrix())
+        self._degeneracy, self._found = Degeneracy(), None
+        self._degeneracy.look(_points(cloud), np.eye(4))
         self._at_ns, self._T_L0_L = at_ns, T_L0_L
         return Registered(at_ns, T_L0_L.matrix(), restarted=restarted)
 
@@ -97,6 +111,17 @@ class SmallGicp:
             rotation_epsilon=EPSILON_RAD,
             translation_epsilon=EPSILON_M,
         )
+
+
+def _points(cloud: small_gicp.PointCloud) -> Array:
+    return np.asarray(cloud.points())[:, :3]
+
+
+def _where_held(found: Observability | None, guess: gtsam.Pose3, aligned: gtsam.Pose3) -> gtsam.Pose3:
+    """Return the aligned pose where the scan holds it, else the guess."""
+    if found is None or not found.unheld:
+        return aligned
+    return guess.compose(gtsam.Pose3.Expmap(found.held_part(gtsam.Pose3.Logmap(guess.between(aligned)))))
 
 
 def covariance(result: small_gicp.RegistrationResult) -> Array:

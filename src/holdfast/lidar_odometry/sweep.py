@@ -54,10 +54,13 @@ class Sweep:
 
     def beyond(self, range_m: float) -> "Sweep":
         """Return the sweep without points nearer than a range."""
-        far = np.einsum("ni,ni->n", self.points, self.points) >= range_m * range_m
-        offsets_s = None if self.offsets_s is None else self.offsets_s[far]
-        intensities = None if self.intensities is None else self.intensities[far]
-        return replace(self, points=self.points[far], offsets_s=offsets_s, intensities=intensities)
+        return self.taken(np.einsum("ni,ni->n", self.points, self.points) >= range_m * range_m)
+
+    def taken(self, chosen: NDArray[np.bool_]) -> "Sweep":
+        """Return the sweep with the points that a mask (N,) chooses."""
+        offsets_s = None if self.offsets_s is None else self.offsets_s[chosen]
+        intensities = None if self.intensities is None else self.intensities[chosen]
+        return replace(self, points=self.points[chosen], offsets_s=offsets_s, intensities=intensities)
 
 
 def decode_sweep(message: Any) -> Sweep:

@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Self
 
 from holdfast.errors import EstimatorError
+from holdfast.lidar_odometry.masked import Masked, Masking
 from holdfast.lidar_odometry.registration import Registered, make_registration
 from holdfast.lidar_odometry.sweep import Sweep
 
@@ -21,13 +22,13 @@ PATIENCE_S = 5.0
 class RegistrationProcess:
     """Sweeps in, poses out in the same order; a context manager that ends the process."""
 
-    def __init__(self, method: str, threads: int) -> None:
+    def __init__(self, method: str, threads: int, masking: Masking | None = None) -> None:
         self._method = method
         self._results: deque[Registered] = deque()
         self._in_flight = 0
         context = get_context("spawn")
         self._connection, theirs = context.Pipe()
-        self._process = context.Process(target=serve, args=(theirs, method, threads), daemon=True)
+        self._process = context.Process(target=serve, args=(theirs, method, threads, masking), daemon=True)
         # a Ctrl-C, or the end of a service, goes to the whole group; the child inherits this block, the parent decides;
         # starting multiprocessing's own tracker of resources would lift the block, so that one comes first
         resource_tracker.ensure_running()
@@ -94,10 +95,12 @@ class RegistrationProcess:
             self._process.join()
 
 
-def serve(connection: Connection, method: str, threads: int) -> None:
+def serve(connection: Connection, method: str, threads: int, masking: Masking | None = None) -> None:
     """Answer each sweep with its pose until the other end closes; a failure is answered with its error in one line."""
     try:
         registration = make_registration(method, threads)
+        if masking is not None:
+            registration = Masked(registration, masking)
         while True:
             connection.send(registration.register(connection.recv()))
     except (EOFError, BrokenPipeError, ConnectionResetError):

@@ -14,6 +14,7 @@ from holdfast.geometry.world import World
 from holdfast.messages import Array, Message, SensorPose
 from holdfast.sensors.noise import FREE_VARIANCE, noise_model
 from holdfast.sensors.odometry_calibration import OdometryCalibration
+from holdfast.sensors.odometry_claim import claimed_excess
 from holdfast.sensors.sensor import Role, mounting, pose_of, register
 from holdfast.state import Outcome
 
@@ -27,11 +28,17 @@ STANDING_DRIFT_M_PER_SQRT_S = 1e-4  # what even a standing odometry is allowed; 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackPose:
-    """A checked pose: T_I0_I of the IMU in the frame where it was when the odometry started, time offset applied."""
+    """A checked pose: T_I0_I of the IMU in the frame where it was when the odometry started, time offset applied.
+
+    Attributes:
+        excess: (6, 6) covariance in the tangent of I that the odometry itself adds to the motion since the pose before,
+            rotation [rad] then translation [m]; None where it adds nothing.
+    """
 
     stamp_ns: int
     sensor: str
     T_I0_I: gtsam.Pose3
+    excess: Array | None = None
 
 
 class OdometryModel:
@@ -55,7 +62,16 @@ class OdometryModel:
         T_L0_L = pose_of(message)
         if isinstance(T_L0_L, Outcome):
             return T_L0_L
-        return TrackPose(message.stamp_ns + self.offset_ns, self.name, self._T_I_L * T_L0_L * self._T_L_I)
+        T_I0_I = self._T_I_L * T_L0_L * self._T_L_I
+        return TrackPose(message.stamp_ns + self.offset_ns, self.name, T_I0_I, self._excess(message, T_L0_L))
+
+    def _excess(self, message: SensorPose, T_L0_L: gtsam.Pose3) -> Array | None:
+        """Return what the message claims beyond the configured noise, brought from the axes of L0 at L to I."""
+        if message.covariance is None or self.config.covariance == "never":
+            return None
+        turned = np.kron(np.eye(2), T_L0_L.rotation().matrix().T)
+        excess = claimed_excess(turned @ message.covariance @ turned.T, self.config)
+        return None if excess is None else self.adjoint @ excess @ self.adjoint.T
 
 
 def is_possible(motion: gtsam.Pose3, duration_s: float) -> bool:
@@ -79,20 +95,20 @@ class OdometryNoise:
         """The odometry has proved to be worse than configured."""
         self.scale = min(factor * self.scale, MAX_SCALE)
 
-    def has_jumped(self, motion: gtsam.Pose3, predicted: gtsam.Pose3) -> bool:
+    def has_jumped(self, motion: gtsam.Pose3, predicted: gtsam.Pose3, excess: Array | None = None) -> bool:
         """Whether the motion between two poses is beyond `jump_sigma` from the one that the IMU predicts."""
         residual = gtsam.Pose3.Logmap(predicted.between(motion))
-        return bool(residual @ np.linalg.solve(self.covariance(motion), residual) > self._config.jump_sigma**2)
+        return bool(residual @ np.linalg.solve(self.covariance(motion, excess), residual) > self._config.jump_sigma**2)
 
-    def covariance(self, motion: gtsam.Pose3) -> Array:
+    def covariance(self, motion: gtsam.Pose3, excess: Array | None = None) -> Array:
         """Return the covariance (6, 6) of the IMU's motion between two poses, rotation [rad] then translation [m].
 
         The odometry's own noise, that of both poses and the drift between them, is carried over the lever arm to the
-        IMU by the adjoint: (16) in docs/math.md.
+        IMU by the adjoint: (16) in docs/math.md. `excess` (6, 6) is what the odometry itself adds to it.
         """
         rotation_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation())))
         drift = self._drift(float(np.linalg.norm(motion.translation())), rotation_rad)
-        return self._at_imu(self._sigmas() ** 2 + drift**2)
+        return _with(excess, self._at_imu(self._sigmas() ** 2 + drift**2))
 
     def pose_variances(self) -> tuple[float, float]:
         """Return the variances of one pose per axis, half of that of a motion: rotation [rad^2], translation [m^2]."""
@@ -114,12 +130,14 @@ class OdometryNoise:
 
     # --- factors -----------------------------------------------------------------------------------------------------
 
-    def relative_factor(self, key_i: int, key_j: int, motion: gtsam.Pose3) -> gtsam.NonlinearFactor:
+    def relative_factor(
+        self, key_i: int, key_j: int, motion: gtsam.Pose3, excess: Array | None = None
+    ) -> gtsam.NonlinearFactor:
         """Return the factor between two nodes for the IMU's motion T_Ii_Ij (paper, IV-A.4a).
 
         It is a factor between two `NavState`s whose velocity part is free.
         """
-        return self._between(key_i, key_j, motion, self.covariance(motion))
+        return self._between(key_i, key_j, motion, self.covariance(motion, excess))
 
     def anchored_factor(
         self,
@@ -141,24 +159,30 @@ class OdometryNoise:
         keys = frame_key, key, calibration_key
         return self.calibration.anchored_factor(keys, motion, angular_velocity, noise)
 
-    def pseudo_global_factor(self, key: int, T_W_I: gtsam.Pose3) -> gtsam.NonlinearFactor:
+    def pseudo_global_factor(self, key: int, T_W_I: gtsam.Pose3, excess: Array | None = None) -> gtsam.NonlinearFactor:
         """Return the pose factor in W of the paper's fallback graph (IV-A.4b): roll and pitch are left to the IMU."""
         covariance = np.eye(9) * FREE_VARIANCE
-        covariance[:6, :6] = self._at_imu(0.5 * self._sigmas() ** 2)
+        covariance[:6, :6] = _with(excess, self._at_imu(0.5 * self._sigmas() ** 2))
         R = T_W_I.rotation().matrix()
         covariance[:3, :3] += R.T @ np.diag([LOOSE_TILT_RAD**2, LOOSE_TILT_RAD**2, 0.0]) @ R
         model = noise_model(covariance, self._config.robust_loss)
         return gtsam.PriorFactorNavState(key, gtsam.NavState(T_W_I, np.zeros(3)), model)
 
-    def drift_factor(
-        self, before_key: int, key: int, motion: gtsam.Pose3, duration_s: float, calibration_key: int | None = None
+    def drift_factor(  # noqa: PLR0917 (two nodes, the motion between them, and what else it rests on)
+        self,
+        before_key: int,
+        key: int,
+        motion: gtsam.Pose3,
+        duration_s: float,
+        calibration_key: int | None = None,
+        excess: Array | None = None,
     ) -> gtsam.NonlinearFactor:
         """Return the factor between two poses on the track, which may drift between them: (29) in docs/math.md.
 
         Where the calibration is estimated, it is on that, too.
         """
         covariance = np.eye(9) * STILL_M_S**2
-        covariance[:6, :6] = np.diag(self.drift(motion, duration_s) ** 2)
+        covariance[:6, :6] = _with(excess, np.diag(self.drift(motion, duration_s) ** 2))
         model = gtsam.noiseModel.Gaussian.Covariance(covariance)
         if calibration_key is not None:
             return self.calibration.drift_factor((before_key, key, calibration_key), motion, model)
@@ -185,6 +209,10 @@ class OdometryNoise:
         free[:6, :6] = covariance
         model = noise_model(free, self._config.robust_loss)
         return gtsam.BetweenFactorNavState(key_i, key_j, gtsam.NavState(motion, np.zeros(3)), model)
+
+
+def _with(excess: Array | None, covariance: Array) -> Array:
+    return covariance if excess is None else covariance + excess
 
 
 register(OdometryConfig, lambda name, section, config: OdometryModel(name, section, mounting(name, config)))

@@ -70,6 +70,10 @@ class Motion:
         """Return angle [rad] and rate [rad/s] of the turn joint, (N,) each."""
         return self._spline(times_s)[:, 6], self._spline(times_s, 1)[:, 6]
 
+    def work(self, times_s: Array) -> Array:
+        """Return how hard the machine works, (N,) from 0 to 1."""
+        return np.asarray(self._spline(times_s)[:, 7])
+
     def frame(self, name: str, times_s: Array) -> FrameMotion:
         """Return the motion of a frame at times (N,) since the start of the scenario [s]."""
         q, dq, ddq = (self._spline(times_s, order) for order in range(3))

@@ -81,12 +81,13 @@ def _scans(simulation: Simulation, name: str, number: int) -> Iterator[_Row]:
     sheet = scanners[name]
     scanner = Scanner(sheet, simulation.site.mesh())
     purpose = ("scan",) if name == next(iter(scanners)) else (name, "scan")
-    starts_s = delivered.readings.times_s
+    starts_s, boxes = delivered.readings.times_s, simulation.moving_boxes()
 
     def encode(row: int, stamp_ns: int) -> bytes:
-        moving = simulation.motion.frame(sheet.frame, scanner.column_times_s(starts_s[row]))
+        times_s = scanner.column_times_s(starts_s[row])
+        moving = simulation.motion.frame(sheet.frame, times_s)
         rng = generator(simulation.seed, *purpose, str(row))
-        scan = scanner.scan(row, moving.R_W_F, moving.p_W, rng)
+        scan = scanner.scan(row, moving.R_W_F, moving.p_W, rng, [box for group in boxes for box in group.at(times_s)])
         return encode_points(scan, stamp_ns, sheet.frame, point_times=sheet.point_times)
 
     return _rows(delivered, number, sheet.topic, "sensor_msgs/msg/PointCloud2", encode)

@@ -8,6 +8,7 @@ embreex, which casts the rays, has wheels for x86_64 only; simulating without sc
 """
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from math import pi, radians
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from holdfast.extras import needing
 from holdfast.messages import Array
 from holdfast.ros.cdr import ENCAPSULATION, NS_PER_S
+from holdfast.sim.boxes import BoxMotion, distances
 from holdfast.sim.sensors.scanner import SimulatedScanner
 
 if TYPE_CHECKING:
@@ -39,12 +41,14 @@ class Scan:
         points: (N, 3) each in L at its own time [m].
         offset_ns: (N,) time of each point since the start of the sweep.
         ring: (N,) ray of each point; 0 is the highest.
+        moving: (N,) whether the point lies on a box that moves: the machine itself, or traffic.
     """
 
     index: int
     points: NDArray[np.float32]
     offset_ns: NDArray[np.uint32]
     ring: NDArray[np.uint16]
+    moving: NDArray[np.bool_] | None = None
 
 
 class Scanner:
@@ -73,7 +77,7 @@ class Scanner:
         """Return the true time (columns,) of each column of a sweep that starts at `start_s`."""
         return start_s + np.arange(self._lidar.columns) / (self._lidar.columns * self._lidar.rate_hz)
 
-    def scan(self, k: int, R_W_L: Array, p_W: Array, rng: np.random.Generator) -> Scan:
+    def scan(self, k: int, R_W_L: Array, p_W: Array, rng: np.random.Generator, boxes: Sequence[BoxMotion] = ()) -> Scan:
         """Return sweep `k`.
 
         Args:
@@ -81,17 +85,21 @@ class Scanner:
             R_W_L: (columns, 3, 3) attitude of the lidar at each column's time.
             p_W: (columns, 3) its position [m].
             rng: of range noise and drop-outs; every sweep takes equally many numbers, whatever it sees.
+            boxes: that move, at each column's time.
         """
         lidar = self._lidar
         directions = (self._rays @ R_W_L.transpose(0, 2, 1)).astype(np.float32).reshape(-1, 3)
         origins = np.repeat(p_W.astype(np.float32), lidar.channels, axis=0)
         distance: NDArray[np.float32] = self._scene.run(origins, directions, query="DISTANCE")
+        to_boxes = distances(list(boxes), self._rays, R_W_L, p_W).ravel().astype(np.float32)
+        moving = to_boxes < distance
+        distance = np.minimum(distance, to_boxes)
         distance = distance + np.float32(lidar.range_noise_m) * rng.standard_normal(len(distance), dtype=np.float32)
         kept = (distance >= lidar.min_range_m) & (distance <= lidar.max_range_m)
         kept &= rng.random(len(distance), dtype=np.float32) >= lidar.dropout_ratio
         returned = np.flatnonzero(kept)
         points = self._flat_rays[returned] * distance[returned, None]
-        return Scan(k, points, self._offset_ns[returned], self._ring[returned])
+        return Scan(k, points, self._offset_ns[returned], self._ring[returned], moving[returned])
 
 
 def encode_points(scan: Scan, stamp_ns: int, frame_id: str, *, point_times: bool = True) -> bytes:

@@ -21,6 +21,7 @@ from holdfast.geometry.earth import Geodetic
 from holdfast.sim.datasheets import Sheet, SimulatedSensor
 from holdfast.sim.fault import Fault
 from holdfast.sim.faults import affected_kinds, can_happen
+from holdfast.sim.movers import Arm, Mover, Part
 from holdfast.sim.sensors import KINDS, AnySheet, names_sensors
 from holdfast.sim.sensors.imu import SimulatedImu
 
@@ -181,11 +182,14 @@ class Scenario(Section):
     engine: Engine = Engine()
     extrinsics: tuple[Extrinsic, ...] = Field(description="sensor frames in `cabin` or `base_link`")
     sensors: dict[str, AnySheet] = Field(description="name -> its datasheet, with `kind`; null takes one away")
+    body: tuple[Part, ...] = Field((), description="parts of the machine that its own lidar sees")
+    arm: Arm | None = Field(None, description="boom, stick and bucket that the lidar sees; without it there are none")
     absent: tuple[str, ...] = Field((), description="sensors that the machine's file lists and this machine lacks")
     # of the site
     datum: Datum
     ground: Ground = Ground()
     objects: Objects = Objects()
+    traffic: tuple[Mover, ...] = Field((), description="people and trucks that the lidar sees")
 
     @property
     def geodetic_datum(self) -> Geodetic:
@@ -218,6 +222,9 @@ class Scenario(Section):
         for index, extrinsic in enumerate(self.extrinsics):
             if extrinsic.parent not in (BASE, CABIN):
                 yield f"extrinsics: parent of entry {index + 1} must be {BASE} or {CABIN}"
+        for number, part in enumerate(self.body, start=1):
+            if part.frame not in (BASE, CABIN):
+                yield f"body: frame of entry {number} must be {BASE} or {CABIN}"
         if not self.sensors_of(SimulatedImu):
             yield "sensors: needs a sensor with `kind: imu`"
         for name, sensor in self.sensors.items():

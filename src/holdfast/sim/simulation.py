@@ -5,14 +5,17 @@ from dataclasses import dataclass
 
 from holdfast.geometry.earth import LocalFrame
 from holdfast.messages import Array
+from holdfast.sim.arm import Parts
+from holdfast.sim.boxes import MovingBoxes
 from holdfast.sim.datasheets import SimulatedSensor
 from holdfast.sim.faults import apply_faults
 from holdfast.sim.motion import Motion
-from holdfast.sim.readings import Readings
+from holdfast.sim.readings import Readings, generator
 from holdfast.sim.scenario import Scenario
 from holdfast.sim.scene import Scene
 from holdfast.sim.sensors import KINDS
 from holdfast.sim.site import Site
+from holdfast.sim.traffic import Traffic
 from holdfast.sim.transport import Delivered, deliver, sample_times_s
 
 START_NS = 1_600_000_000_000_000_000
@@ -39,6 +42,15 @@ class Simulation:
     def imu_times_s(self) -> Array:
         """Return the true times of the cabin IMU's samples (N,), at which the truth is written."""
         return sample_times_s(self.scenario.imu.rate_hz, self.scenario.duration_s)
+
+    def moving_boxes(self) -> list[MovingBoxes]:
+        """Return what the lidar sees beside the site: the machine's own body and arm, and traffic."""
+        movers = self.scenario.traffic
+        seeds = [generator(self.seed, "traffic", str(number)) for number in range(len(movers))]
+        return [
+            Parts(self.scenario.body, self.scenario.arm, self.motion),
+            Traffic(movers, self.site.terrain, self.scenario.duration_s, seeds),
+        ]
 
 
 def simulate(scenario: Scenario, seed: int) -> Simulation:

@@ -1,0 +1,164 @@
+"""Which directions a scan holds: a tunnel holds no motion along itself, an open field neither position nor heading.
+
+A point on a plane measures the motion across it: J = [p x n; n] of the tangent of L, rotation first. A is the sum of
+w J J^T. A normal that is fitted to neighbours with noise s errs by s / sqrt(k l) about each axis of the plane, l the
+variance of the neighbours along it, and so pretends to hold directions that it does not: B is what such errors add to A
+by themselves. The eigenvalues of A against B say how many times more a direction is held than by noise alone. They have
+no unit, so rotation and translation need no common scale, and it is 1 in a direction that nothing holds: decision 032.
+Directions below UNHELD are taken from the guess (solution remapping; Zhang, Kaess and Singh 2016, with B
+in the place of their threshold).
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.linalg import eigh
+from scipy.spatial import cKDTree
+
+from holdfast.messages import Array
+
+UNHELD = 5.0  # it is 0 to 3 along smooth walls, 6 to 50 on a flat yard with three containers, 10 and more on a site
+WEAK = 10.0  # below, thick planes pull so much that the motion is in doubt; what was lost is held again from here on
+SAMPLES = 2500
+NEIGHBOURS = 10
+FINEST_M = 0.002  # the noise of thinned points is that of their neighbourhood, and not less than this
+RANGE_NOISE_M = 0.02  # of the usual lidar; a surface is not smoother than that
+THICKNESS = 1e-3  # a registration of thick planes pulls along them, too, towards the pattern of the sweep before
+PARTNER_M = 1.0  # a point without the sweep before it nearby has nothing in the map yet that it could be held by
+# what the guess may miss: machines brake with less than 1 m/s^2 and are slower than 10 m/s; gyroscopes are biased by
+# less than 0.005 rad/s; without one, a cabin starts to slew with 0.6 rad/s^2
+ACCELERATION_M_S2, SPEED_M_S, VELOCITY_SIGMA_M_S = 1.0, 10.0, 0.05
+ANGULAR_ACCELERATION_RAD_S2, RATE_RAD_S, GYROSCOPE_RAD_S = 0.6, 1.0, 0.005
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observability:
+    """What a scan holds.
+
+    Attributes:
+        directions: (6, 6) of the tangent of L in columns, rotation [rad] then translation [m]; V^T B V = 1.
+        duals: (6, 6) columns B V: the parts of a motion are W^T x.
+        ratios: (6,) how many times more each is held than by noise, increasing.
+        least: the ratio from which on a direction counts as held.
+    """
+
+    directions: Array
+    duals: Array
+    ratios: Array
+    least: float = UNHELD
+
+    @property
+    def unheld(self) -> int:
+        """The number of directions that are not held."""
+        return int((self.ratios < self.least).sum())
+
+    def held_part(self, motion: Array) -> Array:
+        """Return the part of a motion (6,) that the scan measures."""
+        held = self.ratios >= self.least
+        part: Array = self.directions[:, held] @ (self.duals[:, held].T @ motion)
+        return part
+
+    def covariance(self, registered: Array, guess: Array, motion: Array) -> Array:
+        """Return the covariance (6, 6) of a pose: that of the registration where it holds, else that of the guess.
+
+        Where it holds weakly, thick planes pull towards no motion: so much of the motion is in doubt.
+
+        Args:
+            registered: (6, 6) covariance of the registration.
+            guess: (6, 6) covariance of the guess.
+            motion: (6,) since the pose before.
+        """
+        if self.ratios[0] >= WEAK:
+            return registered
+        held = self.ratios >= self.least
+        V, D, W = self.directions[:, held], self.directions[:, ~held], self.duals[:, ~held]
+        doubted = np.clip(1.0 - self.ratios[held] / WEAK, 0.0, 1.0) * (self.duals[:, held].T @ motion)
+        inner = np.linalg.inv(V.T @ np.linalg.solve(registered, V)) + np.diag(doubted**2)
+        covariance: Array = V @ inner @ V.T + D @ (W.T @ guess @ W) @ D.T
+        return (covariance + covariance.T) / 2.0
+
+
+@dataclass(slots=True)
+class Degeneracy:
+    """Looks at sweep after sweep; it knows the one before, and since when the guess has gone on alone.
+
+    Attributes:
+        unheld_s: how long not all directions have been held.
+    """
+
+    unheld_s: float = 0.0
+    _before: cKDTree | None = field(default=None, repr=False)
+
+    def look(self, points: Array, motion: Array) -> Observability:
+        """Return what a sweep holds, of the points near which there was one in the sweep before.
+
+        Args:
+            points: (N, 3) thinned, in L [m].
+            motion: (4, 4) pose of L in the L of the sweep before.
+        """
+        tree, before = cKDTree(points), self._before
+        self._before = tree
+        sampled = points[:: max(1, len(points) // SAMPLES)]
+        if before is not None:
+            there, _ = before.query(sampled @ motion[:3, :3].T + motion[:3, 3], distance_upper_bound=PARTNER_M)
+            sampled = sampled[np.isfinite(there)]
+        found = observability(sampled, points[tree.query(sampled, NEIGHBOURS)[1]])
+        return replace(found, least=WEAK) if self.unheld_s > 0.0 else found
+
+    def guess_covariance(self, interval_s: float, found: Observability, has_gyroscope: bool) -> Array:
+        """Return the covariance (6, 6) of the guessed motion over an interval, and count how long it goes on.
+
+        Errors of the guess add up: an acceleration that it misses makes a velocity that lasts. Each interval claims
+        what the bound D grows in it, D(t)^2 - D(t - dt)^2, so that independent claims sum to D^2.
+        """
+        before_s = self.unheld_s
+        self.unheld_s = before_s + interval_s if found.unheld else 0.0
+        after_s = before_s + interval_s
+        shift = _distance_m(after_s) ** 2 - _distance_m(before_s) ** 2
+        turn = _angle_rad(after_s, has_gyroscope) ** 2 - _angle_rad(before_s, has_gyroscope) ** 2
+        return np.diag(np.repeat([turn, shift], 3))
+
+
+def observability(points: Array, neighbours: Array) -> Observability:
+    """Return what points hold.
+
+    Args:
+        points: (N, 3) in L [m].
+        neighbours: (N, k, 3) the points around each [m].
+    """
+    count = neighbours.shape[1]
+    apart = neighbours - neighbours.mean(axis=1, keepdims=True)
+    variances, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart) / count)
+    noise = np.maximum(variances[:, 0] * count / (count - 3), FINEST_M**2)
+    weights = RANGE_NOISE_M**2 / np.maximum(noise, RANGE_NOISE_M**2)
+    held = _information(points, axes[:, :, 0], weights)
+    pull = np.zeros((6, 6))
+    for axis in (1, 2):
+        across = np.maximum(variances[:, axis], noise)
+        tilt = np.clip(noise * across / (count * np.maximum(across - noise, 1e-9) ** 2), 0.0, 1.0)
+        held -= _information(points, axes[:, :, axis], weights * tilt)
+        pull += _information(points, axes[:, :, axis], weights * np.maximum(tilt, THICKNESS))
+    pull += 1e-9 * np.trace(pull) * np.eye(6)
+    ratios, directions = eigh(held, pull)
+    return Observability(directions, pull @ directions, ratios)
+
+
+def _information(points: Array, normals: Array, weights: Array) -> Array:
+    J = np.concatenate([np.cross(points, normals), normals], axis=1)
+    information: Array = (J * weights[:, None]).T @ J
+    return information
+
+
+def _distance_m(time_s: float) -> float:
+    """Return how far off the guess may be after a time."""
+    accelerating_s = min(time_s, SPEED_M_S / ACCELERATION_M_S2)
+    accelerated = 0.5 * ACCELERATION_M_S2 * accelerating_s**2 + SPEED_M_S * (time_s - accelerating_s)
+    return VELOCITY_SIGMA_M_S * time_s + accelerated
+
+
+def _angle_rad(time_s: float, has_gyroscope: bool) -> float:
+    """Return how much the guessed attitude may be off after a time."""
+    if has_gyroscope:
+        return GYROSCOPE_RAD_S * time_s
+    accelerating_s = min(time_s, RATE_RAD_S / ANGULAR_ACCELERATION_RAD_S2)
+    return 0.5 * ANGULAR_ACCELERATION_RAD_S2 * accelerating_s**2 + RATE_RAD_S * (time_s - accelerating_s)
