@@ -65,7 +65,7 @@ class Smoother:
         self._config = config.graph
         self._lag_ns = round(config.graph.lag_s * 1e9)
         self.imu = buffer
-        self._noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
+        self.imu_noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
         self._motion_model = MotionModel(config.motion_model, gravity)
         self._bias_walk = np.repeat([imu.accelerometer_random_walk, imu.gyroscope_random_walk], 3)
         self._new_solver = new_solver or (lambda: Window(self._relinearize_thresholds()))
@@ -378,7 +378,7 @@ class Smoother:
             pim = self._motion_model.preintegrate((end_ns - start_ns) * 1e-9, nav, rate, bias)
         else:
             seen = self.imu.density(start_ns, end_ns)
-            pim = preintegrate(self.imu.steps(start_ns, end_ns), self._noise, nav.attitude(), self._bias_hat, seen)
+            pim = preintegrate(self.imu.steps(start_ns, end_ns), self.imu_noise, nav.attitude(), self._bias_hat, seen)
         factor = gtsam.ImuFactor2(self._nodes.key(start_ns), self._nodes.key(end_ns), bias_key, pim)
         self._links[start_ns] = Link(start_ns, end_ns, bias_key, is_gap, self.add(factor))
         self._window.keep(bias_key, end_ns)

@@ -10,6 +10,7 @@ from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.odometry_track import OdometryTrack
 from holdfast.integrity.drift_monitor import NOMINAL, Contradiction, DriftMonitor
+from holdfast.integrity.odometry_learning import OdometryLearning
 from holdfast.messages import Array
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
 from holdfast.state import EventKind, Outcome
@@ -33,6 +34,7 @@ class _Odometry:
         self.model = model
         self.noise = OdometryNoise(model)
         self.monitor = DriftMonitor(self.noise)
+        self.learning = OdometryLearning(self.noise)
         self.used_ns: int | None = None
         self.is_lost = False
         self._jumps_ns: list[int] = []
@@ -45,6 +47,11 @@ class _Odometry:
         self._jumps_ns.clear()
         self.noise.trust_less(DISTRUST)
         return True
+
+    def forget_frame(self) -> None:
+        """The odometry has jumped or slipped, or the estimate was moved."""
+        self.monitor.forget_frame()
+        self.learning.forget_frame()
 
     def is_silent(self, now_ns: int) -> bool:
         return self.used_ns is not None and now_ns - self.used_ns > self.model.config.silence_s * 1e9
@@ -67,6 +74,10 @@ class Odometries:
 
     def __len__(self) -> int:
         return len(self._odometries)
+
+    def noise(self, odometry: str) -> OdometryNoise:
+        """Return what the motion of an odometry weighs."""
+        return self._odometries[odometry].noise
 
     def new_tracks(self) -> dict[str, OdometryTrack]:
         """Return an empty track of each odometry for a new graph."""
@@ -92,9 +103,11 @@ class Odometries:
             often = "; too often: its noise is trebled" if odometry.note_jump(pose.stamp_ns) else ""
             reason = f"the IMU did not measure this motion{often}"
             self._log.report(EventKind.ODOMETRY_JUMP, pose.stamp_ns, pose.sensor, reason)
-            odometry.monitor.forget_frame()
+            odometry.forget_frame()
         if pose.excess is not None:
-            odometry.monitor.forget_frame()  # it does not know its motion, and so cannot contradict
+            odometry.forget_frame()  # it does not know its motion: it cannot contradict, nor be learnt from
+        elif outcome is Outcome.USED and pose is graph.newest_pose(pose.sensor):
+            odometry.learning.learn_from_scan(graph.main, pose)
         self._log.record(pose.stamp_ns, pose.sensor, outcome)
         return outcome
 
@@ -115,13 +128,15 @@ class Odometries:
         for name, pose in self._due(graph):
             covariance, calibration = graph.main.covariance(pose.stamp_ns), _calibration(graph, name)
             monitor = self._odometries[name].monitor
-            found = monitor.observe(pose, self.estimated(graph, pose), covariance, calibration)
+            T_W_I = self.estimated(graph, pose)
+            self._odometries[name].learning.learn_from_place(pose, T_W_I, covariance, calibration, now_ns)
+            found = monitor.observe(pose, T_W_I, covariance, calibration)
             if found is None:
                 continue
             others = [one.monitor for other, one in self._odometries.items() if other != name]
             if not found.is_slip and not any(one.vouches(found.since_ns, now_ns) for one in others):
                 return Walk(name, pose, found)
-            self._odometries[name].monitor.forget_frame()
+            self._odometries[name].forget_frame()
             self._log.report(EventKind.ODOMETRY_SLIP, now_ns, name, f"{found.distance_m:.2f} m beside GNSS")
             graph.begin_tracks_anew(graph.main, name)
         return None
@@ -138,12 +153,13 @@ class Odometries:
     def forget_frames(self) -> None:
         """The estimate has jumped, or the graph lost its window."""
         for one in self._odometries.values():
-            one.monitor.forget_frame()
+            one.forget_frame()
 
     def forget_after(self, stamp_ns: int) -> None:
         """The estimate went astray after a time, and is now put back."""
         for one in self._odometries.values():
             one.monitor.forget_after(stamp_ns)
+            one.learning.forget_after(stamp_ns)
 
     def trust_less(self) -> None:
         """The odometries have held an estimate against fixes that were right."""

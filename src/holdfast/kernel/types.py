@@ -7,4 +7,5 @@ VECTOR = numba.types.Array(FLOAT64, 1, "A")
 READING = numba.types.UniTuple(FLOAT64, 6)  # specific force [m/s^2], angular velocity [rad/s]
 PAIR, TRIPLE = numba.types.UniTuple(FLOAT64, 2), numba.types.UniTuple(FLOAT64, 3)
 UNTIL = numba.types.Tuple((INT64, BOOL))  # a time [ns] and a flag
+FLOATS = numba.types.Array(FLOAT64, 1, "C")
 INTS = numba.types.Array(INT64, 1, "C")

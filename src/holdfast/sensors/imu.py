@@ -13,6 +13,7 @@ import numpy as np
 from holdfast.config.sensors import InertialConfig
 from holdfast.kernel import layout
 from holdfast.kernel.density import LENGTH, find_density
+from holdfast.kernel.inertial_motion import add_up
 from holdfast.kernel.samples import (
     IS_LINE,
     STEPPED,
@@ -55,6 +56,20 @@ class Piece(NamedTuple):
     start_ns: int
     end_ns: int
     is_gap: bool
+
+
+class InertialMotion(NamedTuple):
+    """What the IMU measured over a stretch of time, in the frame where it was at the start, without gravity.
+
+    Attributes:
+        R: (3, 3) rotation.
+        v: (3,) change of the velocity [m/s].
+        p: (3,) change of the position beyond that of the velocity at the start [m].
+    """
+
+    R: Array
+    v: Array
+    p: Array
 
 
 class ImuBuffer:
@@ -265,10 +280,22 @@ class ImuBuffer:
             at_ns = until_ns
         return cuts
 
+    def motion(self, start_ns: int, end_ns: int, bias: Array) -> InertialMotion:
+        """Return what the IMU measured in [start, end], which must hold no gap.
+
+        `bias` (6,) is that of the accelerometer [m/s^2] and of the gyroscope [rad/s].
+        """
+        steps, summed = self._steps(start_ns, end_ns), np.empty(15)
+        add_up(steps, len(steps), tuple(bias.tolist()), summed)
+        return InertialMotion(summed[:9].reshape(3, 3), summed[9:12], summed[12:])
+
+    def _steps(self, start_ns: int, end_ns: int) -> Any:
+        steps = np.empty(self._row_after(end_ns) - self._row_after(start_ns) + 2, layout.STEP)
+        return steps[: fill_steps(self.record, self.samples, start_ns, end_ns, steps)]
+
     def steps(self, start_ns: int, end_ns: int) -> list[Step]:
         """Return the steps that fill [start, end], which must hold no gap."""
-        steps = np.empty(self._row_after(end_ns) - self._row_after(start_ns) + 2, layout.STEP)
-        steps = steps[: fill_steps(self.record, self.samples, start_ns, end_ns, steps)]
+        steps = self._steps(start_ns, end_ns)
         return [Step(*one) for one in zip(steps["dt_s"].tolist(), steps["force"], steps["rate"], strict=True)]
 
     def angular_velocity(self, stamp_ns: int) -> Array:

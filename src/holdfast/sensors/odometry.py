@@ -4,7 +4,7 @@ Its poses are relative, so one state says nothing of them: `holdfast.graph.odome
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import gtsam
 import numpy as np
@@ -79,14 +79,28 @@ def is_possible(motion: gtsam.Pose3, duration_s: float) -> bool:
     return bool(np.linalg.norm(motion.translation()) <= MAX_SPEED_M_S * duration_s)
 
 
+class LearntNoise(NamedTuple):
+    """How many times larger the sigmas of an odometry are than configured: noise of its poses, and drift."""
+
+    rotation_noise: float = 1.0
+    translation_noise: float = 1.0
+    rotation_drift: float = 1.0
+    translation_drift: float = 1.0
+
+
+CONFIGURED = LearntNoise()
+
+
 class OdometryNoise:
     """What the motion of an odometry weighs: as configured, times a scale that grows where it proves to be worse.
 
+    What is learnt of it counts for the factors alone: a test for jumps or slips that learnt would go blind.
     It lives as long as one start of the estimator.
     """
 
     def __init__(self, model: OdometryModel) -> None:
         self.scale = 1.0
+        self.learnt = CONFIGURED
         self.calibration = model.calibration
         self._config = model.config
         self._adjoint = model.adjoint
@@ -116,7 +130,7 @@ class OdometryNoise:
         return 0.5 * float(sigmas[0]) ** 2, 0.5 * float(sigmas[3]) ** 2
 
     def drift(self, motion: gtsam.Pose3, duration_s: float) -> Array:
-        """Return the sigmas (6,) of the drift of the odometry over a motion, rotation [rad] then translation [m].
+        """Return the sigmas (6,) of the configured drift over a motion, rotation [rad] then translation [m].
 
         What cannot be told from the noise of two poses is no motion: a standing odometry hardly drifts.
         """
@@ -152,7 +166,7 @@ class OdometryNoise:
         Its noise is that of one pose, half the variance of a motion between two. Where the calibration is estimated,
         it is on that, too; then it needs the `angular_velocity` (3,) of I [rad/s].
         """
-        covariance = self._at_imu(0.5 * self._sigmas() ** 2)
+        covariance = self._at_imu(0.5 * self._learnt_sigmas() ** 2)
         if calibration_key is None:
             return self._between(frame_key, key, motion, covariance)
         noise = noise_model(covariance, self._config.robust_loss)
@@ -162,7 +176,7 @@ class OdometryNoise:
     def pseudo_global_factor(self, key: int, T_W_I: gtsam.Pose3, excess: Array | None = None) -> gtsam.NonlinearFactor:
         """Return the pose factor in W of the paper's fallback graph (IV-A.4b): roll and pitch are left to the IMU."""
         covariance = np.eye(9) * FREE_VARIANCE
-        covariance[:6, :6] = _with(excess, self._at_imu(0.5 * self._sigmas() ** 2))
+        covariance[:6, :6] = _with(excess, self._at_imu(0.5 * self._learnt_sigmas() ** 2))
         R = T_W_I.rotation().matrix()
         covariance[:3, :3] += R.T @ np.diag([LOOSE_TILT_RAD**2, LOOSE_TILT_RAD**2, 0.0]) @ R
         model = noise_model(covariance, self._config.robust_loss)
@@ -182,7 +196,8 @@ class OdometryNoise:
         Where the calibration is estimated, it is on that, too.
         """
         covariance = np.eye(9) * STILL_M_S**2
-        covariance[:6, :6] = _with(excess, np.diag(self.drift(motion, duration_s) ** 2))
+        learnt = np.repeat([self.learnt.rotation_drift, self.learnt.translation_drift], 3)
+        covariance[:6, :6] = _with(excess, np.diag((learnt * self.drift(motion, duration_s)) ** 2))
         model = gtsam.noiseModel.Gaussian.Covariance(covariance)
         if calibration_key is not None:
             return self.calibration.drift_factor((before_key, key, calibration_key), motion, model)
@@ -198,6 +213,10 @@ class OdometryNoise:
 
     def _sigmas(self) -> Array:
         sigmas: Array = self.scale * np.repeat([self._config.rotation_sigma_rad, self._config.translation_sigma_m], 3)
+        return sigmas
+
+    def _learnt_sigmas(self) -> Array:
+        sigmas: Array = self._sigmas() * np.repeat([self.learnt.rotation_noise, self.learnt.translation_noise], 3)
         return sigmas
 
     def _at_imu(self, variances: Array) -> Array:

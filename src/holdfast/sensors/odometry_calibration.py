@@ -29,6 +29,7 @@ class OdometryCalibration:
     def __init__(self, config: OdometryConfig, T_I_L: gtsam.Pose3) -> None:
         self._T_I_L, self._T_L_I = T_I_L, T_I_L.inverse()
         self._adjoint: Array = T_I_L.AdjointMap()[:, :3]
+        self.lever_arm: Array = T_I_L.translation()
         sigmas = np.array([*np.repeat(np.radians(config.mounting_sigma_deg), 3), config.time_offset_sigma_s])
         if_right = np.array([*np.full(3, np.inf), IF_RIGHT_S])
         self.prior = Parameter(np.zeros(SIZE), np.maximum(sigmas, KNOWN), if_right) if sigmas.any() else None

@@ -56,6 +56,7 @@ class ImuNoise:
         self._integration_sigma = integration_sigma
         self._up = np.array([0.0, 0.0, gravity])
         self.gravity = gravity
+        self.density = Density(config.accelerometer_noise_density, config.gyroscope_noise_density)
         self._force_error = config.accelerometer_error_ratio * sqrt(MOTION_CORRELATION_S)
         self._rate_error = config.gyroscope_error_ratio * sqrt(MOTION_CORRELATION_S)
 
@@ -80,6 +81,10 @@ class ImuNoise:
             self._integration_sigma,
             self.gravity,
         )
+
+    def rate_error_variance(self, rotation_rad: float, duration_s: float) -> float:
+        """Return the variance [rad^2] of an even rotation by scale factor and misalignment, per axis: (10)."""
+        return (self._rate_error * rotation_rad) ** 2 / duration_s
 
 
 class Step(NamedTuple):

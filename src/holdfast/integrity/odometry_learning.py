@@ -1,0 +1,233 @@
+"""Learns how noisy an odometry is and how fast it drifts, rotation and translation apart: (70) to (73) in docs/math.md.
+
+Noise is what two scans contradict the IMU by, drift what spans of seconds contradict the gyroscope and the fixes by. No
+residual is of an estimate that the same number has led: the rotation is compared with the gyroscope alone, the motion
+over three scans with the specific force alone, and the distance with that between estimates while GNSS is trusted.
+"""
+
+from collections import deque
+from typing import NamedTuple
+
+import gtsam
+import numpy as np
+
+from holdfast.graph.smoother import Smoother
+from holdfast.integrity.scale_posterior import ScalePosterior
+from holdfast.messages import Array
+from holdfast.sensors.imu import InertialMotion
+from holdfast.sensors.odometry import LearntNoise, OdometryNoise, TrackPose
+
+STEP_NS = 1_000_000_000
+MAX_STEP_NS = 3 * STEP_NS
+TRANSLATION_SPANS, ROTATION_SPANS = (5, 10, 20), (1, 3, 10, 20)  # steps
+DRIFT_MEMORY_S, NOISE_MEMORY_SCANS = 600.0, 300
+DELAY_NS = 20_000_000_000  # what is seen of distances is learnt so much later: until then the fixes may have walked
+LOWEST_NOISE, LOWEST_DRIFT = 0.2, 0.4
+LOWEST_ROTATION = 0.7  # which of them is better odometry and gyroscope do not tell each other
+ATTITUDE_SIGMA_RAD = 1e-3  # of the estimate, at least
+
+
+class _Step(NamedTuple):
+    """What lies between two poses that are about a second apart, the sums since the first of all."""
+
+    stamp_ns: int
+    by_gyroscope: gtsam.Rot3
+    by_odometry: gtsam.Rot3
+    drift_variance: float
+    gyroscope_variance: float
+    time_s: float
+
+
+class _Place(NamedTuple):
+    """Where the machine was estimated, and where the odometry has carried it since the first place."""
+
+    stamp_ns: int
+    p_W_I: Array
+    carried_W: Array
+    variance: float
+    drift_variance: float
+
+
+class _Evidence(NamedTuple):
+    stamp_ns: int
+    squared: float
+    scaled: float
+    other: float
+    weight: float
+
+
+class OdometryLearning:
+    """What is learnt of one odometry, as long as one start of the estimator lasts."""
+
+    def __init__(self, noise: OdometryNoise) -> None:
+        self._noise = noise
+        self._noises = ScalePosterior(), ScalePosterior()  # rotation, translation
+        self._drifts = ScalePosterior(), ScalePosterior()
+        self._scans: deque[tuple[TrackPose, InertialMotion | None]] = deque(maxlen=3)
+        self._first: TrackPose | None = None  # of the step that has begun
+        self._steps: deque[_Step] = deque(maxlen=max(ROTATION_SPANS) + 1)
+        self._before: tuple[TrackPose, gtsam.Rot3] | None = None
+        self._places: deque[_Place] = deque(maxlen=max(TRANSLATION_SPANS) + 1)
+        self._pending: deque[_Evidence] = deque()
+
+    def forget_frame(self) -> None:
+        """The odometry has jumped, or the estimate: nothing before is to be compared with what comes."""
+        self._scans.clear()
+        self._steps.clear()
+        self._places.clear()
+        self._first = self._before = None
+
+    def forget_after(self, stamp_ns: int) -> None:
+        """The estimate went astray after a time."""
+        self._places.clear()
+        self._before = None
+        while self._pending and self._pending[-1].stamp_ns > stamp_ns:
+            self._pending.pop()
+
+    def learn_from_scan(self, smoother: Smoother, pose: TrackPose) -> None:
+        """Compare a pose, which is the newest and has a node, with the IMU since the poses before."""
+        before = self._scans[-1][0] if self._scans else None
+        measured = None
+        if before is not None:
+            if pose.stamp_ns <= before.stamp_ns:
+                return
+            measured = self._measured(smoother, before.stamp_ns, pose.stamp_ns)
+        self._scans.append((pose, measured))
+        if before is None or measured is None:
+            self._steps.clear()
+            self._first = pose
+            return
+        self._compare_rotation(before, pose, measured, smoother)
+        if len(self._scans) == 3 and self._scans[1][1] is not None:
+            self._compare_translation(smoother)
+        for posterior in self._noises:
+            posterior.forget(1.0 / NOISE_MEMORY_SCANS)
+        if self._first is not None and pose.stamp_ns - self._first.stamp_ns >= STEP_NS:
+            self._add_step(smoother, self._first, pose)
+            self._first = pose
+        self._tell()
+
+    def learn_from_place(
+        self, pose: TrackPose, T_W_I: gtsam.Pose3, covariance: Array, calibration: Array, now_ns: int
+    ) -> None:
+        """Compare where GNSS has led the estimate at a pose with where the odometry has carried it; once a second.
+
+        `covariance` (9, 9) is that of its node, `calibration` (4,) what is estimated of the odometry.
+        """
+        before, self._before = self._before, (pose, T_W_I.rotation())
+        variance = float(covariance[3:6, 3:6].trace()) / 3.0
+        if before is None or not 0 < pose.stamp_ns - before[0].stamp_ns <= MAX_STEP_NS:
+            self._places.clear()
+            self._places.append(_Place(pose.stamp_ns, T_W_I.translation(), np.zeros(3), variance, 0.0))
+            return
+        motion = self._noise.calibration.motion(before[0].T_I0_I.between(pose.T_I0_I), calibration)
+        last = self._places[-1]
+        drift = self._noise.drift(motion, (pose.stamp_ns - before[0].stamp_ns) * 1e-9)[3]
+        carried = last.carried_W + before[1].rotate(motion.translation())
+        here = _Place(pose.stamp_ns, T_W_I.translation(), carried, variance, last.drift_variance + float(drift) ** 2)
+        self._places.append(here)
+        attitude_variance = max(float(covariance[:3, :3].trace()) / 3.0, ATTITUDE_SIGMA_RAD**2)
+        for span in TRANSLATION_SPANS:
+            if len(self._places) > span:
+                self._pending.append(self._evidence(self._places[-1 - span], here, attitude_variance, span))
+        while self._pending and now_ns - self._pending[0].stamp_ns > DELAY_NS:
+            one = self._pending.popleft()
+            self._drifts[1].learn(one.squared, 3, one.scaled, one.other, one.weight)
+        self._drifts[1].forget((pose.stamp_ns - before[0].stamp_ns) * 1e-9 / DRIFT_MEMORY_S)
+        self._tell()
+
+    def _evidence(self, then: _Place, here: _Place, attitude_variance: float, span: int) -> _Evidence:
+        carried, moved = here.carried_W - then.carried_W, here.p_W_I - then.p_W_I
+        of_poses = self._noise.learnt.translation_noise**2 * 2.0 * self._noise.pose_variances()[1]
+        other = then.variance + here.variance + of_poses + attitude_variance * float(carried @ carried)
+        residual = moved - carried
+        scaled = here.drift_variance - then.drift_variance
+        return _Evidence(here.stamp_ns, float(residual @ residual), scaled, other, 1.0 / span)
+
+    def _measured(self, smoother: Smoother, start_ns: int, end_ns: int) -> InertialMotion | None:
+        """Return what the IMU measured between two poses; None where it did not measure all along."""
+        imu = smoother.imu
+        if end_ns - start_ns > MAX_STEP_NS or start_ns < imu.oldest_ns or not imu.is_trusted(start_ns, end_ns):
+            return None
+        return imu.motion(start_ns, end_ns, smoother.newest.bias.vector())
+
+    def _compare_rotation(
+        self, before: TrackPose, pose: TrackPose, measured: InertialMotion, smoother: Smoother
+    ) -> None:
+        """Compare the rotation between two scans with that of the gyroscope: (71)."""
+        motion = before.T_I0_I.between(pose.T_I0_I)
+        duration_s = (pose.stamp_ns - before.stamp_ns) * 1e-9
+        residual = gtsam.Rot3.Logmap(gtsam.Rot3(measured.R).between(motion.rotation()))
+        drift = self._drifts[0].value * float(self._noise.drift(motion, duration_s)[0])
+        other = drift**2 + _gyroscope_variance(smoother, motion, duration_s)
+        self._noises[0].learn(float(residual @ residual), 3, 2.0 * self._noise.pose_variances()[0], other, 0.5)
+
+    def _compare_translation(self, smoother: Smoother) -> None:
+        """Compare how the velocity changes between the middles of two intervals with the specific force: (72)."""
+        (first, _), (middle, to_middle), (last, to_last) = self._scans
+        if to_middle is None or to_last is None or not smoother.imu.is_trusted(first.stamp_ns, last.stamp_ns):
+            return
+        dts = (middle.stamp_ns - first.stamp_ns) * 1e-9, (last.stamp_ns - middle.stamp_ns) * 1e-9
+        dt_1, dt_2 = dts
+        gravity = smoother.nav(middle.stamp_ns).attitude().unrotate(np.array([0.0, 0.0, -smoother.imu_noise.gravity]))
+        lever = self._noise.calibration.lever_arm
+        by_imu = 0.5 * gravity * (dt_1 + dt_2) + (to_last.p + to_last.R @ lever - lever) / dt_2
+        by_imu += to_middle.R.T @ (to_middle.v - (to_middle.p + to_middle.R @ lever - lever) / dt_1)
+        motions = first.T_I0_I.between(middle.T_I0_I), middle.T_I0_I.between(last.T_I0_I)
+        moved_1, moved_2 = (motion.transformFrom(lever) - lever for motion in motions)
+        residual = moved_2 / dt_2 - motions[0].rotation().unrotate(moved_1) / dt_1 - by_imu
+        weights = dt_2**-2 + (1.0 / dt_1 + 1.0 / dt_2) ** 2 + dt_1**-2
+        scaled = self._noise.pose_variances()[1] * weights
+        other = sum(float(self._noise.drift(one, dt_s)[3] / dt_s) ** 2 for one, dt_s in zip(motions, dts, strict=True))
+        other *= self._drifts[1].value ** 2
+        other += smoother.imu_noise.density.accelerometer**2 * (dt_1 + dt_2)
+        self._noises[1].learn(float(residual @ residual), 3, scaled, other, 1.0 / 3.0)
+
+    def _add_step(self, smoother: Smoother, first: TrackPose, last: TrackPose) -> None:
+        """Compare rotations over seconds with those of the gyroscope: (73)."""
+        measured = self._measured(smoother, first.stamp_ns, last.stamp_ns)
+        if measured is None:
+            self._steps.clear()
+            return
+        duration_s = (last.stamp_ns - first.stamp_ns) * 1e-9
+        motion = first.T_I0_I.between(last.T_I0_I)
+        before = self._steps[-1] if self._steps else _Step(first.stamp_ns, gtsam.Rot3(), gtsam.Rot3(), 0.0, 0.0, 0.0)
+        if not self._steps:
+            self._steps.append(before)
+        step = _Step(
+            last.stamp_ns,
+            before.by_gyroscope * gtsam.Rot3(measured.R),
+            before.by_odometry * motion.rotation(),
+            before.drift_variance + float(self._noise.drift(motion, duration_s)[0]) ** 2,
+            before.gyroscope_variance + _gyroscope_variance(smoother, motion, duration_s),
+            before.time_s + duration_s,
+        )
+        self._steps.append(step)
+        bias_variance = float(np.trace(smoother.newest.covariance[12:15, 12:15])) / 3.0
+        of_poses = self._noise.learnt.rotation_noise**2 * 2.0 * self._noise.pose_variances()[0]
+        for span in ROTATION_SPANS:
+            if len(self._steps) > span:
+                then = self._steps[-1 - span]
+                by_gyroscope = then.by_gyroscope.between(step.by_gyroscope)
+                residual = gtsam.Rot3.Logmap(by_gyroscope.between(then.by_odometry.between(step.by_odometry)))
+                other = step.gyroscope_variance - then.gyroscope_variance + of_poses
+                other += bias_variance * (step.time_s - then.time_s) ** 2
+                scaled = step.drift_variance - then.drift_variance
+                self._drifts[0].learn(float(residual @ residual), 3, scaled, other, 1.0 / span)
+        self._drifts[0].forget(duration_s / DRIFT_MEMORY_S)
+
+    def _tell(self) -> None:
+        """Let the factors know what was learnt."""
+        self._noise.learnt = LearntNoise(
+            max(LOWEST_NOISE, self._noises[0].value),
+            max(LOWEST_NOISE, self._noises[1].value),
+            max(LOWEST_ROTATION, self._drifts[0].value),
+            max(LOWEST_DRIFT, self._drifts[1].value),
+        )
+
+
+def _gyroscope_variance(smoother: Smoother, motion: gtsam.Pose3, duration_s: float) -> float:
+    """Return the variance [rad^2] per axis of the gyroscope's rotation over a motion: white noise, scale factors."""
+    rotation_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation())))
+    noise = smoother.imu_noise
+    return noise.density.gyroscope**2 * duration_s + noise.rate_error_variance(rotation_rad, duration_s)

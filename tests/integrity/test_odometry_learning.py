@@ -1,0 +1,77 @@
+"""What is learnt of the noise and the drift of an odometry, rotation and translation apart."""
+
+import gtsam
+import numpy as np
+import pytest
+from motion import ARM, Drive, machine, ns
+from rig import Rig, position
+
+from holdfast.integrity.odometry_learning import LOWEST_ROTATION
+from holdfast.sensors.odometry import LearntNoise, TrackPose
+
+END_S = 60.0
+DRIVE = Drive(start_s=-3.0)
+JITTER = 0.002, 0.02  # as configured, between two poses: rotation [rad], translation [m]
+DRIFT = 0.005, 0.04  # per root of rad, of m
+
+
+def poses(noise, drift, seed=3, worse_from_s=np.inf):
+    """Poses of a lidar, its noise and its drift so many times that configured; ten times more from a time on."""
+    rng, track, last = np.random.default_rng(seed), gtsam.Pose3(), DRIVE.pose(0.1)
+    for t in np.arange(0.1, END_S, 0.2):
+        worse = 10.0 if t > worse_from_s else 1.0
+        motion, last = last.between(DRIVE.pose(t)), DRIVE.pose(t)
+        rotation = np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation()))
+        sigmas = np.repeat([DRIFT[0] * np.sqrt(rotation), DRIFT[1] * np.sqrt(np.linalg.norm(motion.translation()))], 3)
+        track = track * motion * gtsam.Pose3.Expmap(worse * drift * sigmas * rng.standard_normal(6))
+        jitter = worse * noise * np.repeat(JITTER, 3) / np.sqrt(2.0) * rng.standard_normal(6)
+        yield t, TrackPose(ns(t), "lidar", track * gtsam.Pose3.Expmap(jitter))
+
+
+def learnt(noise, drift, worse_from_s=np.inf, walk_from_s=np.inf, end_s=END_S):
+    """What is known of the lidar in the end, with a fix every second; they walk from a time on."""
+    rig = Rig(DRIVE, machine(), end_s)
+    due_s = 0.0
+    for t, pose in poses(noise, drift, worse_from_s=worse_from_s):
+        if t >= end_s:
+            break
+        rig.odometries.add(rig.graph, pose, pose.stamp_ns)
+        if t >= due_s:
+            rig.positions.add(rig.graph, position(DRIVE, t, ARM, (0.1 * max(0.0, t - walk_from_s), 0.0, 0.0)), ns(t))
+            due_s += 1.0
+            rig.update()
+            rig.recovery.review(rig.graph, pose.stamp_ns)
+    noise = rig.odometries.noise("lidar")
+    return LearntNoise(*(noise.scale * one for one in noise.learnt))
+
+
+@pytest.mark.parametrize("noise, drift", [(0.5, 0.25), (1.0, 1.0), (2.0, 2.0)])
+def test_noise_and_drift_are_found_in_both_directions(noise, drift):
+    found = learnt(noise, drift)
+    assert found.rotation_noise == pytest.approx(noise, rel=0.35)
+    assert found.translation_noise == pytest.approx(noise, rel=0.35)
+    assert found.translation_drift == pytest.approx(drift, rel=0.5)
+
+
+def test_a_rotation_that_drifts_faster_is_found_and_one_that_agrees_is_hardly_trusted_more():
+    assert learnt(1.0, 4.0, end_s=40.0).rotation_drift == pytest.approx(4.0, rel=0.35)
+    assert learnt(0.3, 0.1, end_s=40.0).rotation_drift == LOWEST_ROTATION
+
+
+def test_an_odometry_that_gets_bad_is_trusted_less_again():
+    good, bad = learnt(0.3, 0.2, end_s=40.0), learnt(0.3, 0.2, worse_from_s=40.0, end_s=60.0)
+    assert bad.translation_noise > 2.0 * good.translation_noise and bad.rotation_noise > 2.0 * good.rotation_noise
+
+
+def test_a_walk_of_the_fixes_does_not_teach():
+    walking = learnt(0.3, 0.2, walk_from_s=45.0)
+    assert walking.translation_drift < 1.3 * learnt(0.3, 0.2, end_s=45.0).translation_drift
+
+
+def test_without_fixes_nothing_is_learnt_of_distances():
+    rig = Rig(DRIVE, machine(), 30.0)
+    for t, pose in poses(0.5, 0.25):
+        if t < 30.0:
+            rig.odometries.add(rig.graph, pose, ns(t))
+    found = rig.odometries.noise("lidar").learnt
+    assert found.translation_drift == pytest.approx(1.0, rel=0.01) and found.translation_noise < 0.8
