@@ -45,7 +45,7 @@ def learnt(noise, drift, worse_from_s=np.inf, walk_from_s=np.inf, end_s=END_S):
     return LearntNoise(*(noise.scale * one for one in noise.learnt))
 
 
-@pytest.mark.parametrize("noise, drift", [(0.5, 0.25), (1.0, 1.0), (2.0, 2.0)])
+@pytest.mark.parametrize("noise, drift", [(0.5, 0.5), (1.0, 1.0), (2.0, 2.0)])
 def test_noise_and_drift_are_found_in_both_directions(noise, drift):
     found = learnt(noise, drift)
     assert found.rotation_noise == pytest.approx(noise, rel=0.35)

@@ -79,12 +79,12 @@ def test_the_factor_has_the_jacobians_that_it_claims(seed):
 def test_the_noise_is_carried_from_the_lidar_to_the_imu():
     """Sampled: noise at the lidar, seen at the IMU, has the covariance that the factor weighs with."""
     motion = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.02, -0.05, 0.3), np.array([0.4, 0.1, 0.02]))
-    distance, angle = np.linalg.norm(motion.translation()), np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation()))
+    T_L_motion = T_I_L.inverse() * motion * T_I_L
+    distance, angle = np.linalg.norm(T_L_motion.translation()), np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation()))
     rotation = np.hypot(CONFIG.drift_rad_per_sqrt_m * distance**0.5, CONFIG.drift_rad_per_sqrt_rad * angle**0.5)
     translation = np.hypot(CONFIG.translation_sigma_m, CONFIG.drift_m_per_sqrt_m * distance**0.5)
     sigmas = np.repeat([np.hypot(CONFIG.rotation_sigma_rad, rotation), translation], 3)
     rng = np.random.default_rng(5)
-    T_L_motion = T_I_L.inverse() * motion * T_I_L
     count = 20_000
     noisy = [T_I_L * T_L_motion * gtsam.Pose3.Expmap(e) * T_I_L.inverse() for e in rng.normal(0.0, sigmas, (count, 6))]
     seen = np.array([gtsam.Pose3.Logmap(motion.between(sample)) for sample in noisy])
@@ -139,7 +139,7 @@ def test_the_drift_between_two_poses_on_the_track_has_the_configured_size():
     for index in (2, 4):
         off = np.zeros(6)
         off[index] = 2.0 * sigma[index]
-        moved = here * motion * gtsam.Pose3.Expmap(off)
+        moved = here * motion * T_I_L * gtsam.Pose3.Expmap(off) * T_I_L.inverse()  # the sensor drifts, not the IMU
         values = pair(gtsam.NavState(here, np.zeros(3)), gtsam.NavState(moved, np.zeros(3)))
         assert factor.error(values) == pytest.approx(2.0, rel=1e-3)
 

@@ -121,7 +121,7 @@ class OdometryNoise:
         IMU by the adjoint: (16) in docs/math.md. `excess` (6, 6) is what the odometry itself adds to it.
         """
         rotation_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation())))
-        drift = self._drift(float(np.linalg.norm(motion.translation())), rotation_rad)
+        drift = self._drift(self._distance_m(motion), rotation_rad)
         return _with(excess, self._at_imu(self._sigmas() ** 2 + drift**2))
 
     def pose_variances(self) -> tuple[float, float]:
@@ -135,7 +135,7 @@ class OdometryNoise:
         What cannot be told from the noise of two poses is no motion: a standing odometry hardly drifts.
         """
         rotation_sigma, translation_sigma = self._sigmas()[0], self._sigmas()[3]
-        distance_m = max(0.0, float(np.linalg.norm(motion.translation())) - 2.0 * translation_sigma)
+        distance_m = max(0.0, self._distance_m(motion) - 2.0 * translation_sigma)
         rotated = float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation())))
         standing = STANDING_DRIFT_M_PER_SQRT_S * np.sqrt(duration_s)
         sigmas: Array = self._drift(distance_m, max(0.0, rotated - 2.0 * rotation_sigma))
@@ -197,11 +197,16 @@ class OdometryNoise:
         """
         covariance = np.eye(9) * STILL_M_S**2
         learnt = np.repeat([self.learnt.rotation_drift, self.learnt.translation_drift], 3)
-        covariance[:6, :6] = _with(excess, np.diag((learnt * self.drift(motion, duration_s)) ** 2))
+        covariance[:6, :6] = _with(excess, self._at_imu((learnt * self.drift(motion, duration_s)) ** 2))
         model = gtsam.noiseModel.Gaussian.Covariance(covariance)
         if calibration_key is not None:
             return self.calibration.drift_factor((before_key, key, calibration_key), motion, model)
         return gtsam.BetweenFactorNavState(before_key, key, gtsam.NavState(motion, np.zeros(3)), model)
+
+    def _distance_m(self, motion: gtsam.Pose3) -> float:
+        """Return how far the sensor has moved, which on a slewing cabin may be further than the IMU has."""
+        lever_arm = self.calibration.lever_arm
+        return float(np.linalg.norm(motion.transformFrom(lever_arm) - lever_arm))
 
     def _drift(self, distance_m: float, rotation_rad: float) -> Array:
         config = self._config
