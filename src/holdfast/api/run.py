@@ -14,6 +14,7 @@ from holdfast.api.result import Result
 from holdfast.config.load import config_of, load_config
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError, EstimatorError
+from holdfast.loops.opening import loop_closer
 from holdfast.recording.source import open_recording
 from holdfast.recording.subscriptions import subscriptions
 from holdfast.replay.batch_outputs import CAUSAL, BatchOutputs
@@ -95,11 +96,18 @@ def _run(  # noqa: PLR0917 (of the two above)
 ) -> Result:
     loaded, kept = resolved(config), Kept()
     rules = _rules(hold_out or {}, outage or {}, loaded)
-    batch = None if batch_s is None else BatchSmoother(loaded, *batch_s)
     temporary = TemporaryDirectory(prefix="holdfast-") if output is None else None
+
+    def stamp(time_ns: int) -> int:
+        return run.stamp(time_ns)
+
     folder = Path(temporary.name if output is None and temporary is not None else output or "")
     with open_recording(Path(recording)) as opened, ExitStack() as stack:
         messages = opened.read(subscriptions(loaded), *span_s)
+        batch = None
+        if batch_s is not None:
+            closer = stack.enter_context(loop_closer(Path(recording), opened, loaded, stamp))
+            batch = BatchSmoother(loaded, *batch_s, closer)
         causal = folder if batch is None else folder / CAUSAL
         outputs = stack.enter_context(Outputs(causal, loaded))
         files = None if batch is None else stack.enter_context(BatchOutputs(folder, loaded))

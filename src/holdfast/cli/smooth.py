@@ -48,6 +48,7 @@ def smooth(  # noqa: PLR0917 (click passes the options by name)
     not grow with the recording.
     """
     from holdfast.config.load import load_config
+    from holdfast.loops.opening import loop_closer
     from holdfast.recording.source import open_recording
     from holdfast.replay.batch_outputs import CAUSAL, BatchOutputs
     from holdfast.replay.never_started import never_started
@@ -58,12 +59,19 @@ def smooth(  # noqa: PLR0917 (click passes the options by name)
     check_window(start_s, duration_s)
     _check_lengths(window_s, overlap_s)
     config, folder = load_config(config_path), Path(output)
+
+    def stamp(time_ns: int) -> int:
+        return run.stamp(time_ns)
+
     rules = rules_of(hold_out, outage, config)
     with open_recording(recording) as opened, naming_the_output(output):
         wanted, missing = wanted_of(opened, config, strict)
         messages = opened.read(wanted, start_s, duration_s)
-        batch = BatchSmoother(config, window_s, overlap_s)
-        with replaced(output, "smooth", (recording, config_path)):
+        with (
+            replaced(output, "smooth", (recording, config_path)),
+            loop_closer(recording, opened, config, stamp) as closer,
+        ):
+            batch = BatchSmoother(config, window_s, overlap_s, closer)
             with Outputs(folder / CAUSAL, config) as outputs, BatchOutputs(folder, config) as files:
                 run = Replay(config, outputs, rules, batch=batch, on_block=files.write)
                 failure: BaseException | None = None
@@ -101,5 +109,8 @@ def _print_smooth(found: dict[str, Any], run: "Replay") -> None:
         f"optimum: cost {found['cost']:.4g} after {found['iterations']} iterations in {len(found['windows'])} windows, "
         f"{found['wall_s']:.1f} s of {run.timing.wall_s:.1f} s"
     )
+    if found["loop_closures"]:
+        closures = ", ".join(f"{count} {what}" for what, count in found["loop_closures"].items())
+        click.echo(f"  loop closures: {closures}")
     for sensor, outcomes in found["counts"].items():
         click.echo(f"  {sensor:10s} " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()))

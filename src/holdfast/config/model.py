@@ -123,6 +123,15 @@ class GraphConfig(Section):
     )
 
 
+class SmoothingConfig(Section):
+    """The optimum over a whole recording, of `holdfast smooth`."""
+
+    loop_closures: bool = Field(
+        True,
+        description="places seen twice are registered, where the recording holds scans and small_gicp is installed",
+    )
+
+
 class FramesConfig(Section):
     """Names of the published frames (REP-105) and the datum."""
 
@@ -151,6 +160,7 @@ class Config(Section):
     gate: GateConfig = GateConfig()
     standstill: StandstillConfig = StandstillConfig()
     motion_model: MotionModelConfig = MotionModelConfig()
+    smoothing: SmoothingConfig = SmoothingConfig()
     realtime: RealtimeConfig = RealtimeConfig()
     live: LiveConfig = LiveConfig()
 

@@ -14,6 +14,8 @@ from holdfast.messages import Array
 
 MAX_ITERATIONS = 30  # of one call of `converge`
 RELATIVE_TOLERANCE = 1e-5  # of the cost, at which an iteration was the last
+MAX_LINEARISATIONS = 3  # of factors in Python, in one call
+RELINEARISE = 1e-3  # of the cost: if no more is gained, they are linearised where they should be
 FIRST_LAMBDA = 1e-9  # the start is the estimate of a filter: almost Gauss-Newton
 
 
@@ -36,6 +38,7 @@ class Batch:
         self._values = gtsam.Values()
         self._stamps: dict[int, int] = {}  # key -> when the variable was used last [ns]
         self._placed: dict[int, Placed] = {}  # by slot
+        self._slow: set[int] = set()  # slots of factors that are written in Python
         self._tree: gtsam.GaussianBayesTree | None = None
 
     def __contains__(self, key: int) -> bool:
@@ -62,20 +65,30 @@ class Batch:
         """Add a factor on variables that are there. Return a handle to `retract` it."""
         placed = Placed(factor, self._graph.size())
         self._graph.push_back(factor)
-        self._placed[self._graph.size() - 1] = placed
+        self._note(placed)
         self._tree = None
         return placed
+
+    def _note(self, placed: Placed) -> None:
+        assert placed.slot is not None
+        self._placed[placed.slot] = placed
+        if isinstance(placed.factor, gtsam.CustomFactor):
+            self._slow.add(placed.slot)
 
     def retract(self, placed: Placed) -> None:
         """Take out a factor on variables that are still there."""
         if placed.slot is not None and self._placed.get(placed.slot) is placed:
             self._graph.remove(placed.slot)
             del self._placed[placed.slot]
+            self._slow.discard(placed.slot)
             placed.slot = None
             self._tree = None
 
     def converge(self) -> Solved:
         """Solve for all variables.
+
+        Factors in Python are linearised where this begins, and once more where it ends if that is far away: in every
+        iteration they would take most of the time.
 
         Raises:
             RuntimeError: GTSAM failed; the estimate is what it was.
@@ -84,11 +97,25 @@ class Batch:
         parameters.setMaxIterations(MAX_ITERATIONS)
         parameters.setRelativeErrorTol(RELATIVE_TOLERANCE)
         parameters.setlambdaInitial(FIRST_LAMBDA)
-        optimiser = gtsam.LevenbergMarquardtOptimizer(self._graph, self._values, parameters)
-        before = optimiser.error()
-        self._values = optimiser.optimize()
-        self._tree = None
-        return Solved(before, optimiser.error(), optimiser.iterations())
+        before, iterations = None, 0
+        for _ in range(MAX_LINEARISATIONS):
+            optimiser = gtsam.LevenbergMarquardtOptimizer(self._native(), self._values, parameters)
+            cost = optimiser.error()
+            before = cost if before is None else before
+            self._values = optimiser.optimize()
+            self._tree = None
+            iterations += optimiser.iterations()
+            if not self._slow or cost - optimiser.error() < RELINEARISE * cost:
+                break
+        return Solved(before or 0.0, optimiser.error(), iterations)
+
+    def _native(self) -> gtsam.NonlinearFactorGraph:
+        """Return the graph with those factors linearised that are written in Python."""
+        graph = gtsam.NonlinearFactorGraph(self._graph)
+        for slot in self._slow:
+            linear = self._placed[slot].factor.linearize(self._values)
+            graph.replace(slot, gtsam.LinearContainerFactor(linear, self._values))
+        return graph
 
     def solve(self, oldest_ns: int) -> None:
         """Marginalise the variables that were last used before a time; `converge` comes first.
@@ -113,11 +140,11 @@ class Batch:
         for key in sorted(leaves, key=lambda key: (self._stamps[key], key)):
             order.push_back(key)
         _, left = _without(touched.linearize(self._values), order)
-        self._graph, self._placed = gtsam.NonlinearFactorGraph(), {}
+        self._graph, self._placed, self._slow = gtsam.NonlinearFactorGraph(), {}, set()
         for placed in rest:
             placed.slot = self._graph.size()
             self._graph.push_back(placed.factor)
-            self._placed[placed.slot] = placed
+            self._note(placed)
         for number in range(left.size()):
             if left.exists(number):
                 self.add(gtsam.LinearContainerFactor(left.at(number), self._values))

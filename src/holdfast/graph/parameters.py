@@ -19,7 +19,7 @@ from holdfast.sensors.sensor import Parameter
 MAX_SIZE = 12
 RIGHT, OFF = 0.0, -log(3.0)  # log ratio of the densities under what was configured and under the prior
 HELD = 0.02  # of the error that counts as right: as if there were none
-REFRESHED_NS = 1_000_000_000  # a marginal is read this often
+REFRESHED_NS = 1_000_000_000
 
 
 class Known(NamedTuple):
@@ -37,9 +37,14 @@ class Known(NamedTuple):
 
 
 class Parameters:
-    """The parameters by the name of their sensor."""
+    """The parameters by the name of their sensor.
 
-    def __init__(self) -> None:
+    Args:
+        refreshed_ns: a marginal is read so often; of a solver that holds minutes it costs the whole problem.
+    """
+
+    def __init__(self, refreshed_ns: int = REFRESHED_NS) -> None:
+        self._refreshed_ns = refreshed_ns
         self._known: dict[str, Known] = {}
         self._made = 0
 
@@ -62,7 +67,7 @@ class Parameters:
             known = self._insert(solver, known, prior, stamp_ns, start)
         elif known.is_solved:
             known = known._replace(value=solver.vector(known.key))
-            if stamp_ns - known.read_ns >= REFRESHED_NS:
+            if stamp_ns - known.read_ns >= self._refreshed_ns:
                 known = known._replace(covariance=solver.covariance(known.key), read_ns=stamp_ns)
                 known = _believed(solver, known, prior)
         solver.keep(known.key, stamp_ns)

@@ -13,7 +13,7 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.graph.nodes import BIAS, FRAME, NODE, Link, Timeline, to_grid
-from holdfast.graph.parameters import MAX_SIZE, Parameters, parameter_letter
+from holdfast.graph.parameters import MAX_SIZE, REFRESHED_NS, Parameters, parameter_letter
 from holdfast.graph.prior import joint_prior
 from holdfast.graph.solver import Placed, Solver
 from holdfast.graph.window import Window
@@ -69,7 +69,7 @@ class Smoother:
         self._motion_model = MotionModel(config.motion_model, gravity)
         self._bias_walk = np.repeat([imu.accelerometer_random_walk, imu.gyroscope_random_walk], 3)
         self._new_solver = new_solver or (lambda: Window(self._relinearize_thresholds()))
-        self._parameters = Parameters()
+        self._parameters = Parameters(max(REFRESHED_NS, self._lag_ns // 3))
         self._frames_made = 0
         self._begin(state)
 
@@ -150,6 +150,10 @@ class Smoother:
         for milestone, is_gap in self._milestones(self.newest_ns, stamp):
             key = self._extend(milestone, is_gap)
         return key
+
+    def key(self, stamp_ns: int) -> int:
+        """Return the key of the node at a time, which must exist."""
+        return self._nodes.key(to_grid(stamp_ns))
 
     def add(self, factor: gtsam.NonlinearFactor) -> Placed:
         """Add a factor on existing nodes; it takes effect with the next `optimise`."""

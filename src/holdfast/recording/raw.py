@@ -69,12 +69,15 @@ class RawBag(Closing):
         ]
         self.channels = [channel for _, channels in self._files for channel in channels.values()]
 
-    def messages(self, topics: Collection[str] | None = None, end_ns: int | None = None) -> Iterator[RawRow]:
+    def messages(
+        self, topics: Collection[str] | None = None, end_ns: int | None = None, begin_ns: int | None = None
+    ) -> Iterator[RawRow]:
         """Yield messages in order of arrival.
 
         Args:
             topics: those that are wanted; None for all.
             end_ns: those that arrived before; None for all.
+            begin_ns: those that did not arrive before; None for all.
 
         Raises:
             RecordingError: a file is damaged.
@@ -83,15 +86,17 @@ class RawBag(Closing):
             (file, {number: one for number, one in channels.items() if topics is None or one.topic in topics})
             for file, channels in self._files
         ]
-        return merge_by_arrival([(file.start_ns, partial(_rows, file, some, end_ns)) for file, some in wanted if some])
+        return merge_by_arrival(
+            [(file.start_ns, partial(_rows, file, some, begin_ns, end_ns)) for file, some in wanted if some]
+        )
 
     def close(self) -> None:
         """Close the files."""
         self.recording.close()
 
 
-def _rows(file: BagFile, channels: dict[int, RawChannel], end_ns: int | None) -> Iterator[RawRow]:
-    for arrival_ns, number, raw in file.messages(set(channels), None, end_ns):
+def _rows(file: BagFile, channels: dict[int, RawChannel], begin_ns: int | None, end_ns: int | None) -> Iterator[RawRow]:
+    for arrival_ns, number, raw in file.messages(set(channels), begin_ns, end_ns):
         yield arrival_ns, channels[number], raw
 
 

@@ -44,6 +44,7 @@ class BatchOutputs:
         self._counts: Counter[tuple[str, Outcome]] = Counter()
         self._parameters: dict[str, tuple[Array, Array]] = {}
         self._work: list[Work] = []
+        self._closures: Counter[str] = Counter()
         with ExitStack() as stack:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
@@ -85,6 +86,7 @@ class BatchOutputs:
         self._counts += block.counts
         self._parameters |= block.parameters
         self._work.append(block.work)
+        self._closures += block.closures
 
     def _rows(self, name: str, stamps_ns: Iterable[Any], values: Array) -> None:
         lines = (
@@ -101,6 +103,7 @@ class BatchOutputs:
                 name: {"estimate": value.tolist(), "sigma": sigmas.tolist()}
                 for name, (value, sigmas) in sorted(self._parameters.items())
             },
+            "loop_closures": dict(sorted(self._closures.items())),
             "windows": [work._asdict() for work in self._work],
             "cost": sum(work.cost_after for work in self._work),
             "iterations": sum(work.iterations for work in self._work),

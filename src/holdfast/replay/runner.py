@@ -143,7 +143,7 @@ class Replay:
 
     def _take_blocks(self, batch: BatchSmoother) -> None:
         for done in batch.take():
-            block = done.stamped(self.estimator.stamp) if isinstance(self.estimator, Estimator) else done
+            block = done.stamped(self.stamp)
             self._on_block(block)
             if self._filter:
                 self.batch.add_block(block, self.estimator.world)
@@ -200,6 +200,10 @@ class Replay:
         R = estimate.nav.attitude().matrix()[:2]
         variance = float(np.trace(R @ estimate.covariance[3:6, 3:6] @ R.T))
         self._kept.append((estimate.stamp_ns, east, north, variance))
+
+    def stamp(self, time_ns: int) -> int:
+        """Return the stamp of the recording at a time of the estimator."""
+        return self.estimator.stamp(time_ns) if isinstance(self.estimator, Estimator) else time_ns
 
     @property
     def has_started(self) -> bool:

@@ -50,7 +50,7 @@ def single_run_page(run: RunRecord) -> Page:
         Section("Trajectory", trajectory(run)),
         Section("Accuracy", [*_errors(run), *_held_out(run)]),
         Section("Consistency", consistency(run)),
-        Section("Health", [*_health(run), *_measurements(run)]),
+        Section("Health", [*_health(run), *_measurements(run), *_loop_closures(run)]),
         Section("Events", _events(run)),
         Section("Timing", _timing(run)),
     ]
@@ -173,6 +173,14 @@ def _measurements(run: RunRecord) -> list[Block]:
         plot = counts_over_time(times, run.end_s, "measurements")
         blocks.append(Figure("rejected", "Rejected and late measurements over time", plot, "Per 1/120 of the time."))
     return blocks
+
+
+def _loop_closures(run: RunRecord) -> list[Block]:
+    found = run.summary.get("smooth", {}).get("loop_closures", {})
+    rows: list[list[Cell]] = [[what, count] for what, count in found.items()]
+    caption = "Pairs of places that the optimum over the recording has tried to register, and what became of them."
+    columns = ("result", "pairs")
+    return [Table("loop-closures", "Loop closures", columns, rows, caption)] if rows else []
 
 
 def _timing(run: RunRecord) -> list[Block]:

@@ -15,6 +15,7 @@ from holdfast.estimator.listener import Used
 from holdfast.estimator.tracking import Update
 from holdfast.sensors.sensor import Joint, Measurement, Sensor
 from holdfast.smoothing.block import Block
+from holdfast.smoothing.closures import Closer
 from holdfast.smoothing.recorded import Recorded
 from holdfast.smoothing.segment import Segment
 from holdfast.state import OptimisedState
@@ -39,10 +40,17 @@ class BatchSmoother:
         config: of the estimator.
         window_s: that are done at once.
         overlap_s: after them that are solved, too, and once more with the next window.
+        closer: finds loop closures in what is solved at once, if there are scans.
     """
 
-    def __init__(self, config: Config, window_s: float = WINDOW_S, overlap_s: float = OVERLAP_S) -> None:
-        self._config = config
+    def __init__(
+        self,
+        config: Config,
+        window_s: float = WINDOW_S,
+        overlap_s: float = OVERLAP_S,
+        closer: Closer | None = None,
+    ) -> None:
+        self._config, self._closer = config, closer
         self._window_ns, self._overlap_s = round((window_s + overlap_s) * 1e9), overlap_s
         self._recorded = Recorded(config)
         self._segment: Segment | None = None
@@ -77,7 +85,13 @@ class BatchSmoother:
         sensors, gravity = self._machine
         self._recorded.drop_before(state.stamp_ns)
         self._segment = Segment(
-            self._config, self._recorded, state, sensors, gravity=gravity, overlap_s=self._overlap_s
+            self._config,
+            self._recorded,
+            state,
+            sensors,
+            gravity=gravity,
+            overlap_s=self._overlap_s,
+            closer=self._closer,
         )
 
     def stop(self) -> None:

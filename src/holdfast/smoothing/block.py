@@ -93,6 +93,7 @@ class Block:
         covariances: at the nodes, which are at most half a second apart.
         counts: of measurements by sensor and outcome; one that weighs less than half is not used.
         parameters: estimate (p,) and sigmas (p,) of the parameters of sensors, by name.
+        closures: of loops, by what became of them.
     """
 
     track: Track
@@ -103,6 +104,7 @@ class Block:
     refused: Sequence[Refused]
     parameters: Mapping[str, tuple[Array, Array]]
     work: Work
+    closures: Counter[str]
 
     def stamped(self, stamp: Callable[[int], int]) -> "Block":
         """Return it with the stamps that the IMU's clock showed, which `stamp` tells at a time."""

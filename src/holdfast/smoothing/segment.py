@@ -21,6 +21,7 @@ from holdfast.messages import Array
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise
 from holdfast.sensors.sensor import Measurement, Role, Sensor, of_role
 from holdfast.smoothing.block import Biases, Block, Refused, Work
+from holdfast.smoothing.closures import CONTRADICTED, Closer, Stretch, close
 from holdfast.smoothing.decisions import SHAPES, Candidate, candidate, enter_all, refused_runs, weight_of
 from holdfast.smoothing.recorded import Recorded
 from holdfast.smoothing.track import track_of
@@ -42,6 +43,7 @@ class Segment:
         sensors: the models, by name.
         gravity: [m/s^2].
         overlap_s: of the window after its done part, which the future still tells about.
+        closer: finds loop closures, if there are scans.
     """
 
     def __init__(
@@ -53,6 +55,7 @@ class Segment:
         *,
         gravity: float,
         overlap_s: float,
+        closer: Closer | None = None,
     ) -> None:
         graph = config.graph.model_copy(update={"lag_s": overlap_s})
         self._config, self._recorded, self._sensors, self._gravity = config, recorded, sensors, gravity
@@ -70,6 +73,8 @@ class Segment:
             name: OdometryTrack(OdometryNoise(model), model.max_interval_ns, config.graph.main_odometry)
             for name, model in models.items()
         }
+        self._closer, self._closed_ns = closer, 0
+        self._closures: Counter[str] = Counter()  # since the last finish, by what became of them
         self._interval_ns = round(config.graph.max_node_interval_s * 1e9)
         self._candidates: list[Candidate] = []
         self._counts: Counter[tuple[str, Outcome]] = Counter()
@@ -139,12 +144,7 @@ class Segment:
         solved = [self._batch.converge()]
         changed = 0
         for shape in SHAPES:
-            for one in self._candidates:
-                if one.is_in_doubt:
-                    continue
-                one.compare(self._batch)
-                one.weight = weight_of(one.nis, one.limit, shape)
-            changed += enter_all(self._batch, self._candidates)
+            changed += self._judge_again(shape)
             if changed > FEW * len(self._candidates) or (changed and shape == SHAPES[-1]):
                 solved.append(self._batch.converge())
                 changed = 0
@@ -152,7 +152,32 @@ class Segment:
             if not self._readmit():
                 break
             solved.append(self._batch.converge())
+        if self._closer is not None:
+            self._close(self._closer)
         return self._work(solved)
+
+    def _close(self, closer: Closer) -> None:
+        """Look for loop closures, and let those in that agree with all else."""
+        links = self._smoother.links()
+        track = track_of(self._recorded.buffer, self._batch, links, self._gravity)
+        calibrations = {
+            name: estimate[0] for name in self._tracks if (estimate := self._smoother.parameter_estimate(name))
+        }
+        found = closer(Stretch(track, self._covariances(links), self._closed_ns, calibrations))
+        self._closed_ns = self.newest_ns
+        self._closures += found.counts
+        contradicted = close(self._batch, found.closures, self._smoother.key) if found.closures else 0
+        if contradicted:
+            self._closures["accepted"] -= contradicted
+            self._closures[CONTRADICTED] += contradicted
+
+    def _judge_again(self, shape: float) -> int:
+        """Weigh what is not in doubt by its residual under a loss of a shape; return how many have changed."""
+        for one in self._candidates:
+            if not one.is_in_doubt:
+                one.compare(self._batch)
+                one.weight = weight_of(one.nis, one.limit, shape)
+        return enter_all(self._batch, self._candidates)
 
     def _readmit(self) -> int:
         """Let refused measurements in that agree with the optimum, given its covariance; return what has changed.
@@ -197,7 +222,9 @@ class Segment:
             self._refused(horizon_ns),
             self._parameters(),
             work,
+            self._closures,
         )
+        self._closures = Counter()
         self._candidates = [one for one in self._candidates if one.measurement.stamp_ns >= horizon_ns]
         if not is_last:
             self._smoother.optimise()
