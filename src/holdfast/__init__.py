@@ -10,6 +10,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from holdfast.api.calibration import Calibration as Calibration
+    from holdfast.api.calibration import calibrate as calibrate
     from holdfast.api.result import Result as Result
     from holdfast.api.run import replay as replay
     from holdfast.api.run import smooth as smooth
@@ -44,6 +46,7 @@ __version__ = "0.1.0"
 # name -> module; imported when it is first asked for, so that `import holdfast` costs nothing
 _PUBLIC = {
     "BaseState": "state",
+    "Calibration": "api.calibration",
     "Config": "config.model",
     "ConfigError": "errors",
     "Estimate": "state",
@@ -67,6 +70,7 @@ _PUBLIC = {
     "Result": "api.result",
     "Simulated": "api.simulation",
     "Trajectory": "api.trajectory",
+    "calibrate": "api.calibration",
     "load_config": "config.load",
     "replay": "api.run",
     "simulate": "api.simulation",

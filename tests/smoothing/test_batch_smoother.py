@@ -183,7 +183,7 @@ def test_the_scale_factor_of_a_wheel_is_learnt():
     config = machine(more={"wheels": {"kind": "twist", "scale_sigma": 0.05, "frame": "imu"}})
     messages = in_order(drive(end_s=20.0), twists(MOTION, 0.0, 20.0, scale=1.03))
     blocks, _, _ = smoothed(messages, config)
-    estimate, sigmas = blocks[-1].parameters["wheels"]
+    estimate, sigmas = blocks[-1].constants["wheels"][:2]
     assert abs(estimate[0] - 0.03) < 0.01 and sigmas[0] < 0.02
 
 

@@ -1,1 +1,1 @@
-"""What a notebook calls: `holdfast.replay`, `holdfast.smooth`, `holdfast.simulate`, with arrays as results."""
+"""What a notebook calls: `holdfast.replay`, `smooth`, `calibrate` and `simulate`, with arrays as results."""

@@ -20,6 +20,7 @@ STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 COMMANDS = {
     "replay": ("holdfast.cli.replay", "Estimate the trajectory of a recording."),
     "smooth": ("holdfast.cli.smooth", "Estimate the best trajectory of a whole recording."),
+    "calibrate": ("holdfast.cli.calibrate", "Find clocks, mountings and noise from recordings; write them down."),
     "live": ("holdfast.cli.live", "Estimate on a running ROS 2 machine, over DDS."),
     "view": ("holdfast.cli.view", "Show a recording or the results of a replay in Rerun."),
     "info": ("holdfast.cli.info", "List what a recording holds and what is wrong with its clocks."),

@@ -1,22 +1,15 @@
 """Rewrites the text of a configuration of version 0.1; only what must change does, comments and layout stay."""
 
 import warnings
-from typing import Any, NamedTuple
+from typing import Any
 
-from ruamel.yaml.nodes import MappingNode, Node
+from ruamel.yaml.nodes import Node
 
 from holdfast.config.document import compose, read_document
+from holdfast.config.edit import Edit, edited, pairs_of
 from holdfast.config.legacy import SWITCHED_OFF, old_forms
 from holdfast.config.load import parse_config
 from holdfast.errors import ConfigError
-
-
-class Edit(NamedTuple):
-    """Text in place of the characters from `begin` up to `end`."""
-
-    begin: int
-    end: int
-    text: str
 
 
 def upgraded(text: str, name: str) -> tuple[str, list[str]]:
@@ -32,13 +25,12 @@ def upgraded(text: str, name: str) -> tuple[str, list[str]]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # that it is of the old form
         before = parse_config(text, name)
-    root = _pairs(compose(text, name))
+    root = pairs_of(compose(text, name))
     edits, changes = [], []
     for section, key, new in old_forms(read_document(text, name).data):
-        edits.append(_edit(text, *_pairs(root[section][1])[key], new))
+        edits.append(_edit(text, *pairs_of(root[section][1])[key], new))
         changes.append(f"{section}.{key}: now `{new}`")
-    for edit in sorted(edits, reverse=True):
-        text = text[: edit.begin] + edit.text + text[edit.end :]
+    text = edited(text, edits)
     try:
         is_same = parse_config(text, name) == before
     except ConfigError:
@@ -46,11 +38,6 @@ def upgraded(text: str, name: str) -> tuple[str, list[str]]:
     if not is_same:
         raise ConfigError(f"{name}: must be rewritten by hand ({'; '.join(changes)})")
     return text, changes
-
-
-def _pairs(node: Node | None) -> dict[str, tuple[Any, Any]]:
-    """Return the nodes of keys and values of a mapping, by key."""
-    return {str(key.value): (key, value) for key, value in node.value} if isinstance(node, MappingNode) else {}
 
 
 def _edit(text: str, key: Node, value: Any, new: str) -> Edit:

@@ -16,6 +16,7 @@ from holdfast.estimator.optimiser import Optimiser
 from holdfast.event_log import EventLog, MeasurementRecord
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.messages import ImuSample, JointAngle, Message
+from holdfast.sensors.constants import Constant
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.state import NOTHING, BaseState, Estimate, Event, EventKind, Health, HealthReport, Outcome, Output
 
@@ -90,6 +91,10 @@ class Estimator(Intake):
     def noise(self, sensor: str) -> float:
         """Return how many times larger the noise of a sensor is than it claims, as its innovations show."""
         return self._optimiser.monitor.noise(sensor)
+
+    def constants(self) -> dict[str, Constant]:
+        """Return what is known of mountings and clocks since the last start, by sensor or by what sensors share."""
+        return self._optimiser.constants()
 
     def stamp(self, time_ns: int) -> int:
         """Return the stamp that the IMU's clock showed at a time of the estimator's own, which never steps."""

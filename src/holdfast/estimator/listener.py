@@ -9,11 +9,15 @@ from typing import Protocol
 
 from holdfast.estimator.imu_path import Received
 from holdfast.estimator.tracking import Update
+from holdfast.sensors.constants import Constant
 from holdfast.sensors.sensor import Joint, Measurement, Sensor
 from holdfast.state import OptimisedState
 
 Used = Callable[[int, int], list[Measurement]]
 """Returns the measurements later than one time [ns] and not later than another whose factors the graph holds."""
+
+Constants = Callable[[], Mapping[str, Constant]]
+"""Returns what the graph knows of the constants of sensors."""
 
 
 class Listener(Protocol):
@@ -31,8 +35,9 @@ class Listener(Protocol):
     def stop(self) -> None:
         """Take note that nothing of before is known any more, until the next start."""
 
-    def update(self, update: Update, noise: Callable[[str], float], used: Used) -> None:
+    def update(self, update: Update, noise: Callable[[str], float], used: Used, constants: Constants) -> None:
         """Take note of an optimisation.
 
-        `noise` tells how many times noisier than claimed a sensor is, `used` which measurements are in the graph.
+        `noise` tells how many times noisier than claimed a sensor is, `used` which measurements are in the graph,
+        `constants` what it knows of mountings and clocks.
         """

@@ -22,6 +22,7 @@ from holdfast.geometry.world import World
 from holdfast.integrity.lever_arms import LeverArms
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.messages import GnssFix, JointAngle, Message
+from holdfast.sensors.constants import Constant
 from holdfast.sensors.gnss import GnssModel
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.registry import inputs_of, sensors_of
@@ -102,6 +103,10 @@ class Optimiser:
     def is_lost(self) -> bool:
         """Whether no receiver of positions is trusted."""
         return isinstance(self._phase, Tracking) and self._phase.is_lost
+
+    def constants(self) -> dict[str, Constant]:
+        """Return what the graph knows of the constants of sensors; nothing before the start."""
+        return self._phase.constants() if isinstance(self._phase, Tracking) else {}
 
     def lost(self) -> list[str]:
         """Return the sensors that are not trusted."""
@@ -285,7 +290,8 @@ class Optimiser:
         assert isinstance(self._phase, Tracking)
         update = self._phase.update()
         if self._listener is not None:
-            self._listener.update(update, self.monitor.noise, self._phase.graph.published.measured)
+            phase = self._phase
+            self._listener.update(update, self.monitor.noise, phase.graph.published.measured, phase.constants)
         if self._lever_arms.review(self._buffer.latest_ns, self._log):
             state = self._lever_arms.doubtful(update.state, self._config.imu.accelerometer_bias_sigma)
             update = Update(state, (), is_recovery=True, begins_anew=True)

@@ -25,6 +25,7 @@ from holdfast.integrity.positions import Positions
 from holdfast.integrity.recovery import Recovery
 from holdfast.integrity.states import JointAt, States
 from holdfast.sensors.clock import with_estimated_clock
+from holdfast.sensors.constants import Constant, priors_of
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.sensor import ConstraintSensor, Measurement, Role, Sensor, of_role
 from holdfast.state import EventKind, OptimisedState, Outcome
@@ -110,6 +111,7 @@ class Tracking:
         self._late: set[str] = set()  # sensors whose last measurement was too late
         self._epochs = Epochs()
         self._calibration = Calibration(sensors, log)
+        self._priors = priors_of(sensors)
         self.queue = MeasurementQueue()
         self.graph = DualGraph(config, buffer, gravity, self._odometries.new_tracks(), state)
 
@@ -127,6 +129,10 @@ class Tracking:
         """Return the sensors that are not trusted."""
         channels = self._positions, self._headings, self._odometries, self._states
         return [name for channel in channels for name in channel.lost()]
+
+    def constants(self) -> dict[str, Constant]:
+        """Return what the graph knows of the constants of sensors, by sensor or by what several share."""
+        return self.graph.main.constants(self._priors)
 
     def distrust(self, names: Iterable[str]) -> None:
         """Begin with receivers that are not trusted."""

@@ -3,7 +3,7 @@
 A constant is known for longer than a window lives: one that is begun anew takes what the last one knew as its prior.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from copy import copy
 from math import log
 from typing import NamedTuple
@@ -13,13 +13,15 @@ import numpy as np
 
 from holdfast.graph.solver import Placed, Solver
 from holdfast.messages import Array
+from holdfast.sensors.constants import Constant
 from holdfast.sensors.noise import FREE_VARIANCE
 from holdfast.sensors.sensor import Parameter
 
 MAX_SIZE = 12
 RIGHT, OFF = 0.0, -log(3.0)  # log ratio of the densities under what was configured and under the prior
 HELD = 0.02  # of the error that counts as right: as if there were none
-REFRESHED_NS = 1_000_000_000
+REFRESHED_NS = 1_000_000_000  # a marginal is read this often
+NEVER_NS = 1 << 62  # when it is read next, where whoever solves asks for it
 
 
 class Known(NamedTuple):
@@ -78,6 +80,31 @@ class Parameters:
         """Return the estimate (p,) of a sensor's parameter and its sigmas (p,), None while there is none."""
         known = self._known.get(name)
         return None if known is None else (known.value, np.sqrt(np.diag(known.covariance)))
+
+    def review(self, solver: Solver, priors: Mapping[str, Parameter]) -> bool:
+        """Read the parameters of some names from a solver that has converged; return whether it must once more.
+
+        It must where a parameter is let go, or held again. From now on nobody else reads them.
+        """
+        has_changed = False
+        for name, prior in priors.items():
+            known = self._known.get(name)
+            if known is None or known.key not in solver:
+                continue
+            value, covariance = solver.vector(known.key), solver.covariance(known.key)
+            read = known._replace(value=value, covariance=covariance, read_ns=NEVER_NS)
+            self._known[name] = _believed(solver, read, prior)
+            has_changed |= (self._known[name].right is None) != (known.right is None)
+        return has_changed
+
+    def constant(self, name: str, prior: Parameter) -> Constant | None:
+        """Return what is known of a parameter, None while there is none."""
+        known = self._known.get(name)
+        if known is None:
+            return None
+        sigmas = np.sqrt(np.diag(known.covariance))
+        is_off = prior.if_right is not None and known.right is None
+        return Constant(known.value, sigmas, *_without_belief(known, prior), prior, is_off)
 
     def mark_solved(self) -> None:
         """Note that the solver has taken in all that it was given."""

@@ -4,7 +4,7 @@ The state of a node is a `NavState` (one 9-dimensional variable, so that its mar
 position and velocity); biases are constant over short epochs that a random walk joins.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from copy import copy
 from dataclasses import replace
 
@@ -18,6 +18,7 @@ from holdfast.graph.prior import joint_prior
 from holdfast.graph.solver import Placed, Solver
 from holdfast.graph.window import Window
 from holdfast.messages import Array
+from holdfast.sensors.constants import Constant
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.noise import FREE_VARIANCE
 from holdfast.sensors.preintegration import ImuNoise, MotionModel, preintegrate
@@ -186,6 +187,15 @@ class Smoother:
     def parameter_estimate(self, name: str) -> tuple[Array, Array] | None:
         """Return the estimate (p,) of a sensor's parameter and its sigmas (p,), None while there is none."""
         return self._parameters.estimate(name)
+
+    def constants(self, priors: Mapping[str, Parameter]) -> dict[str, Constant]:
+        """Return what is known of the parameters of some names."""
+        found = {name: self._parameters.constant(name, prior) for name, prior in priors.items()}
+        return {name: one for name, one in found.items() if one is not None}
+
+    def review_parameters(self, priors: Mapping[str, Parameter]) -> bool:
+        """Read parameters after a batch has converged; return whether it must once more, as their belief changed."""
+        return self._parameters.review(self._window, priors)
 
     def insert_frame(self, frame: gtsam.Pose3, stamp_ns: int) -> int:
         """Make a variable for the pose of a frame in W and return its key; what joins it to others is up to factors."""

@@ -18,6 +18,7 @@ from holdfast.recording.covariance_csv import CovarianceWriter, beside
 from holdfast.recording.tum import TumWriter
 from holdfast.replay.published import by_sensor
 from holdfast.ros.rows import quaternion_xyzw
+from holdfast.sensors.constants import Constant
 from holdfast.smoothing.batch_smoother import BatchSmoother
 from holdfast.smoothing.block import Block, Work
 from holdfast.state import Outcome
@@ -42,7 +43,7 @@ class BatchOutputs:
 
     def __init__(self, folder: Path, config: Config) -> None:
         self._counts: Counter[tuple[str, Outcome]] = Counter()
-        self._parameters: dict[str, tuple[Array, Array]] = {}
+        self._constants: dict[str, Constant] = {}
         self._work: list[Work] = []
         self._closures: Counter[str] = Counter()
         with ExitStack() as stack:
@@ -84,7 +85,7 @@ class BatchOutputs:
         for table in self._tables.values():
             table.flush()
         self._counts += block.counts
-        self._parameters |= block.parameters
+        self._constants |= block.constants
         self._work.append(block.work)
         self._closures += block.closures
 
@@ -100,8 +101,8 @@ class BatchOutputs:
         return {
             "counts": by_sensor(self._counts),
             "parameters": {
-                name: {"estimate": value.tolist(), "sigma": sigmas.tolist()}
-                for name, (value, sigmas) in sorted(self._parameters.items())
+                name: {"estimate": one.value.tolist(), "sigma": one.sigmas.tolist()}
+                for name, one in sorted(self._constants.items())
             },
             "loop_closures": dict(sorted(self._closures.items())),
             "windows": [work._asdict() for work in self._work],

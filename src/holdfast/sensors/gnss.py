@@ -8,6 +8,7 @@ from typing import ClassVar
 import gtsam
 import numpy as np
 
+from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig
 from holdfast.geometry.earth import Geodetic
 from holdfast.geometry.world import World
@@ -113,4 +114,9 @@ class GnssModel:
         return position_factor(keys[0], position, arm, self.loss, inflation)
 
 
-register(GnssConfig, lambda name, section, config: GnssModel(name, section, lever_arm(name, config)))
+def _configured(name: str, section: GnssConfig, config: Config) -> GnssModel:
+    model = GnssModel(name, section, lever_arm(name, config))
+    return model.with_estimated_arm(section.lever_arm_sigma_m) if section.lever_arm_sigma_m > 0.0 else model
+
+
+register(GnssConfig, _configured)

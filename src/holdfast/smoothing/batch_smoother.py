@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from holdfast.config.model import Config
 from holdfast.estimator.imu_path import Received
-from holdfast.estimator.listener import Used
+from holdfast.estimator.listener import Constants, Used
 from holdfast.estimator.tracking import Update
 from holdfast.sensors.sensor import Joint, Measurement, Sensor
 from holdfast.smoothing.block import Block
@@ -100,9 +100,9 @@ class BatchSmoother:
             self._solve(self._recorded.buffer.latest_ns, is_last=True)
         self._segment = self._machine = None
 
-    def update(self, update: Update, noise: Callable[[str], float], used: Used) -> None:
+    def update(self, update: Update, noise: Callable[[str], float], used: Used, constants: Constants) -> None:
         """Take note of an optimisation; solve a window once it is full."""
-        self._recorded.update(update, noise, used)
+        self._recorded.update(update, noise, used, constants)
         if self._segment is None and self._machine is not None:  # a window could not be solved
             self._begin(update.state)
         settled_ns = self._recorded.settled_ns

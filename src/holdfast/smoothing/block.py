@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from holdfast.covariances import Covariances
 from holdfast.messages import Array
+from holdfast.sensors.constants import Constant
 from holdfast.state import Outcome
 
 
@@ -92,7 +93,7 @@ class Block:
     Attributes:
         covariances: at the nodes, which are at most half a second apart.
         counts: of measurements by sensor and outcome; one that weighs less than half is not used.
-        parameters: estimate (p,) and sigmas (p,) of the parameters of sensors, by name.
+        constants: of sensors, by the name of the sensor, or of what several share.
         closures: of loops, by what became of them.
     """
 
@@ -102,7 +103,7 @@ class Block:
     biases: Biases
     counts: Counter[tuple[str, Outcome]]
     refused: Sequence[Refused]
-    parameters: Mapping[str, tuple[Array, Array]]
+    constants: Mapping[str, Constant]
     work: Work
     closures: Counter[str]
 

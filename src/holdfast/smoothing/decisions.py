@@ -139,7 +139,7 @@ def candidate(
     keys = [key]
     if model.parameter is not None:
         start = None if model.role is Role.POSITION else model.first_parameter(measurement, state)
-        keys.append(smoother.parameter(sensor.name, model.parameter, stamp_ns, start)[0])
+        keys.append(smoother.parameter(model.parameter.name(sensor.name), model.parameter, stamp_ns, start)[0])
     return Candidate(measurement, model, keys, state, scale)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from holdfast.config.model import Config
 from holdfast.estimator.imu_path import Received
-from holdfast.estimator.listener import Used
+from holdfast.estimator.listener import Constants, Used
 from holdfast.estimator.standstill import Standing
 from holdfast.estimator.tracking import Update
 from holdfast.graph.nodes import to_grid
@@ -44,6 +44,7 @@ class Recorded:
         self._noise: dict[str, tuple[list[int], list[float]]] = {}
         self._joints: dict[int, Joint | None] = {}
         self._mounted: dict[int, tuple[Array, Array]] = {}  # p_I_B and R_I_B, by the time of the sample
+        self._constants: Constants = dict
         self.settled_ns = 0
 
     def receive(self, received: Received) -> None:
@@ -62,9 +63,9 @@ class Recorded:
         self._order += 1
         insort(self._waiting, _Waiting(measurement.stamp_ns, self._order, measurement, joint))
 
-    def update(self, update: Update, noise: Callable[[str], float], used: Used) -> None:
+    def update(self, update: Update, noise: Callable[[str], float], used: Used, constants: Constants) -> None:
         """Take in what the causal estimator found."""
-        state = update.state
+        state, self._constants = update.state, constants
         if not update.begins_anew:
             stamp = to_grid(state.stamp_ns)
             if not self._covariance_stamps or stamp > self._covariance_stamps[-1]:
@@ -119,6 +120,11 @@ class Recorded:
     def joint(self, measurement: Measurement) -> Joint | None:
         """Return the turn joint at a measurement that was just taken."""
         return self._joints[id(measurement)]
+
+    def is_off(self, constant: str) -> bool:
+        """Whether the causal estimator has found a constant of a sensor to be otherwise than configured."""
+        found = self._constants().get(constant)
+        return found is not None and found.is_off
 
     def nav(self, time_ns: int) -> gtsam.NavState | None:
         """Return the state that the causal estimator's window left at a node, if it had one there."""

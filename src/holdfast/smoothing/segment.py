@@ -17,7 +17,8 @@ from holdfast.graph.batch import Batch, Solved
 from holdfast.graph.nodes import Link
 from holdfast.graph.odometry_track import OdometryTrack
 from holdfast.graph.smoother import Smoother
-from holdfast.messages import Array
+from holdfast.sensors.clock import with_estimated_clock
+from holdfast.sensors.constants import priors_of
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise
 from holdfast.sensors.sensor import Measurement, Role, Sensor, of_role
 from holdfast.smoothing.block import Biases, Block, Refused, Work
@@ -30,6 +31,7 @@ from holdfast.state import OptimisedState, Outcome
 BELIEVED = 0.5  # a measurement of less weight counts as refused
 FEW = 0.002  # of the measurements: if no more have changed, the optimum is where it was
 TOGETHER = 0.5  # of a run of refused measurements that agree, if any is to enter
+BELIEFS = 3  # times that the optimum decides which clocks are off
 READMISSIONS = 2  # times that refused measurements are compared with the optimum and its covariance
 
 
@@ -94,11 +96,19 @@ class Segment:
 
     def extend(self, until_ns: int) -> None:
         """Take in all that was measured until a time."""
+        self._sensors = {name: self._with_clock(sensor) for name, sensor in self._sensors.items()}
         for time_ns, measurement in self._recorded.take(until_ns):
             self._lead_to(time_ns)
             self._take(measurement)
         self._lead_to(until_ns)
         self._candidates.sort(key=lambda one: one.measurement.stamp_ns)
+
+    def _with_clock(self, sensor: Any) -> Any:
+        """Return a sensor with the offset of its clock to be estimated, if the causal estimator has found one."""
+        clocked = with_estimated_clock(sensor)
+        prior = getattr(clocked, "parameter", None)
+        is_off = prior is not None and self._recorded.is_off(prior.name(sensor.name))
+        return clocked if is_off else sensor
 
     def _lead_to(self, time_ns: int) -> None:
         """Make nodes where nothing was measured for long."""
@@ -141,7 +151,7 @@ class Segment:
             RuntimeError: GTSAM failed.
         """
         enter_all(self._batch, self._candidates)
-        solved = [self._batch.converge()]
+        solved = [self._batch.converge(), *self._believe_constants()]
         changed = 0
         for shape in SHAPES:
             changed += self._judge_again(shape)
@@ -152,9 +162,17 @@ class Segment:
             if not self._readmit():
                 break
             solved.append(self._batch.converge())
+        solved += self._believe_constants()
         if self._closer is not None:
             self._close(self._closer)
         return self._work(solved)
+
+    def _believe_constants(self) -> list[Solved]:
+        """Decide which constants of sensors are as configured, and find the optimum anew as long as that changes."""
+        solved: list[Solved] = []
+        while self._smoother.review_parameters(priors_of(self._sensors)) and len(solved) < BELIEFS:
+            solved.append(self._batch.converge())
+        return solved
 
     def _close(self, closer: Closer) -> None:
         """Look for loop closures, and let those in that agree with all else."""
@@ -220,7 +238,7 @@ class Segment:
             self._biases(links),
             self._counted(horizon_ns),
             self._refused(horizon_ns),
-            self._parameters(),
+            self._smoother.constants(priors_of(self._sensors)),
             work,
             self._closures,
         )
@@ -259,15 +277,6 @@ class Segment:
             for one in self._candidates
             if one.weight < 1.0 and one.measurement.stamp_ns < horizon_ns
         ]
-
-    def _parameters(self) -> dict[str, tuple[Array, Array]]:
-        found: dict[str, tuple[Array, Array]] = {}
-        for one in self._candidates:
-            if len(one.keys) > 1 and one.sensor.name not in found:
-                key = one.keys[1]
-                sigmas: Array = np.sqrt(np.diag(self._batch.covariance(key)))
-                found[one.sensor.name] = self._batch.vector(key), sigmas
-        return found
 
 
 def _reason(one: Candidate) -> Outcome:

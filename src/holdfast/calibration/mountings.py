@@ -1,0 +1,50 @@
+"""Rotations of the mountings of odometries, from the constants that the graph estimates."""
+
+from collections.abc import Sequence
+from math import hypot
+
+import gtsam
+import numpy as np
+
+from holdfast.calibration.constants import combined, of_name
+from holdfast.calibration.estimated import Estimated, Family, Found, judged
+from holdfast.calibration.evidence import Evidence
+from holdfast.calibration.placing import entry_of, moved
+from holdfast.config.edit import Change
+from holdfast.config.model import Config
+from holdfast.config.sensors import OdometryConfig
+
+FLOOR_DEG = 0.02  # sigma: errors of the gyroscope's scale and axes turn with the machine, too
+
+
+def mountings(evidence: Sequence[Evidence], original: Config, config: Config) -> Found:
+    """Return by how much each odometry is rotated about its own axes, as configured at first.
+
+    Arguments are those of `clocks`. An axis that was not seen stays where it is.
+    """
+    estimates: list[Estimated] = []
+    changes: list[Change] = []
+    for name, section in original.sensors_of(OdometryConfig).items():
+        known, prior = of_name(evidence, name), section.mounting_sigma_deg
+        if not known or prior == 0.0:
+            continue
+        frame = original.frame_of(name)
+        offset, covariance = combined(known)
+        before, now = (gtsam.Rot3(one.T_I(frame)[:3, :3]) for one in (original, config))
+        total = np.degrees(gtsam.Rot3.Logmap(before.between(now.compose(gtsam.Rot3.Expmap(offset[:3])))))
+        sigmas = [hypot(float(one), FLOOR_DEG) for one in np.degrees(np.sqrt(covariance.diagonal()[:3]))]
+        path = "extrinsics", entry_of(original, frame), "rotation"
+        rows = [
+            judged(Estimated(Family.MOUNTINGS, path, f"{name}, about its {axis}", "deg", 0.0, value, sigma, prior))
+            for axis, value, sigma in zip("xyz", total.tolist(), sigmas, strict=True)
+        ]
+        correction = np.eye(4)
+        seen = [one.after if one.is_observable else 0.0 for one in rows]
+        correction[:3, :3] = gtsam.Rot3.Expmap(np.radians(seen)).matrix()
+        written = moved(original, frame, correction)
+        if isinstance(written, str):
+            rows = [one.kept(written) for one in rows]
+        elif any(one.is_written for one in rows):
+            changes += written
+        estimates += rows
+    return Found(estimates, changes)

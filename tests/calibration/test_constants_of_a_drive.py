@@ -1,0 +1,138 @@
+"""Clocks, mountings, noise and drift of a drive whose truth is known: found within their own sigmas."""
+
+import gtsam
+import numpy as np
+import pytest
+from motion import T_I_L, Drive, fixes, imu, in_order, link, machine, scans
+
+from holdfast.calibration.clocks import clocks, is_off
+from holdfast.calibration.evidence import collected
+from holdfast.calibration.lever_arms import lever_arms, with_estimated_arms
+from holdfast.calibration.mountings import mountings
+from holdfast.calibration.odometry_noise import odometry_noise
+
+
+class StopAndGo(Drive):
+    """Its speed swings: on a circle at a constant one, a late stamp looks like another heading."""
+
+    def phase(self, t):
+        u, du, ddu = super().phase(t)
+        swing = 1.0 + 0.7 * np.cos(2.0 * u)
+        return np.array([u + 0.35 * np.sin(2.0 * u), du * swing, ddu * swing - 1.4 * np.sin(2.0 * u) * du**2])
+
+
+DRIVE = StopAndGo(radius_m=4.0, speed=0.35)  # 0.4 to 2.4 m/s
+END_S = 40.0
+TURNED = np.radians([1.5, -1.0, 2.0])
+JITTER = 3e-4, 0.005  # [rad, m] of a pose
+
+
+def config_of(turned=(0.0, 0.0, 0.0), **settings):
+    config = machine(**settings)
+    mount = T_I_L * gtsam.Pose3(gtsam.Rot3.Expmap(-np.asarray(turned)), np.zeros(3))
+    links = [one for one in config.model_dump()["extrinsics"] if one["child"] != "lidar"]
+    data = config.model_dump(exclude_unset=True) | {"extrinsics": [*links, link("imu", "lidar", mount)]}
+    return type(config).model_validate(data)
+
+
+def drive(config, *, lidar_late_s=0.0, fixes_late_s=0.0, seed=0, ignored=(), jitter=JITTER):
+    rng = np.random.default_rng(seed)
+    sent = in_order(
+        imu(DRIVE, 0.0, END_S, 100.0, rng),
+        fixes(DRIVE, 0.0, END_S, 10.0, rng, stamp_shift_s=fixes_late_s),
+        scans(DRIVE, 0.0, END_S, 5.0, rng, jitter, phase_s=0.0071, stamp_shift_s=lidar_late_s, delay_s=0.1),
+    )
+    return collected("drive", config, sent, ignored=ignored)
+
+
+def named(found, key):
+    return [one for one in found.estimates if one.key.endswith(key)]
+
+
+def test_late_stamps_are_found_within_three_sigmas_and_written():
+    config = config_of()
+    found = clocks([drive(config, lidar_late_s=-0.035, fixes_late_s=0.03)], config, config)
+    by_sensor = {one.what: one for one in found.estimates}
+    for name, true_s in (("gnss", -0.03), ("lidar", 0.035)):
+        one = by_sensor[name]
+        assert abs(one.after - true_s) < 3.0 * one.sigma and one.sigma < 0.005
+        assert one.is_written
+    assert {change.path[1] for change in found.changes} >= {"gnss", "lidar"}
+
+
+@pytest.mark.slow
+def test_clocks_that_are_right_are_left_alone():
+    config = config_of()
+    found = clocks([drive(config, seed=1)], config, config)
+    assert found.estimates and not found.changes
+    assert all("as configured" in one.reason for one in found.estimates)
+
+
+@pytest.mark.slow
+def test_two_recordings_know_a_clock_better_than_one():
+    config = config_of()
+    runs = [drive(config, seed=seed, lidar_late_s=-0.035) for seed in (0, 1)]
+    one, both = (
+        next(row for row in clocks(of, config, config).estimates if row.what == "lidar") for of in (runs[:1], runs)
+    )
+    assert both.sigma < one.sigma
+
+
+def test_a_lidar_mounted_otherwise_is_turned_in_the_file():
+    config = config_of(turned=TURNED)
+    found = mountings([drive(config)], config, config)
+    turned = np.radians([one.after for one in found.estimates])
+    sigmas = np.radians([one.sigma for one in found.estimates])
+    assert (np.abs(turned - TURNED) < 3.0 * sigmas).all() and (np.degrees(sigmas) < 0.4).all()
+    assert len(found.changes) == 1
+
+
+@pytest.mark.slow
+def test_what_was_not_seen_is_said_and_not_written():
+    config = config_of(turned=TURNED, lidar_={"mounting_sigma_deg": 0.05})
+    found = mountings([drive(config)], config, config)
+    assert not found.changes
+    assert all(one.reason.startswith("not observable") for one in found.estimates if not one.is_observable)
+    assert any(not one.is_observable for one in found.estimates)
+
+
+def test_the_noise_of_an_odometry_that_does_not_drift_is_found_and_its_drift_is_small():
+    config = config_of()
+    found = odometry_noise([drive(config, ignored=["lidar"])], config)
+    (translation,), (rotation,) = named(found, "translation_sigma_m"), named(found, "rotation_sigma_rad")
+    assert translation.after == pytest.approx(0.005 * np.sqrt(2.0), rel=0.3)
+    assert rotation.after == pytest.approx(3e-4 * np.sqrt(2.0), rel=0.5)
+    assert named(found, "drift_m_per_sqrt_m")[0].after < 0.02
+
+
+@pytest.mark.slow
+def test_an_odometry_five_times_noisier_is_written_as_such():
+    config = config_of()
+    found = odometry_noise([drive(config, ignored=["lidar"], jitter=(0.005, 0.07))], config)
+    (translation,) = named(found, "translation_sigma_m")
+    assert translation.is_written
+    assert translation.after == pytest.approx(0.07 * np.sqrt(2.0), rel=0.3)
+
+
+def test_an_offset_that_filters_in_sensors_explain_is_none():
+    assert not is_off(0.008, 0.0005, 0.03)
+    assert is_off(0.02, 0.001, 0.03)
+    assert not is_off(0.02, 0.02, 0.03)
+
+
+@pytest.mark.slow
+def test_a_lever_arm_that_was_measured_wrongly_is_found_where_the_machine_turns():
+    config, off = config_of(), np.array([0.05, -0.04, 0.0])
+    wrong = [
+        one.model_copy(update={"translation_m": tuple(np.add(one.translation_m, -off).tolist())})
+        if one.child == "gnss"
+        else one
+        for one in config.extrinsics
+    ]
+    given = config.model_copy(update={"extrinsics": tuple(wrong)})
+    with_arms, _ = with_estimated_arms(given)
+    found = lever_arms([drive(with_arms)], given)
+    for one, true in zip(found.estimates, off, strict=True):
+        assert abs(one.after - true) < 3.0 * one.sigma, one.what
+    assert [one.is_observable for one in found.estimates[:2]] == [True, True]
+    assert len(found.changes) == 1 and found.changes[0].path[-1] == "translation_m"

@@ -1,0 +1,54 @@
+"""Simulated machines whose file is wrong: what is true is found within three sigmas, whatever the seed."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+
+from calibration import run
+
+pytestmark = pytest.mark.slow
+CLOCKS = ("gnss", "gnss_right", "heading", "lidar")
+
+
+def rows(scenario, seed, duration_s=100.0):
+    found, truth = run(scenario, seed, duration_s, lever_arms=False)
+    return found, {
+        (one.what, str(one.path[-1])): (one, truth[one.what, str(one.path[-1])])
+        for one in found.estimates
+        if (one.what, str(one.path[-1])) in truth
+    }
+
+
+def is_within(one, true, sigmas=3.0):
+    return abs(one.after - true) <= sigmas * one.sigma
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_offsets_of_clocks_are_found_and_written(seed):
+    found, by_key = rows("offset-clocks", seed)
+    for name in CLOCKS:
+        one, true = by_key[name, "time_offset_s"]
+        assert one.is_written and is_within(one, true) and one.sigma < 0.003
+        assert abs(found.config.sensors[name].time_offset_s - true) < 0.004
+    assert found.held_out[-1].rms(in_outage=False) < found.held_out[0].rms(in_outage=False)
+
+
+def test_a_lidar_that_is_mounted_otherwise_is_turned_and_no_clock_is_accused():
+    found, by_key = rows("wrong-mount", 13)
+    for axis in "xyz":
+        one, true = by_key[f"lidar, about its {axis}", "rotation"]
+        assert is_within(one, true), axis
+    assert any(one.is_written and one.what.startswith("lidar, about") for one in found.estimates)
+    assert not any(by_key[name, "time_offset_s"][0].is_written for name in CLOCKS)
+
+
+def test_the_zero_of_the_encoder_and_the_drift_of_the_lidar_are_found_on_rough_ground():
+    _, by_key = rows("rough", 14, 120.0)
+    zero, true = by_key["zero of joint", "zero_offset_deg"]
+    assert is_within(zero, true)
+    for key in ("drift_m_per_sqrt_m", "translation_sigma_m"):
+        one, true = by_key["lidar", key]
+        assert one.is_observable and one.after == pytest.approx(true, rel=0.5)
