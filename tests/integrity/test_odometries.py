@@ -1,5 +1,7 @@
 """Odometries: which jump, slip or fall silent, each by its name, and what they find against GNSS."""
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
@@ -38,6 +40,19 @@ def test_a_jump_is_reported_and_survived():
     for t in np.arange(2.1, 4.0, 0.2):
         receive(rig, pose(t, off=AHEAD))
     assert rig.events() == [(EventKind.ODOMETRY_JUMP, "lidar")]
+    assert rig.error_m() < 0.02
+
+
+def test_a_pose_that_begins_a_new_map_begins_a_new_frame_and_is_no_fault_of_the_odometry():
+    rig, reasons = begun(), []
+    for t in np.arange(0.1, 2.0, 0.2):
+        receive(rig, pose(t))
+    for k in range(5):  # more often than an odometry may jump without being doubted
+        for n, t in enumerate(np.arange(2.1 + k, 3.0 + k, 0.2)):
+            measured = replace(pose(t, off=(k + 1) * 0.05 * AHEAD), begins_anew=n == 0)
+            assert receive(rig, measured) is Outcome.USED
+        reasons += [event.reason for event in rig.log.take_events()]
+    assert len(reasons) == 5 and all("begins a new map" in reason and "trebled" not in reason for reason in reasons)
     assert rig.error_m() < 0.02
 
 

@@ -19,14 +19,17 @@ from rosbags.typesys import get_types_from_msg
 from yard import START_NS, error, message, sweep
 
 from holdfast.cli.lidar_odometry import lidar_odometry
+from holdfast.config.load import parse_config
 from holdfast.errors import ConfigError, EstimatorError, RecordingError
 from holdfast.lidar_odometry import registration, runner
+from holdfast.lidar_odometry.process import ScanProcess
 from holdfast.lidar_odometry.registration import Registered
-from holdfast.lidar_odometry.worker import RegistrationProcess
+from holdfast.lidar_odometry.replayed import ReplayedScans
 from holdfast.recording.bag_file import Channel
 from holdfast.recording.mcap_writer import McapWriter
 from holdfast.recording.raw import RawChannel, RawCopier
 from holdfast.recording.source import Subscription, open_recording
+from holdfast.recording.subscriptions import subscriptions
 
 pytest.importorskip("small_gicp")
 
@@ -195,6 +198,34 @@ def test_the_gyroscope_of_a_configuration_is_used(bag, plain, tmp_path, capsys):
         convert(bag, tmp_path / "none.mcap", "--replace", "-c", config)
 
 
+def test_a_replay_sees_the_poses_that_the_command_writes_to_the_bit_and_at_the_same_times(bag, tmp_path):
+    text = """
+sensors:
+  imu: {kind: imu, topic: /imu}
+  lidar: {kind: scans, topic: /points, latency_s: 0.13, scan_voxel_m: 0.3}
+extrinsics: [{parent: imu, child: lidar, translation_m: [0, 0, 0]}]
+"""
+    (tmp_path / "config.yaml").write_text(text)
+    out = convert(bag, tmp_path / "out.mcap", "--replace", "-c", tmp_path / "config.yaml", "--latency-s", 0.13)
+    with open_recording(out) as recording:
+        written = list(recording.read([Subscription("/lidar/odometry", "lidar", "odometry")]))
+    config = parse_config(text)
+    with open_recording(bag) as recording, ReplayedScans(config, recording.read(subscriptions(config))) as scanned:
+        replayed = list(scanned)
+        assert scanned.warnings() == []
+    arrivals = [message.arrival_ns for message in replayed]
+    assert arrivals == sorted(arrivals)
+    poses = [message for message in replayed if message.sensor == "lidar"]
+    assert len(replayed) - len(poses) == SWEEPS * 20
+    assert len(poses) == len(written) == SWEEPS
+    for pose, other in zip(poses, written, strict=True):
+        assert (pose.stamp_ns, pose.arrival_ns) == (other.stamp_ns, other.arrival_ns)
+        np.testing.assert_array_equal(pose.position, other.position)
+        np.testing.assert_allclose(pose.quaternion, other.quaternion, atol=1e-15)
+        if pose.covariance is not None:
+            np.testing.assert_allclose(pose.covariance, other.covariance, atol=1e-15)
+
+
 def test_of_two_odometries_the_one_of_the_output_topic_names_the_mounting(bag, tmp_path):
     config = tmp_path / "config.yaml"
     text = """
@@ -306,26 +337,18 @@ def test_stamps_may_begin_at_zero(tmp_path, capfd):
 # --- however it ends --------------------------------------------------------------------------------------------------
 
 
-def test_a_library_that_throws_is_one_line():
-    with RegistrationProcess("small-gicp", 1) as process:
-        process.submit(replace(sweeps()[0], points=np.zeros((5, 2)), offsets_s=None))
-        with pytest.raises(EstimatorError, match="lidar odometry by small-gicp failed: ") as raised:
-            process.result()
-    assert "\n" not in str(raised.value)
-
-
 def test_a_killed_process_is_one_line_and_what_was_written_is_kept(bag, tmp_path, monkeypatch):
-    class Doomed(RegistrationProcess):
+    class Doomed(ScanProcess):
         asked = 0
 
-        def result(self):
+        def take(self, timeout_s=None):
             self.asked += 1
             if self.asked == 4:
                 os.kill(self.pid, signal.SIGKILL)
                 time.sleep(0.2)
-            return super().result()
+            return super().take(timeout_s)
 
-    monkeypatch.setattr(runner, "RegistrationProcess", Doomed)
+    monkeypatch.setattr(runner, "ScanProcess", Doomed)
     with pytest.raises(EstimatorError, match="its process was killed by SIGKILL") as raised:
         convert(bag, tmp_path / "out.mcap", "--replace")
     assert "\n" not in str(raised.value)
@@ -392,4 +415,31 @@ def test_no_process_outlives_one_that_was_killed(long_bag, tmp_path):
     assert len(survivors(running.pid)) >= 2
     running.kill()
     running.communicate(timeout=30)
+    assert_nobody_survives(running.pid)
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_a_replay_of_scans_that_is_ended_leaves_no_process(long_bag, tmp_path, number):
+    (tmp_path / "config.yaml").write_text(
+        "sensors: {imu: {kind: imu, topic: /imu}, lidar: {kind: scans, topic: /points}}\n"
+        "extrinsics: [{parent: imu, child: lidar, translation_m: [0, 0, 1]}]\n"
+    )
+    arguments = ["replay", str(long_bag), "-c", str(tmp_path / "config.yaml"), "-o", str(tmp_path / "out")]
+    running = subprocess.Popen(
+        [sys.executable, "-c", "from holdfast.cli import main; main()", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + 60
+    while len(survivors(running.pid)) < 2 and time.monotonic() < deadline:
+        assert running.poll() is None, running.communicate()
+        time.sleep(0.02)
+    time.sleep(1.0)
+    os.killpg(running.pid, number)
+    _, err = running.communicate(timeout=60)
+    assert running.returncode == (130 if number == signal.SIGINT else -signal.SIGKILL)
+    assert "Traceback" not in err
     assert_nobody_survives(running.pid)

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from network import drive, messages, plain
+from ruamel.yaml import YAML
 
 from holdfast.cli import holdfast
+from holdfast.live.idl import STORE
 from holdfast.recording.tum import read_tum
 
 SECONDS = 6.0
@@ -25,15 +27,18 @@ TOPICS = {
 }
 
 
-def converse(python, domain, folder):
-    """Let the peer play the drive, and return what it sent and received."""
+def played():
+    """What the peer plays of the drive."""
     rows = [row for row in messages(drive() / "recording.mcap") if row[1] not in ("/tf", "/tf_static")]
-    first_ns = rows[0][0]
-    play = [
-        [(at - first_ns) * 1e-9, topic, name, raw.hex()]
+    return [
+        [(at - rows[0][0]) * 1e-9, topic, name, raw.hex()]
         for at, topic, name, raw, _ in rows
-        if (at - first_ns) * 1e-9 < SECONDS
+        if (at - rows[0][0]) * 1e-9 < SECONDS
     ]
+
+
+def converse(python, domain, folder, play):
+    """Let the peer play a drive, and return what it sent and received."""
     task = {"play": play, "linger_s": 1.5, "then": [["/holdfast/reset", "std_msgs/msg/Empty", {}]]}
     task["receive"] = [[topic, name, topic.endswith("datum")] for topic, name in TOPICS.items()]
     (folder / "task.json").write_text(json.dumps(task))
@@ -61,7 +66,7 @@ def test_a_ros_node_and_holdfast_agree_on_every_field(distribution, ros_python, 
     log = tmp_path / "log.mcap"
     process = live("--record", log, commands=True)
     process.wait_for("publishing")
-    found = converse(python, domain, tmp_path)
+    found = converse(python, domain, tmp_path, played())
     process.wait_for("/holdfast/reset: the estimator begins anew")
     assert process.end() == 130, process.lines()
     recorded = {}
@@ -113,3 +118,46 @@ def assert_near_truth(stamps_ns, positions, offset_ns):
     for axis in range(2):
         true = np.interp(at, truth.stamps_ns - truth.stamps_ns[0], truth.positions[:, axis])
         assert np.abs(positions[:, axis] - true).max() < 0.05
+
+
+CLOUD = "sensor_msgs/msg/PointCloud2"
+
+
+def with_thin_clouds(folder):
+    """What a peer plays of a drive with scans: of each cloud every fourth point, and no odometry."""
+    simulate = ["simulate", "quick", "--scans", "--duration", "8", "-o", str(folder)]
+    assert CliRunner().invoke(holdfast, simulate).exit_code == 0
+    rows, play = list(messages(folder / "recording.mcap")), []
+    for at, topic, name, raw, message in rows:
+        if topic in ("/tf", "/tf_static", "/lidar/odometry"):
+            continue
+        if name == CLOUD:
+            points = message.data.reshape(-1, message.point_step)[::4]
+            message.data, message.width, message.row_step = points.ravel(), len(points), points.size
+            raw = bytes(STORE.serialize_cdr(message, name))  # noqa: PLW2901
+        play.append([(at - rows[0][0]) * 1e-9, topic, name, raw.hex()])
+    return play
+
+
+@pytest.mark.slow
+def test_clouds_that_a_ros_node_publishes_become_an_odometry(ros_python, live, domain, tmp_path):
+    pytest.importorskip("small_gicp")
+    python, play = ros_python("jazzy"), with_thin_clouds(tmp_path / "quick")
+    config = YAML(typ="safe").load((tmp_path / "quick" / "config.yaml").read_text())
+    config["sensors"]["lidar"] |= {"kind": "scans", "topic": "/lidar/points"}
+    process = live(config=config, commands=True)
+    process.wait_for("publishing")
+    found = converse(python, domain, tmp_path, play)
+    process.wait_for("initialised")
+    told = [
+        {entry["key"]: entry["value"] for entry in status["values"]}
+        for array in found["received"]["/diagnostics"]
+        for status in array["status"]
+        if status["name"] == "holdfast: odometry of lidar"
+    ]
+    sent = len(found["sent"]["/lidar/points"])
+    assert int(told[-1]["received"]) >= 0.8 * sent  # its publisher is best-effort
+    assert int(told[-1]["poses"]) >= 3 and told[-1]["refused"] == "0"
+    used = next(status for status in found["received"]["/diagnostics"][-1]["status"] if status["name"] == "holdfast")
+    assert int({entry["key"]: entry["value"] for entry in used["values"]}["lidar used"]) >= 1
+    assert process.end() == 130

@@ -6,13 +6,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bags import HUMBLE, START_NS, fix, imu, stamped, twist_with_covariance, write_bag
+from bags import HUMBLE, START_NS, fix, imu, odometry, stamped, twist_with_covariance, write_bag
 from driven import POSITIONS, VELOCITIES, driven, received, turning
 from driven import standing as at_rest
 
 from holdfast.config.load import parse_config
 from holdfast.config.model import Config
-from holdfast.config.sensors import GnssConfig, GnssVelocityConfig, HeadingConfig, ImuConfig
+from holdfast.config.sensors import (
+    GnssConfig,
+    GnssVelocityConfig,
+    HeadingConfig,
+    ImuConfig,
+    OdometryConfig,
+    ScansConfig,
+)
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.recording.first_config import first_config
 from holdfast.recording.imu_at_rest import imu_at_rest
@@ -45,6 +52,30 @@ def configured(folder: Path, *rows: Iterator[Any]) -> tuple[str, Config]:
     with open_recording(write_bag(folder / "b", "mcap", ordered)) as recording:
         text = first_config(recording)
     return text, parse_config(text)
+
+
+def clouds(seconds: float = 2.0, topic: str = "/ouster/points") -> Iterator[Any]:
+    layout = {"height": 1, "width": 0, "fields": [], "is_bigendian": False, "point_step": 0, "row_step": 0}
+    for k in range(round(seconds * 5)):
+        stamp = START_NS + k * 200 * MS
+        message = HUMBLE.types["sensor_msgs/msg/PointCloud2"](
+            header=imu(HUMBLE, stamp).header, data=np.zeros(0, np.uint8), is_dense=True, **layout
+        )
+        yield topic, stamp + 210 * MS, message
+
+
+def test_clouds_are_scans_where_there_is_no_odometry_and_nothing_beside_one(tmp_path: Path) -> None:
+    several = standing(), clouds(), clouds(topic="/camera/depth/points"), clouds(topic="/velodyne_rear")
+    text, config = configured(tmp_path / "scans", *several)
+    assert isinstance(config.sensors["lidar"], ScansConfig)
+    assert config.sensors["lidar"].topic == "/ouster/points"
+    assert len(config.sensors) == 2
+    assert "# lidar_2: /velodyne_rear" in text and "not used" in text
+    tracked = ((*row[:2], odometry(HUMBLE, row[1])) for row in clouds(topic="/lidar/odometry"))
+    text, config = configured(tmp_path / "odometry", standing(), clouds(), tracked)
+    assert isinstance(config.sensors["lidar"], OdometryConfig)
+    assert "not used beside the odometry /lidar/odometry" in text
+    assert len(config.sensors) == 2
 
 
 def test_five_lines_say_what_the_imu_is_like(tmp_path: Path) -> None:

@@ -11,6 +11,9 @@ from motion import NOT_TURNED, T_I_L, Drive, scans, tilted_circle
 from numeric import PLACED, assert_jacobians, residual
 
 from holdfast.config.sensors import OdometryConfig
+from holdfast.errors import EstimatorError
+from holdfast.messages import SensorPose
+from holdfast.point_cloud import Layout, PointCloud
 from holdfast.sensors.odometry import MAX_SCALE, OdometryModel, OdometryNoise, is_possible
 from holdfast.state import Outcome
 
@@ -34,6 +37,19 @@ def pair(nav_i, nav_j):
     values.insert(XI, nav_i)
     values.insert(XJ, nav_j)
     return values
+
+
+def test_a_scan_is_refused_where_a_pose_is_needed():
+    scan = PointCloud(1, 1, "lidar", "lidar", Layout((), 0, 0, 0, 0, False), np.zeros(0, np.uint8))
+    with pytest.raises(EstimatorError, match=r"lidar: a PointCloud came \(allowed: SensorPose\)"):
+        MODEL.convert(scan, PLACED)
+
+
+def test_a_covariance_of_a_kilometre_says_that_the_motion_was_not_measured():
+    for sigma_m, begins in ((1e3, True), (0.5, False)):
+        covariance = np.diag(np.repeat([10.0**2, sigma_m**2], 3))
+        message = SensorPose(1, 1, "lidar", np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), covariance)
+        assert MODEL.convert(message, PLACED).begins_anew is begins
 
 
 @pytest.mark.parametrize("motion", [tilted_circle(), Drive(start_s=-3.0)])

@@ -14,6 +14,7 @@ from holdfast.api.result import Result
 from holdfast.config.load import config_of, load_config
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError, EstimatorError
+from holdfast.lidar_odometry.replayed import ReplayedScans
 from holdfast.loops.opening import loop_closer
 from holdfast.recording.source import open_recording
 from holdfast.recording.subscriptions import subscriptions
@@ -103,7 +104,7 @@ def _run(  # noqa: PLR0917 (of the two above)
 
     folder = Path(temporary.name if output is None and temporary is not None else output or "")
     with open_recording(Path(recording)) as opened, ExitStack() as stack:
-        messages = opened.read(subscriptions(loaded), *span_s)
+        scanned = stack.enter_context(ReplayedScans(loaded, opened.read(subscriptions(loaded), *span_s)))
         batch = None
         if batch_s is not None:
             closer = stack.enter_context(loop_closer(Path(recording), opened, loaded, stamp))
@@ -116,9 +117,9 @@ def _run(  # noqa: PLR0917 (of the two above)
             loaded, outputs, rules, batch=batch, on_output=kept.add, on_block=lambda block: [f(block) for f in takers]
         )
         with shown(opened.start_ns, opened.end_ns, progress) as show:
-            run.run(messages, None, show)
+            run.run(scanned, None, show)
         run.write_events()
-        warnings = [*opened.warnings, *run.warnings, *([] if batch is None else batch.warnings())]
+        warnings = [*opened.warnings, *scanned.warnings(), *run.warnings, *([] if batch is None else batch.warnings())]
     summary = summarise_replay(run, str(recording), warnings, True)
     _write_summary(causal, summary)
     if files is not None and batch is not None:

@@ -29,6 +29,7 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError, EstimatorError, HoldfastError
 from holdfast.evaluation.percentiles import percentiles
+from holdfast.lidar_odometry.replayed import ReplayedScans
 from holdfast.messages import ImuSample
 from holdfast.recording.source import Subscription, open_recording
 from holdfast.replay.never_started import never_started
@@ -125,8 +126,10 @@ def _run(job: Job, folder: Path, answers: Connection) -> None:
 
 def _measure_here(job: Job, folder: Path, progress: Callable[[int], None]) -> Result:
     floor_ns = measure_floor(job)
-    with open_recording(job.recording) as recording:
-        messages = recording.read(job.subscriptions, 0.0, job.duration_s)
+    with (
+        open_recording(job.recording) as recording,
+        ReplayedScans(job.config, recording.read(job.subscriptions, 0.0, job.duration_s)) as messages,
+    ):
         began_s = process_time()  # unlike wall time it does not count what other programs took
         if job.with_outputs:
             with Outputs(folder, job.config) as outputs:

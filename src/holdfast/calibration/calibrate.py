@@ -20,7 +20,7 @@ from holdfast.config.document import Path as KeyPath
 from holdfast.config.document import yaml_text
 from holdfast.config.edit import Change
 from holdfast.config.model import Config
-from holdfast.config.sensors import OdometryConfig, PositionConfig
+from holdfast.config.sensors import DriftingConfig, PositionConfig
 from holdfast.errors import ConfigError
 from holdfast.recording.source import Recording
 
@@ -88,7 +88,7 @@ def calibrated(
         config, resting = with_estimated_arms(now.config)
         found.append(lever_arms(runs.run("lever arms", config, resting), draft.config))
     found.append(fix_noise(evidence, draft.config))
-    odometries = draft.config.sensors_of(OdometryConfig)
+    odometries = draft.config.sensors_of(DriftingConfig)
     if odometries and any(isinstance(one, PositionConfig) for one in draft.config.sensors.values()):
         found.append(odometry_noise(runs.run("odometry noise", now.config, list(odometries)), draft.config))
     names = [Path(one).name for one in recordings]

@@ -15,6 +15,7 @@ from holdfast.config.model import Config
 from holdfast.errors import EstimatorError
 from holdfast.estimator.estimator import Estimator
 from holdfast.geometry.world import World
+from holdfast.lidar_odometry.replayed import ReplayedScans
 from holdfast.messages import Array, ImuSample, JointAngle, Message
 from holdfast.recording.source import Recording, open_recording
 from holdfast.recording.subscriptions import available
@@ -232,7 +233,8 @@ def gather(
     """
     with open_recording(path) as recording, watch(recording) as progress:
         wanted, _ = available(recording, config)
-        return collected(path, config, recording.read(wanted), rules, ignored=ignored, progress=progress)
+        with ReplayedScans(config, recording.read(wanted)) as messages:
+            return collected(path, config, messages, rules, ignored=ignored, progress=progress)
 
 
 def collected(

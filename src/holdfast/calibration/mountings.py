@@ -12,7 +12,7 @@ from holdfast.calibration.evidence import Evidence
 from holdfast.calibration.placing import entry_of, moved
 from holdfast.config.edit import Change
 from holdfast.config.model import Config
-from holdfast.config.sensors import OdometryConfig
+from holdfast.config.sensors import DriftingConfig
 
 FLOOR_DEG = 0.02  # sigma: errors of the gyroscope's scale and axes turn with the machine, too
 
@@ -24,7 +24,7 @@ def mountings(evidence: Sequence[Evidence], original: Config, config: Config) ->
     """
     estimates: list[Estimated] = []
     changes: list[Change] = []
-    for name, section in original.sensors_of(OdometryConfig).items():
+    for name, section in original.sensors_of(DriftingConfig).items():
         known, prior = of_name(evidence, name), section.mounting_sigma_deg
         if not known or prior == 0.0:
             continue

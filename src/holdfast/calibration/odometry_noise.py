@@ -19,7 +19,7 @@ from holdfast.calibration.estimated import Estimated, Family, Found
 from holdfast.calibration.evidence import Evidence
 from holdfast.config.edit import Change
 from holdfast.config.model import Config
-from holdfast.config.sensors import OdometryConfig
+from holdfast.config.sensors import DriftingConfig
 from holdfast.messages import Array
 from holdfast.sensors.odometry import TrackPose
 
@@ -72,7 +72,7 @@ def odometry_noise(evidence: Sequence[Evidence], original: Config) -> Found:
     """
     estimates: list[Estimated] = []
     changes: list[Change] = []
-    for name, section in original.sensors_of(OdometryConfig).items():
+    for name, section in original.sensors_of(DriftingConfig).items():
         for kind in (ROTATION, TRANSLATION):
             found = [one for run in evidence for one in _differences(run, name, section, kind)]
             posterior = _posterior(found)
@@ -140,7 +140,7 @@ def _moments(values: Array, weights: Array) -> tuple[float, float]:
     return mean, max(variance, step**2 / 4.0) ** 0.5
 
 
-def _differences(run: Evidence, name: str, section: OdometryConfig, kind: int) -> list[Differences]:
+def _differences(run: Evidence, name: str, section: DriftingConfig, kind: int) -> list[Differences]:
     """Return differences between successive poses, and over spans."""
     track = run.tracks.get(name, [])
     if len(track) < 3:
@@ -174,7 +174,7 @@ class _Steps:
     white: Array
 
 
-def _variances(section: OdometryConfig, kind: int, distance: Array, rotation: Array) -> tuple[float, Array, Array]:
+def _variances(section: DriftingConfig, kind: int, distance: Array, rotation: Array) -> tuple[float, Array, Array]:
     """Return the variances that are configured: of the noise of a motion, of its drifts by distance and by rotation."""
     if kind == ROTATION:
         by_distance = section.drift_rad_per_sqrt_m**2 * distance
@@ -182,7 +182,7 @@ def _variances(section: OdometryConfig, kind: int, distance: Array, rotation: Ar
     return section.translation_sigma_m**2, section.drift_m_per_sqrt_m**2 * distance, np.zeros(len(rotation))
 
 
-def _successive(against: _Steps, section: OdometryConfig, kind: int) -> Differences | None:
+def _successive(against: _Steps, section: DriftingConfig, kind: int) -> Differences | None:
     """Return how much successive steps differ from each other: three poses, and no error that is alike in both."""
     both = against.usable[1:] & against.usable[:-1]
     if both.sum() < FEW:
@@ -198,7 +198,7 @@ def _successive(against: _Steps, section: OdometryConfig, kind: int) -> Differen
     return Differences(values, np.full(len(values), 3.0 * noise), drifts[0], drifts[1], known, 0.5)
 
 
-def _over(against: _Steps, section: OdometryConfig, kind: int, span_s: float) -> Differences | None:
+def _over(against: _Steps, section: DriftingConfig, kind: int, span_s: float) -> Differences | None:
     """Return the differences over a span."""
     times = against.times_s
     first = np.arange(len(times) - 1)

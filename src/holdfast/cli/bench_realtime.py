@@ -114,6 +114,7 @@ def _material(
     from tempfile import TemporaryDirectory
 
     from holdfast.config.load import load_config
+    from holdfast.lidar_odometry.replayed import ReplayedScans
     from holdfast.recording.source import open_recording
     from holdfast.recording.subscriptions import subscriptions
 
@@ -123,8 +124,11 @@ def _material(
         config = load_config(config_path or f"{folder}/config.yaml")
         if nodes is not None:
             config = config.model_copy(update={"graph": config.graph.model_copy(update={"nodes": nodes})})
-        with open_recording(recording or folder) as opened:
-            messages = list(opened.read(subscriptions(config), 0.0, duration_s))
+        with (
+            open_recording(recording or folder) as opened,
+            ReplayedScans(config, opened.read(subscriptions(config), 0.0, duration_s)) as scanned,
+        ):
+            messages = list(scanned)
     if not messages:
         raise ConfigError(f"{recording}: there is no message to play")
     yield config, messages

@@ -42,7 +42,7 @@ def guessed_config(recording: "Recording", output: str) -> Guessed:
     from holdfast.recording.first_config import LOOKED_AT_S, first_proposal
 
     with reading_bar("guessing a configuration", recording, 0.0, LOOKED_AT_S) as progress:
-        proposal = only_what_is_known(first_proposal(recording, progress))
+        proposal = only_what_is_known(_with_what_is_installed(first_proposal(recording, progress)))
     text = starter_yaml(proposal)
     config = parse_config(text, FILE)
     if impossible := impossibilities(config):
@@ -50,6 +50,24 @@ def guessed_config(recording: "Recording", output: str) -> Guessed:
     for line in assumptions(proposal, output):
         click.echo(line, err=True)
     return Guessed(config, text)
+
+
+def _with_what_is_installed(proposal: "Proposal") -> "Proposal":
+    """Leave out scans where the library that registers them is not there."""
+    from dataclasses import replace
+
+    from holdfast.config.sensors import ScansConfig
+    from holdfast.lidar_odometry.registration import DEFAULT_METHOD, check_installed
+
+    try:
+        check_installed(DEFAULT_METHOD)
+    except ConfigError as error:
+        left = [
+            replace(one, why_not=one.why_not or str(error)) if one.section is ScansConfig else one
+            for one in proposal.sensors
+        ]
+        return replace(proposal, sensors=tuple(left))
+    return proposal
 
 
 def assumptions(proposal: "Proposal", output: str) -> Iterator[str]:

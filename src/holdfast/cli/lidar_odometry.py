@@ -15,7 +15,11 @@ from holdfast.output_folder import add_results, check_output_file
 @click.argument("bag", type=click.Path(path_type=Path))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="MCAP file to write.")
 @click.option(
-    "-c", "--config", "config_path", type=click.Path(), help="Deskew with the gyroscope of this configuration."
+    "-c",
+    "--config",
+    "config_path",
+    type=click.Path(),
+    help="Deskew with the gyroscope of this configuration; a `kind: scans` brings its settings.",
 )
 @click.option("--topic", help="Of the clouds. [default: the only PointCloud2]")
 @click.option("--output-topic", default="/lidar/odometry", show_default=True, help="Of the poses.")
@@ -79,10 +83,9 @@ def lidar_odometry(  # noqa: PLR0917 (click passes the options by name)
     replay`. BAG is a ROS 1 or ROS 2 bag, an .mcap or a .db3 file.
     """
     from holdfast.config.load import load_config
-    from holdfast.lidar_odometry.gyroscope import Gyroscope
     from holdfast.lidar_odometry.masked import Masking, boxes_of
     from holdfast.lidar_odometry.registration import DEFAULT_METHOD, check_installed
-    from holdfast.lidar_odometry.runner import Options, choose_topic, run
+    from holdfast.lidar_odometry.runner import Options, choose_topic, guide_of, run
     from holdfast.recording.mcap_writer import McapWriter
     from holdfast.recording.raw import RawBag
 
@@ -96,12 +99,12 @@ def lidar_odometry(  # noqa: PLR0917 (click passes the options by name)
     began_s = perf_counter()
     with RawBag(bag) as opened:
         chosen = choose_topic(opened, options)
-        gyroscope = None if config is None else Gyroscope(config, opened, output_topic)
+        guide = None if config is None else guide_of(config, opened, options)
         begin_ns, end_ns = opened.recording.start_ns, opened.recording.end_ns
         with naming_the_output(output):
             output.parent.mkdir(parents=True, exist_ok=True)
             with McapWriter(output) as writer, progress_bar("registering", begin_ns, end_ns) as progress:
-                summary = run(opened, chosen, writer, options, gyroscope, progress)
+                summary = run(opened, chosen, writer, options, guide, progress)
             add_results(output)
     for warning in summary.warnings:
         click.echo(f"warning: {warning}", err=True)

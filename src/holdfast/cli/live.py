@@ -1,6 +1,7 @@
 """`holdfast live`: the estimator as a node of a running ROS 2 machine, without a ROS installation."""
 
 import gc
+import os
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from holdfast.config.model import Config
     from holdfast.live.dds import Network
     from holdfast.live.feed import Feed
+    from holdfast.live.scans import LiveScans
     from holdfast.realtime.engine import RealtimeEstimator
 
 
@@ -60,9 +62,10 @@ def live(config_path: str, record_path: str | None, view_target: str | None, dur
 
         with _held_back():
             feeds = _feeds(stack, record_path, view_target)
+            scans = _scans(stack, config)  # before the engine ties this process to its core
             engine = stack.enter_context(RealtimeEstimator(config))
             engine.wait_until_ready()
-        node = LiveNode(config, subscriptions(config), engine, network, feeds=feeds, show=_show)
+        node = LiveNode(config, subscriptions(config), engine, network, feeds=feeds, scans=scans, show=_show)
         _show(f"listening on domain {network.domain_id}: {', '.join(node.inputs.topics)}")
         _show(f"publishing {', '.join(node.outputs.topics)}")
         gc.collect()
@@ -118,6 +121,31 @@ def _feeds(stack: ExitStack, record_path: str | None, view_target: str | None) -
         stack.callback(feed.close)
         feeds.append(feed)
     return feeds
+
+
+def _scans(stack: ExitStack, config: "Config") -> "list[LiveScans]":
+    """Start the odometries that are made of scans.
+
+    Raises:
+        ConfigError: the library that registers scans is not installed.
+    """
+    from holdfast.config.sensors import ScansConfig
+
+    sections = config.sensors_of(ScansConfig)
+    if not sections:
+        return []
+    from holdfast.lidar_odometry.registration import check_installed
+    from holdfast.live.scans import LiveScans
+
+    for section in sections.values():
+        check_installed(section.method)
+    cores = frozenset(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
+    scans = []
+    for name in sections:
+        one = LiveScans(config, name, cores)
+        stack.callback(one.close)
+        scans.append(one)
+    return scans
 
 
 @contextmanager

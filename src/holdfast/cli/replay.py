@@ -69,6 +69,7 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     """
     from holdfast.cli.guessed import FILE, guessed_config
     from holdfast.config.load import load_config
+    from holdfast.lidar_odometry.replayed import ReplayedScans
     from holdfast.recording.source import open_recording
     from holdfast.replay.never_started import never_started
     from holdfast.replay.outputs import Outputs
@@ -89,18 +90,22 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
         wanted, missing = wanted_of(opened, config, strict)
         messages = opened.read(wanted, start_s, duration_s)
         with folder:
-            with Outputs(Path(output), config) as outputs, _engine(config, realtime) as engine:
+            with (
+                Outputs(Path(output), config) as outputs,
+                ReplayedScans(config, messages) as scanned,
+                _engine(config, realtime) as engine,
+            ):
                 if guess is not None:
                     (outputs.folder / FILE).write_text(guess.text, encoding="utf-8")
                 run = Replay(config, outputs, rules, realtime=engine)
                 failure: BaseException | None = None
                 try:
                     with reading_bar("replaying", opened, start_s, duration_s) as progress:
-                        run.run(messages, rate or (1.0 if realtime else None), progress)
+                        run.run(scanned, rate or (1.0 if realtime else None), progress)
                 except (HoldfastError, KeyboardInterrupt) as error:
                     failure = error
                 run.write_events()
-            found = [*opened.warnings, *run.warnings, *_stopped(run)]
+            found = [*opened.warnings, *scanned.warnings(), *run.warnings, *_stopped(run)]
             warnings = [*(f"{sensor}: {reason}" for sensor, reason in missing.items()), *found]
             summary = write_summary(run, recording, warnings, Path(output), failure is None, missing)
             for warning in found:

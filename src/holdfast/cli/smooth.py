@@ -48,6 +48,7 @@ def smooth(  # noqa: PLR0917 (click passes the options by name)
     not grow with the recording.
     """
     from holdfast.config.load import load_config
+    from holdfast.lidar_odometry.replayed import ReplayedScans
     from holdfast.loops.opening import loop_closer
     from holdfast.recording.source import open_recording
     from holdfast.replay.batch_outputs import CAUSAL, BatchOutputs
@@ -72,16 +73,20 @@ def smooth(  # noqa: PLR0917 (click passes the options by name)
             loop_closer(recording, opened, config, stamp) as closer,
         ):
             batch = BatchSmoother(config, window_s, overlap_s, closer)
-            with Outputs(folder / CAUSAL, config) as outputs, BatchOutputs(folder, config) as files:
+            with (
+                Outputs(folder / CAUSAL, config) as outputs,
+                BatchOutputs(folder, config) as files,
+                ReplayedScans(config, messages) as scanned,
+            ):
                 run = Replay(config, outputs, rules, batch=batch, on_block=files.write)
                 failure: BaseException | None = None
                 try:
                     with reading_bar("smoothing", opened, start_s, duration_s) as progress:
-                        run.run(messages, None, progress)
+                        run.run(scanned, None, progress)
                 except (HoldfastError, KeyboardInterrupt) as error:
                     failure = error
                 run.write_events()
-            warnings = [*opened.warnings, *run.warnings, *batch.warnings()]
+            warnings = [*opened.warnings, *scanned.warnings(), *run.warnings, *batch.warnings()]
             summary = write_summary(run, recording, warnings, folder / CAUSAL, failure is None, missing)
             summary["smooth"] = files.summary(batch)
             write_json(folder / SUMMARY, summary)

@@ -9,7 +9,15 @@ from holdfast.config.kinds import KINDS
 from holdfast.config.model import FramesConfig
 from holdfast.config.recorded_frames import RecordedFrames, RecordedLink
 from holdfast.config.schema import Place
-from holdfast.config.sensors import GnssConfig, GnssVelocityConfig, HeadingConfig, ImuConfig, MountedConfig
+from holdfast.config.sensors import (
+    GnssConfig,
+    GnssVelocityConfig,
+    HeadingConfig,
+    ImuConfig,
+    MountedConfig,
+    OdometryConfig,
+    ScansConfig,
+)
 from holdfast.errors import RecordingError
 from holdfast.messages import Array
 from holdfast.printable import one_line
@@ -204,6 +212,9 @@ def _sensor(
     if guess.rule.spare or (needs_datum and not offsets):
         why_not = "beside GNSS it needs frames.datum" if needs_datum else "not used beside the primary one"
         return SensorProposal(guess, given, found, why_not)
+    odometry = next((other for other in guesses if KINDS[other.kind] is OdometryConfig), None)
+    if section is ScansConfig and odometry is not None:
+        return SensorProposal(guess, given, found, f"not used beside the odometry {odometry.topic.topic}")
     if (names := frames.joints.get(guess.topic.topic, ())) and place.child("joint_name"):
         found = found.joined(_joint_name(guess, names))
     given |= offsets | {key: value for key, value in found.values.items() if place.child(key)}
@@ -250,7 +261,7 @@ class _Machine:
             yield self._mount(self.base, joint.parent)
             seen.add(joint.parent)
         for sensor in self.sensors:  # also of one that a user may want to use
-            is_left_out = bool(sensor.why_not) and sensor.guess.kind == "base_imu"
+            is_left_out = bool(sensor.why_not) and sensor.guess.kind in ("base_imu", "scans")
             if issubclass(sensor.section, MountedConfig) and sensor.section is not ImuConfig and not is_left_out:
                 if sensor.frame not in seen:
                     yield self._mount(self._parent(sensor), sensor.frame, sensor)

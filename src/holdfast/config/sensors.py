@@ -131,10 +131,9 @@ class HeadingConfig(JudgedConfig):
     min_sigma_deg: float = quantity("deg", 0.05, gt=0, le=180, doc="floor under the sensor's claim")
 
 
-class OdometryConfig(MountedConfig):
-    """A pose that drifts, of a lidar, a camera or wheels, made by another program; noise is that between two poses."""
+class DriftingConfig(MountedConfig):
+    """What all odometries have: poses that drift. Noise is that between two poses."""
 
-    kind: Literal["odometry"]
     topic: Topic
     translation_sigma_m: float = quantity("m", 0.02, gt=0, doc="noise of the motion between two poses, per axis")
     rotation_sigma_rad: float = quantity("rad", 0.002, gt=0, doc="noise of the rotation between two poses, per axis")
@@ -159,6 +158,40 @@ class OdometryConfig(MountedConfig):
     def silence_s(self) -> float:
         """Time without a pose after which it is silent: two of the longest intervals that are joined [s]."""
         return 2.0 * self.max_interval_s
+
+
+class OdometryConfig(DriftingConfig):
+    """A pose that drifts, of a lidar, a camera or wheels, made by another program; noise is that between two poses."""
+
+    kind: Literal["odometry"]
+
+
+class ScansConfig(DriftingConfig):
+    """Scans of a lidar, of which Holdfast makes an odometry itself, in its own process; noise is that of its poses.
+
+    The scans are never seen by the estimator, nor is the estimate by the odometry: it knows the gyroscope and its own
+    past, and nothing of GNSS.
+    """
+
+    kind: Literal["scans"]
+    method: Literal["small-gicp", "genz-icp", "kiss-icp"] = Field(
+        "small-gicp", description="library that registers the scans; of the others only its poses are guided"
+    )
+    min_range_m: float = quantity("m", 1.0, ge=0, le=100, doc="nearer points are the machine itself")
+    max_range_m: float = quantity("m", 120.0, gt=1, le=1000, doc="farther points are left out")
+    machine_boxes_m: tuple[tuple[float, float, float, float, float, float], ...] = Field(
+        (), description="parts of the machine in the lidar's frame, whose points are cut: two corners x y z x y z [m]"
+    )
+    learn_machine: bool = Field(True, description="cut what is learnt to move with the machine, such as its arm")
+    map_voxel_m: float = quantity("m", 0.5, gt=0.05, le=5, doc="cell of the map (small-gicp)")
+    scan_voxel_m: float = quantity(
+        "m", 0.25, gt=0.02, le=5, doc="of each cell of a scan one point is used (small-gicp)"
+    )
+    use_gyroscope: bool = Field(True, description="deskew and predict with the rotation that the IMU measures")
+    latency_s: float = quantity(
+        "s", 0.08, ge=0, le=5, doc="in a replay a pose comes so long after its scan; live it is what it is"
+    )
+    threads: int = Field(1, ge=1, le=64, description="of the registration; more than 1 varies the bits")
 
 
 class TwistConfig(JudgedConfig, MountedConfig):

@@ -3,7 +3,7 @@
 from collections.abc import Collection
 
 from holdfast.config.model import Config
-from holdfast.config.sensors import InertialConfig, JointConfig, OdometryConfig, PositionConfig
+from holdfast.config.sensors import DriftingConfig, InertialConfig, JointConfig, PositionConfig
 from holdfast.state import Health, HealthReport
 
 FUSED_NS = 1_000_000_000  # what entered so recently counts as being fused
@@ -21,7 +21,7 @@ class HealthMonitor:
         self.names = [name for name, one in sensors.items() if not isinstance(one, InertialConfig | JointConfig)]
         self._imu = config.imu_name
         self._receivers = frozenset(config.sensors_of(PositionConfig))
-        self._silence_ns = {name: round(one.silence_s * 1e9) for name, one in config.sensors_of(OdometryConfig).items()}
+        self._silence_ns = {name: round(one.silence_s * 1e9) for name, one in config.sensors_of(DriftingConfig).items()}
         self._entered_ns: dict[str, int] = {}
         self._noise: dict[str, float] = {}
         self._started_ns: int | None = None

@@ -7,7 +7,7 @@ from numpy import asarray, float64
 from numpy.typing import ArrayLike
 
 from holdfast.config.model import Config
-from holdfast.config.sensors import BaseImuConfig, GnssConfig, HeadingConfig, JointConfig, OdometryConfig
+from holdfast.config.sensors import BaseImuConfig, DriftingConfig, GnssConfig, HeadingConfig, JointConfig
 from holdfast.measured_fields import array_of
 from holdfast.messages import Array, FixStatus, GnssFix, Heading, ImuSample, JointAngle, Message, SensorPose
 from holdfast.state import Output
@@ -83,7 +83,7 @@ class Intake(Protocol):
         arrival_ns: int | None = None,
     ) -> Output:
         """Take in a pose of an odometry: (3,) [m], (4,) x, y, z, w, covariance (6, 6), as in `SensorPose`."""
-        name = self.config.only(OdometryConfig, sensor)
+        name = self.config.only(DriftingConfig, sensor)
         pose = array_of(position, (3,), "position", "m"), array_of(quaternion, (4,), "quaternion", "x, y, z, w")
         known = None if covariance is None else array_of(covariance, (6, 6), "covariance", "rad^2, then m^2")
         return self.process(SensorPose(stamp_ns, arrival_ns or _now_ns(), name, *pose, known))

@@ -73,6 +73,8 @@ class OdometryTrack:
         motion, has_jumped = None, False
         if before is None or before.stamp_ns < pose.stamp_ns:
             self._newest = pose
+        if before is not None and before.stamp_ns < pose.stamp_ns and pose.begins_anew:
+            before, self._epochs, self._T_W_I0 = None, [], None
         if before is not None and before.stamp_ns < pose.stamp_ns:
             motion = before.T_I0_I.between(pose.T_I0_I)
             self._slack = _carried(self._slack, motion, pose.excess)

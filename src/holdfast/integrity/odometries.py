@@ -99,6 +99,10 @@ class Odometries:
             if odometry.is_lost:
                 odometry.is_lost = False
                 self._log.report(EventKind.SENSOR_REGAINED, now_ns, pose.sensor, "poses again")
+        if pose.begins_anew:
+            reason = "it begins a new map: the motion since the pose before is not measured"
+            self._log.report(EventKind.ODOMETRY_JUMP, pose.stamp_ns, pose.sensor, reason)
+            odometry.monitor.forget_frame()
         if has_jumped:
             often = "; too often: its noise is trebled" if odometry.note_jump(pose.stamp_ns) else ""
             reason = f"the IMU did not measure this motion{often}"

@@ -1,33 +1,23 @@
 """Finds the sweeps that can be used among the raw messages of a bag."""
 
-from dataclasses import replace
-
-from holdfast.lidar_odometry.gyroscope import Gyroscope
+from holdfast.lidar_odometry.scan_odometry import MIN_POINTS
 from holdfast.lidar_odometry.sweep import Sweep, decode_sweep
 from holdfast.recording.decode import UndecodableError
 from holdfast.recording.merge import SkippedMessages
 from holdfast.recording.raw import RawBag, RawChannel
 
-MIN_POINTS = 100
-
 
 class SweepReader:
     """Takes the messages of a bag in order; what cannot be used is counted in `skipped`.
-
-    `without_gyroscope` counts the sweeps that a given gyroscope did not measure from their first to their last point.
 
     Raises:
         RecordingError: the definition of a type cannot be used.
     """
 
-    def __init__(self, bag: RawBag, topic: str, min_range_m: float, gyroscope: Gyroscope | None) -> None:
+    def __init__(self, bag: RawBag, topic: str, min_range_m: float) -> None:
         self.skipped = SkippedMessages()
-        self.without_gyroscope = 0
-        self._topic = topic
         self._min_range_m = min_range_m
-        self._gyroscope = gyroscope
-        wanted = {topic} if gyroscope is None else {topic, gyroscope.topic}
-        self._codecs = {channel: channel.codec() for channel in bag.channels if channel.topic in wanted}
+        self._codecs = {channel: channel.codec() for channel in bag.channels if channel.topic == topic}
         self._last: Sweep | None = None
 
     def take(self, arrival_ns: int, channel: RawChannel, raw: bytes) -> Sweep | None:
@@ -35,11 +25,7 @@ class SweepReader:
         if channel not in self._codecs:
             return None
         try:
-            message = self._codecs[channel].deserialize(raw)
-            if channel.topic == self._topic:
-                return self._accept(decode_sweep(message))
-            if self._gyroscope is not None:
-                self._gyroscope.add(message, arrival_ns)
+            return self._accept(decode_sweep(self._codecs[channel].deserialize(raw)))
         except Exception as error:  # damaged bytes raise anything; one message must not end the run
             self.skipped.add(channel.topic, arrival_ns, error)
         return None
@@ -56,8 +42,4 @@ class SweepReader:
                 f"{len(far.points)} points lie beyond {self._min_range_m:g} m (allowed: {MIN_POINTS} or more)"
             )
         self._last = far
-        if self._gyroscope is None:
-            return far
-        rates = self._gyroscope.rates(far)
-        self.without_gyroscope += rates is None
-        return replace(far, rates=rates)
+        return far

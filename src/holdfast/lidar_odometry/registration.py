@@ -35,12 +35,14 @@ class Registered:
         cut: fraction of the points that lay on the machine and were not used.
         restarted: the sweep could not be joined to the map; a new one begins, and the motion since the last pose is
             not measured.
+        is_guided: a gyroscope measured the whole sweep.
     """
 
     stamp_ns: int
     T_L0_L: Array
     covariance: Array | None = None
     restarted: bool = False
+    is_guided: bool = False
     unheld: int = 0
     cut: float = 0.0
 
@@ -64,8 +66,8 @@ def check_installed(method: str) -> None:
         raise ConfigError(f"lidar odometry by {method} needs {package}: {remedy}")
 
 
-def make_registration(method: str, threads: int) -> Registration:
-    """Return a fresh odometry."""
+def make_registration(method: str, threads: int, **settings: float) -> Registration:
+    """Return a fresh odometry; `settings` are those of small-gicp."""
     _, module, name = METHODS[method]
-    registration: Registration = getattr(import_module(module), name)(threads)
+    registration: Registration = getattr(import_module(module), name)(threads, **settings)
     return registration

@@ -1,29 +1,37 @@
 """A recording with point clouds in, the same recording with poses in their place out."""
 
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
 
+from holdfast.config.model import Config
+from holdfast.config.sensors import ScansConfig
 from holdfast.errors import ConfigError, RecordingError
-from holdfast.lidar_odometry.gyroscope import Gyroscope
+from holdfast.lidar_odometry.gyroscope import gyroscope_mount
+from holdfast.lidar_odometry.in_step import InStep
 from holdfast.lidar_odometry.masked import Masking
-from holdfast.lidar_odometry.reader import SweepReader
+from holdfast.lidar_odometry.process import ScanProcess
 from holdfast.lidar_odometry.registration import DEFAULT_METHOD, Registered
-from holdfast.lidar_odometry.sweep import Sweep
-from holdfast.lidar_odometry.worker import RegistrationProcess
-from holdfast.messages import Array
+from holdfast.lidar_odometry.scan_odometry import Settings, lidar_of, settings_of
+from holdfast.messages import Array, ImuSample
+from holdfast.point_cloud import PointCloud
+from holdfast.recording.decode import UndecodableError, stamp_ns
+from holdfast.recording.kinds.imu import imu_decoder
+from holdfast.recording.kinds.scans import POINT_CLOUD, point_cloud
 from holdfast.recording.mcap_writer import McapWriter
+from holdfast.recording.merge import SkippedMessages
 from holdfast.recording.raw import RawBag, RawCopier
-from holdfast.recording.source import find_topic
+from holdfast.recording.source import Subscription, find_topic
 from holdfast.ros.cdr import OdometryEncoder
 
 ODOMETRY = "nav_msgs/msg/Odometry"
-POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 FRAME = "lidar_odom"
 UNKNOWN = np.zeros(36)
+DECODE_IMU = imu_decoder(Subscription("", "imu", "imu"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,12 +101,40 @@ def choose_topic(bag: RawBag, options: Options) -> str:
     return topic
 
 
+class Guide(NamedTuple):
+    """The gyroscope of a recording: its topic, and the settings of the odometry that it guides."""
+
+    imu_topic: str
+    settings: Settings
+
+
+def settings_of_options(options: Options) -> Settings:
+    """Return the settings of a run without a configuration."""
+    return Settings(options.method, options.threads, options.min_range_m, masking=options.masking)
+
+
+def guide_of(config: Config, bag: RawBag, options: Options) -> Guide:
+    """Return how the IMU of a configuration guides the odometry that is made.
+
+    A sensor with `kind: scans` brings its settings along, one with `kind: odometry` its mounting alone.
+
+    Raises:
+        ConfigError: the configuration has no such odometry.
+        RecordingError: the recording has no topic of the IMU.
+    """
+    name = lidar_of(config, options.output_topic)
+    topic = find_topic(bag.recording, config.imu.topic).topic
+    if isinstance(config.sensors[name], ScansConfig):
+        return Guide(topic, settings_of(config, name))
+    return Guide(topic, replace(settings_of_options(options), gyroscope=gyroscope_mount(config, name)))
+
+
 def run(  # noqa: PLR0917 (all but the last two are needed)
     bag: RawBag,
     topic: str,
     writer: McapWriter,
     options: Options,
-    gyroscope: Gyroscope | None = None,
+    guide: Guide | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Summary:
     """Copy a bag without its clouds, in order of arrival, and write a pose for each cloud that can be registered.
@@ -108,78 +144,93 @@ def run(  # noqa: PLR0917 (all but the last two are needed)
         topic: of the clouds, from `choose_topic`.
         writer: takes the copy and the poses.
         options: of the run.
-        gyroscope: deskews better than the motion between the sweeps.
+        guide: a gyroscope deskews better than the motion between the sweeps.
         progress: called with the arrival [ns] of each cloud.
 
     Raises:
         RecordingError: the bag is damaged, or none of its clouds can be used.
         EstimatorError: the registration failed.
     """
-    summary = Summary()
+    summary, skipped = Summary(), SkippedMessages()
     dropped = {options.output_topic} if options.keep_scans else {options.output_topic, topic}
     copier = RawCopier(writer, [channel for channel in bag.channels if channel.topic not in dropped])
-    reader = SweepReader(bag, topic, options.min_range_m, gyroscope)
-    with RegistrationProcess(options.method, options.threads, options.masking) as process:
-        poses = _Poses(process, writer, options, summary)
+    settings = settings_of_options(options) if guide is None else guide.settings
+    wanted = {topic} if guide is None else {topic, guide.imu_topic}
+    codecs = {channel: channel.codec() for channel in bag.channels if channel.topic in wanted}
+
+    def refuse(arrival_ns: int, reason: str) -> None:
+        skipped.add(topic, arrival_ns, UndecodableError(reason))
+
+    with closing(InStep(settings, options.latency_s, restarts=False, make=ScanProcess, on_refusal=refuse)) as odometry:
+        poses = _Poses(odometry, writer, options, summary)
         try:
             for arrival_ns, channel, raw in bag.messages():
                 poses.write(until_ns=arrival_ns)
                 copier.copy(arrival_ns, channel, raw)
-                sweep = reader.take(arrival_ns, channel, raw)
-                if sweep is None:
+                if channel not in codecs:
                     continue
-                poses.submit(sweep, arrival_ns)
+                try:
+                    message = _decoded(codecs[channel].deserialize(raw), channel.topic == topic, arrival_ns)
+                except Exception as error:  # damaged bytes raise anything; one message must not end the run
+                    skipped.add(channel.topic, arrival_ns, error)
+                    continue
+                if isinstance(message, ImuSample):
+                    odometry.add_sample(message)
+                    continue
+                odometry.add_scan(message)
                 if progress is not None:
                     progress(arrival_ns)
         except RecordingError:
             poses.write()  # what came before the damage is good
             raise
         poses.write()
-    _warn(summary, bag, reader, copier, topic)
+    _warn(summary, bag, odometry, copier, topic, skipped)
     return summary
 
 
-def _warn(summary: Summary, bag: RawBag, reader: SweepReader, copier: RawCopier, topic: str) -> None:
+def _decoded(message: Any, is_cloud: bool, arrival_ns: int) -> PointCloud | ImuSample:
+    if is_cloud:
+        return point_cloud(stamp_ns(message), arrival_ns, "", message)
+    sample = DECODE_IMU(message, arrival_ns)
+    assert isinstance(sample, ImuSample)
+    return sample
+
+
+def _warn(  # noqa: PLR0917
+    summary: Summary, bag: RawBag, odometry: InStep, copier: RawCopier, topic: str, skips: SkippedMessages
+) -> None:
     """Complete the warnings of a run.
 
     Raises:
         RecordingError: no cloud was used.
     """
-    path = str(bag.recording.path)
-    skipped = reader.skipped.lines(path)
+    path, account = str(bag.recording.path), odometry.account
+    skipped = skips.lines(path)
     if not summary.poses:
         raise RecordingError(skipped[0] if skipped else f"{path}: holds no cloud on {topic}")
     left_out = [f"{path}: left out {text}" for text in copier.left_out]
-    if reader.without_gyroscope:
+    if odometry.is_guided and account.unguided:
         skipped.append(
-            f"{path}: {reader.without_gyroscope} of {summary.poses} sweeps were deskewed without the gyroscope, which "
+            f"{path}: {account.unguided} of {summary.poses} sweeps were deskewed without the gyroscope, which "
             "did not measure all of them: check its topic and time_offset_s"
         )
     summary.warnings = [*bag.recording.warnings, *skipped, *left_out, *summary.warnings]
 
 
 class _Poses:
-    """The pending poses, in order."""
+    """Writes the poses, in order."""
 
-    def __init__(self, process: RegistrationProcess, writer: McapWriter, options: Options, summary: Summary) -> None:
-        self._process = process
+    def __init__(self, odometry: InStep, writer: McapWriter, options: Options, summary: Summary) -> None:
+        self._odometry = odometry
         self._writer = writer
         self._options = options
         self._summary = summary
-        self._latency_ns = round(options.latency_s * 1e9)
-        self._due_ns: deque[int] = deque()
         self._encoder: OdometryEncoder | None = None
-
-    def submit(self, sweep: Sweep, arrival_ns: int) -> None:
-        """Submit a sweep; its pose arrives `latency_s` after it."""
-        self._encoder = self._encoder or OdometryEncoder(FRAME, sweep.frame_id)
-        self._process.submit(sweep)
-        self._due_ns.append(arrival_ns + self._latency_ns)
 
     def write(self, until_ns: int | None = None) -> None:
         """Write all poses that arrive up to a time, or all."""
-        while self._encoder and self._due_ns and (until_ns is None or self._due_ns[0] <= until_ns):
-            registered = self._process.result()
+        for registered, arrival_ns, frame_id in self._odometry.due(until_ns):
+            self._encoder = self._encoder or OdometryEncoder(FRAME, frame_id)
             self._summary.poses += 1
             self._summary.unheld += registered.unheld > 0
             self._summary.cut += registered.cut
@@ -188,8 +239,7 @@ class _Poses:
                     f"at {registered.stamp_ns} ns a new map begins, after a gap or because the sweep does not fit: the "
                     "motion since the pose before it is not measured"
                 )
-            message = encode(registered, self._encoder)
-            self._writer.write(self._options.output_topic, message, ODOMETRY, self._due_ns.popleft())
+            self._writer.write(self._options.output_topic, encode(registered, self._encoder), ODOMETRY, arrival_ns)
 
 
 def encode(registered: Registered, encoder: OdometryEncoder) -> bytes:

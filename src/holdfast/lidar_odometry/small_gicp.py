@@ -18,7 +18,9 @@ from holdfast.lidar_odometry.sweep import Sweep
 from holdfast.messages import Array
 
 VOXEL_M = 0.5
-RESOLUTIONS_M = (0.5, 0.25)  # the first, coarse pass finds the motion within the sweep for the second
+RESOLUTION_M = 0.25
+COARSE = 2.0  # times that resolution is the first pass where nothing measures the rotation: it finds the motion
+DESKEWED_M = 0.01  # a velocity that errs by so much over half a sweep is worth a second pass
 NEIGHBOURS = 10
 PARTNER_M = 1.0
 EPSILON_RAD, EPSILON_M = 1e-5, 1e-4
@@ -35,18 +37,25 @@ class SmallGicp:
     """An odometry whose poses refer to the middle of the sweep, where deskewing errs least.
 
     Between sweeps the lidar is predicted, and during a sweep its points are deskewed, with the gyroscope's rotation if
-    the sweep brings it, else with a constant rate; in either case with a constant velocity. Both are found twice: from
-    the last two sweeps, and again when this one has been aligned coarsely, because a cabin starts and stops within one.
-    In directions that the sweep does not hold, the prediction stays.
+    the sweep brings it, else with a constant rate; in either case with a constant velocity. They come from the last
+    two sweeps, and again from this one once it is aligned, because a cabin starts and stops within one: without a
+    gyroscope always, after a coarse pass, else where the velocity has changed. In directions that the sweep does not
+    hold, the prediction stays.
+
+    Args:
+        threads: of the library; more than one varies the bits.
+        map_voxel_m: cell of the map [m].
+        scan_voxel_m: of a scan one point is used per cell [m].
     """
 
-    def __init__(self, threads: int) -> None:
+    def __init__(self, threads: int, map_voxel_m: float = VOXEL_M, scan_voxel_m: float = RESOLUTION_M) -> None:
         self._threads = threads
+        self._map_voxel_m, self._scan_voxel_m = map_voxel_m, scan_voxel_m
         self._at_ns = NEVER_NS
         self._T_L0_L = gtsam.Pose3()
         self._angular = np.zeros(3)
         self._velocity = np.zeros(3)
-        self._map = small_gicp.GaussianVoxelMap(VOXEL_M)
+        self._map = small_gicp.GaussianVoxelMap(map_voxel_m)
         self._degeneracy = Degeneracy()
         self._found: Observability | None = None  # of the sweep before; the coarse pass is too coarse to tell
 
@@ -61,18 +70,22 @@ class SmallGicp:
         rotation = self._rates(sweep).rotation(at_s - interval_s, at_s)
         guess = T_L0_L = self._T_L0_L.compose(gtsam.Pose3(rotation, self._velocity * interval_s))
         self._velocity = rotation.unrotate(self._velocity)
-        found = self._found
-        for resolution_m in RESOLUTIONS_M:
-            cloud = self._cloud(sweep, at_s, resolution_m)
+        is_guided, found, has_looked = sweep.rates is not None, self._found, False
+        for resolution_m in (
+            [self._scan_voxel_m] * 2 if is_guided else [COARSE * self._scan_voxel_m, self._scan_voxel_m]
+        ):
+            cloud, deskewed_by = self._cloud(sweep, at_s, resolution_m), self._velocity
             result = self._align(cloud, T_L0_L)
             if result.num_inliers < LOST_INLIER_FRACTION * cloud.size():
                 return self._begin(sweep, at_s, T_L0_L)
-            if resolution_m == RESOLUTIONS_M[-1]:
-                found = self._degeneracy.look(_points(cloud), self._T_L0_L.between(guess).matrix())
+            if resolution_m == self._scan_voxel_m and not has_looked:
+                has_looked, found = True, self._degeneracy.look(_points(cloud), self._T_L0_L.between(guess).matrix())
             T_L0_L = _where_held(found, guess, gtsam.Pose3(result.T_target_source))
             motion = self._T_L0_L.between(T_L0_L)
             self._velocity = motion.rotation().unrotate(motion.translation()) / interval_s
             self._angular = gtsam.Rot3.Logmap(motion.rotation()) / interval_s
+            if is_guided and np.linalg.norm(self._velocity - deskewed_by) * sweep.half_s < DESKEWED_M:
+                break
         self._map.insert(cloud, T_L0_L.matrix())
         self._at_ns, self._T_L0_L = at_ns, T_L0_L
         assert found is not None
@@ -83,9 +96,9 @@ class SmallGicp:
 
     def _begin(self, sweep: Sweep, at_s: float, T_L0_L: gtsam.Pose3) -> Registered:
         at_ns, restarted = sweep.stamp_ns + round(at_s * 1e9), self._at_ns > NEVER_NS
-        self._map = small_gicp.GaussianVoxelMap(VOXEL_M)
+        self._map = small_gicp.GaussianVoxelMap(self._map_voxel_m)
         self._map.set_lru(MEMORY_SWEEPS, 100)
-        cloud = self._cloud(sweep, at_s, RESOLUTIONS_M[-1])
+        cloud = self._cloud(sweep, at_s, self._scan_voxel_m)
         self._map.insert(cloud, T_L0_L.matrix())
         self._degeneracy, self._found = Degeneracy(), None
         self._degeneracy.look(_points(cloud), np.eye(4))

@@ -1,110 +1,68 @@
-"""A registration library in a process of its own, because it holds the interpreter's lock for whole sweeps.
+"""The process of one lidar odometry: a registration holds the interpreter's lock for whole scans.
 
-The process is spawned and connected by one pipe. It ends when the pipe closes, however the parent ends.
+Started as `python -m holdfast.lidar_odometry.worker CONNECTION SLOT SLOT`: inherited descriptors. The first message on
+the connection are the settings, each further one a `Request`, answered by an `Answer`. The process ends when the
+connection closes, and with the process that started it, however that ends.
 """
 
+import os
 import signal
-from collections import deque
-from multiprocessing import get_context, resource_tracker
+import sys
 from multiprocessing.connection import Connection
-from types import TracebackType
-from typing import Self
+from time import perf_counter_ns, process_time
 
-from holdfast.errors import EstimatorError
-from holdfast.lidar_odometry.masked import Masked, Masking
-from holdfast.lidar_odometry.registration import Registered, make_registration
-from holdfast.lidar_odometry.sweep import Sweep
-
-MAX_PENDING_SWEEPS = 2  # one is registered while the next one is decoded
-PATIENCE_S = 5.0
+from holdfast.lidar_odometry.scan_odometry import ScanOdometry, Settings
+from holdfast.lidar_odometry.shared_scan import READY, Answer, Request, Slot
+from holdfast.recording.decode import UndecodableError
 
 
-class RegistrationProcess:
-    """Sweeps in, poses out in the same order; a context manager that ends the process."""
-
-    def __init__(self, method: str, threads: int, masking: Masking | None = None) -> None:
-        self._method = method
-        self._results: deque[Registered] = deque()
-        self._in_flight = 0
-        context = get_context("spawn")
-        self._connection, theirs = context.Pipe()
-        self._process = context.Process(target=serve, args=(theirs, method, threads, masking), daemon=True)
-        # a Ctrl-C, or the end of a service, goes to the whole group; the child inherits this block, the parent decides;
-        # starting multiprocessing's own tracker of resources would lift the block, so that one comes first
-        resource_tracker.ensure_running()
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+def serve(connection: Connection, slots: list[Slot], settings: Settings) -> None:
+    """Answer each request until the other end closes."""
+    odometry = ScanOdometry(settings)
+    connection.send(Answer(READY))
+    while True:
+        request: Request = connection.recv()
+        began_ns = perf_counter_ns()
+        registered, refusal = None, ""
         try:
-            self._process.start()
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        theirs.close()
-
-    @property
-    def pid(self) -> int | None:
-        """Return the number of the process."""
-        return self._process.pid
-
-    def submit(self, sweep: Sweep) -> None:
-        """Hand over a sweep; waits while too many are pending.
-
-        Raises:
-            EstimatorError: the process failed, with its error in one line.
-        """
-        while self._in_flight >= MAX_PENDING_SWEEPS:
-            self._results.append(self._receive())
-        try:
-            self._connection.send(sweep)
-        except OSError:
-            while True:  # until it sends its error, or its exit code is known
-                self._results.append(self._receive())
-        self._in_flight += 1
-
-    def result(self) -> Registered:
-        """Return the pose of the earliest sweep that has not been returned yet; errors as in `submit`."""
-        return self._results.popleft() if self._results else self._receive()
-
-    def _receive(self) -> Registered:
-        try:
-            answer = self._connection.recv()
-        except (EOFError, OSError):
-            raise self._ended() from None
-        if isinstance(answer, Registered):
-            self._in_flight -= 1
-            return answer
-        raise EstimatorError(answer)
-
-    def _ended(self) -> EstimatorError:
-        self._process.join(PATIENCE_S)
-        code = self._process.exitcode
-        how = f"was killed by {signal.Signals(-code).name}" if code is not None and code < 0 else f"ended with {code}"
-        return EstimatorError(f"lidar odometry by {self._method}: its process {how}")
-
-    def __enter__(self) -> Self:
-        """Return the process itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """End the process: at once after an error, else when it is idle."""
-        self._connection.close()
-        if error is None:
-            self._process.join(PATIENCE_S)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
+            registered = odometry.register(request.cloud(slots[request.slot].read(request.size)), request.samples)
+        except UndecodableError as error:
+            refusal = str(error)
+        took_ns = perf_counter_ns() - began_ns
+        connection.send(Answer(request.number, registered, refusal, took_ns, process_time()))
 
 
-def serve(connection: Connection, method: str, threads: int, masking: Masking | None = None) -> None:
-    """Answer each sweep with its pose until the other end closes; a failure is answered with its error in one line."""
+def main() -> None:
+    """Run the odometry for the process that started this one."""
+    for number in (signal.SIGINT, signal.SIGTERM):  # whoever started this process decides when it ends
+        signal.signal(number, signal.SIG_IGN)
+    _die_with_parent()
+    descriptor, *slots = (int(text) for text in sys.argv[1:])
+    connection = Connection(descriptor)
     try:
-        registration = make_registration(method, threads)
-        if masking is not None:
-            registration = Masked(registration, masking)
-        while True:
-            connection.send(registration.register(connection.recv()))
+        settings, placement = connection.recv()
+        if placement.cores is not None and hasattr(os, "sched_setaffinity"):
+            os.sched_setaffinity(0, placement.cores)
+        os.nice(placement.nice)
+        serve(connection, [Slot(slot) for slot in slots], settings)
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return
-    except Exception as error:  # whatever a library throws, the parent reports it in one line
+    except Exception as error:  # whatever a library throws, the other end reports it in one line
         text = " ".join(str(error).split())
-        connection.send(f"lidar odometry by {method} failed: {type(error).__name__}: {text}")
+        connection.send(Answer(READY, fault=f"failed: {type(error).__name__}: {text}"))
+        sys.exit(1)
+
+
+def _die_with_parent() -> None:
+    """Let the kernel end this process with the one that started it, even in the middle of a scan (Linux)."""
+    if sys.platform == "linux":
+        import ctypes
+
+        parent = os.getppid()
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+        if os.getppid() != parent:
+            sys.exit(0)
+
+
+if __name__ == "__main__":
+    main()

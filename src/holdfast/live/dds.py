@@ -84,7 +84,15 @@ class Network(Closing):
         self._discovered: dict[UUID, Publication] = {}
         self.unsent: Counter[str] = Counter()
 
-    def subscribe(self, topic: str, type_name: str, *, reliable: bool = False, latched: bool = False) -> None:
+    def subscribe(
+        self,
+        topic: str,
+        type_name: str,
+        *,
+        reliable: bool = False,
+        latched: bool = False,
+        depth: int = INPUT_DEPTH,
+    ) -> None:
         """Listen to a topic; to listen twice does no harm.
 
         Args:
@@ -92,10 +100,11 @@ class Network(Closing):
             type_name: of a standard message.
             reliable: ask for lost samples again; such a reader does not match a best-effort publisher.
             latched: ask for the last samples that were published before.
+            depth: samples that wait while the process is held up.
         """
         if (topic, type_name) in self._readers:
             return
-        policies = [Policy.History.KeepLast(INPUT_DEPTH), *_policies(reliable=reliable, latched=latched)]
+        policies = [Policy.History.KeepLast(depth), *_policies(reliable=reliable, latched=latched)]
         reader = DataReader(self._participant, self._topic(topic, type_name), Qos(*policies))
         arrived = ReadCondition(reader, SampleState.NotRead | ViewState.Any | InstanceState.Any)
         self._waiting.attach(arrived)

@@ -10,7 +10,11 @@ from holdfast.messages import Message
 from holdfast.printable import quoted
 from holdfast.recording.decode import Decoder
 from holdfast.recording.kinds import KINDS
+from holdfast.recording.kinds.scans import POINT_CLOUD
 from holdfast.recording.source import Subscription
+
+SCANS_DEPTH = 4
+"""Scans that wait in the network while the node is held up: each may be of 6 MB, and only the newest is wanted."""
 
 
 class Inputs:
@@ -53,13 +57,19 @@ class Inputs:
                 self._decoders.setdefault((subscription.topic, type_name), []).append(allowed[type_name](subscription))
         for topic, types in self.topics.items():
             if len(types) == 1:
-                network.subscribe(topic, types[0], reliable=reliable)
+                self._subscribe(topic, types[0])
 
     def join(self, publications: Iterable[Publication]) -> None:
         """Subscribe to the types that are published, where a topic may have several."""
         for publication in publications:
             if publication.type_name in self.topics.get(publication.topic, ()):
-                self._network.subscribe(publication.topic, publication.type_name, reliable=self._reliable)
+                self._subscribe(publication.topic, publication.type_name)
+
+    def _subscribe(self, topic: str, type_name: str) -> None:
+        if type_name == POINT_CLOUD:
+            self._network.subscribe(topic, type_name, reliable=self._reliable, depth=SCANS_DEPTH)
+        else:
+            self._network.subscribe(topic, type_name, reliable=self._reliable)
 
     def decode(self, sample: Sample, arrival_ns: int) -> list[Message]:
         """Return the measurements in a sample; one that cannot be read is counted, with the reason of the last one.

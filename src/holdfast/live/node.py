@@ -15,7 +15,10 @@ from holdfast.live.idl import STORE
 from holdfast.live.inputs import Inputs
 from holdfast.live.line_limit import LineLimit, Subject
 from holdfast.live.outputs import Level, Outputs
+from holdfast.live.scans import LiveScans
 from holdfast.live.watch import MALFORMED, Finding, Watch
+from holdfast.messages import ImuSample
+from holdfast.point_cloud import PointCloud
 from holdfast.printable import one_line
 from holdfast.realtime.engine import RealtimeEstimator
 from holdfast.recording.source import Subscription
@@ -44,6 +47,7 @@ class LiveNode:
         engine: the estimator.
         network: where to subscribe and to publish.
         feeds: processes that get a copy of everything that is received and published.
+        scans: odometries that are made of scans, in their own processes.
         show: prints one line for the user.
     """
 
@@ -55,6 +59,7 @@ class LiveNode:
         network: Network,
         *,
         feeds: Sequence[Feed],
+        scans: Sequence[LiveScans] = (),
         show: Callable[[str], None],
     ) -> None:
         live = config.live
@@ -62,6 +67,8 @@ class LiveNode:
         self._engine = engine
         self._network = network
         self._feeds = feeds
+        self._scans = {one.name: one for one in scans}
+        self._imu = config.imu_name if scans else ""
         self._show = show
         self._clock = ArrivalClock()
         full = [
@@ -96,6 +103,7 @@ class LiveNode:
             incoming = [Record(*sample, now_ns) for sample in samples] if self._feeds else []
             for sample in self._without_overload(samples, now_ns):
                 self._take(sample, now_ns)
+            self._take_poses()
             if self._engine.datum != self._datum:
                 self._report_datum(now_ns)
             for event in self._engine.take_events():
@@ -135,10 +143,25 @@ class LiveNode:
             return
         for message in self.inputs.decode(sample, now_ns):
             self._watch.note(sample.topic, message.stamp_ns, now_ns, time_ns())
+            if isinstance(message, PointCloud):
+                self._scans[message.sensor].offer(message)
+                continue
+            if message.sensor == self._imu and isinstance(message, ImuSample):
+                for scans in self._scans.values():
+                    scans.add_sample(message)
             output = self._engine.process(message)
             if output.estimate is not None:
                 self.has_started = True
                 self.outputs.estimate(output.estimate, output.base, now_ns)
+
+    def _take_poses(self) -> None:
+        """Give the estimator the poses that were made of scans, as those of any odometry."""
+        for scans in self._scans.values():
+            now_ns = self._clock.now_ns()
+            for pose in scans.poses(now_ns):
+                self._engine.process(pose)
+            if (fault := scans.fault()) is not None:
+                self._report((scans.name, "scans"), Level.WARN, f"{scans.name}: {fault}; it is started again", now_ns)
 
     def _pass_on(self, incoming: list[Record]) -> None:
         batch = incoming + self.outputs.take_records()
@@ -212,6 +235,7 @@ class LiveNode:
             ]
             text = "ok" if finding is None else finding.text
             statuses.append(Status(OK if finding is None else WARN, f"holdfast: {topic}", text, values))
+        statuses += [scans.status() for scans in self._scans.values()]
         if self._network.unsent:
             unsent = [(topic, str(count)) for topic, count in sorted(self._network.unsent.items())]
             statuses.append(Status(WARN, "holdfast: publishing", "some messages could not be sent", unsent))

@@ -7,7 +7,7 @@ import gtsam
 import numpy as np
 
 from holdfast.config.model import Config
-from holdfast.config.sensors import OdometryConfig
+from holdfast.config.sensors import DriftingConfig
 from holdfast.lidar_odometry.reader import SweepReader
 from holdfast.loops.candidates import Keyframe, Pair, candidates, keyframes_of
 from holdfast.loops.submaps import Submaps
@@ -66,7 +66,7 @@ class LoopCloser:
         submaps: Submaps | None = None
         spans = Submaps(keyframes.values(), trajectory, np.eye(4)).spans_ns
         for begin_ns, end_ns in spans:
-            reader = SweepReader(self._bag, self._topic, MIN_RANGE_M, None)
+            reader = SweepReader(self._bag, self._topic, MIN_RANGE_M)
             rows = self._bag.messages({self._topic}, end_ns + ARRIVAL_NS, begin_ns - ARRIVAL_NS)
             for arrival_ns, channel, raw in rows:
                 sweep = reader.take(arrival_ns, channel, raw)
@@ -88,7 +88,7 @@ class LoopCloser:
         if not self._config.reaches(frame):
             return None
         T_I_L: Array = self._config.T_I(frame)
-        for name in self._config.sensors_of(OdometryConfig):
+        for name in self._config.sensors_of(DriftingConfig):
             if self._config.frame_of(name) == frame and name in calibrations:
                 T_I_L = T_I_L @ gtsam.Pose3(gtsam.Rot3.Expmap(calibrations[name][:3]), np.zeros(3)).matrix()
         return T_I_L

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from holdfast.config.model import Config
-from holdfast.lidar_odometry.runner import POINT_CLOUD
+from holdfast.recording.kinds.scans import POINT_CLOUD
 from holdfast.recording.raw import RawBag
 from holdfast.recording.source import Recording
 

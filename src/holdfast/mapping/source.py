@@ -6,7 +6,7 @@ from pathlib import Path
 
 from holdfast.config.load import config_of
 from holdfast.config.model import Config
-from holdfast.config.sensors import OdometryConfig
+from holdfast.config.sensors import DriftingConfig
 from holdfast.errors import ConfigError
 from holdfast.geometry.earth import Geodetic
 from holdfast.lidar_odometry.reader import SweepReader
@@ -48,7 +48,7 @@ class Run:
         if not self.config.reaches(frame):
             fault = self.config.unreachable(frame)
             raise ConfigError(f"{self.folder}: {fault}; it is the frame of {topic}: give another with --frame")
-        odometries = self.config.sensors_of(OdometryConfig)
+        odometries = self.config.sensors_of(DriftingConfig)
         offsets_s = [one.time_offset_s for name, one in odometries.items() if self.config.frame_of(name) == frame]
         return self.config.T_I(frame), round(offsets_s[0] * 1e9) if offsets_s else 0
 
@@ -88,7 +88,7 @@ class Scans:
     def __init__(self, bag: RawBag, topic: str | None, min_range_m: float) -> None:
         self._bag = bag
         self.topic = choose_topic(bag, Options(topic=topic, replace=True))
-        self._reader = SweepReader(bag, self.topic, min_range_m, None)
+        self._reader = SweepReader(bag, self.topic, min_range_m)
 
     def read(self, progress: Callable[[int], None] | None = None) -> Iterator[Sweep]:
         """Yield those that can be used; `progress` is called with the arrival [ns] of each.

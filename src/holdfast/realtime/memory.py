@@ -37,7 +37,7 @@ class Memory:
     """A nameless file of a fixed size, mapped into this process."""
 
     def __init__(self, size: int, descriptor: int | None = None) -> None:
-        self.descriptor = _nameless_file(size) if descriptor is None else descriptor
+        self.descriptor = nameless_file(size) if descriptor is None else descriptor
         self.map = mmap.mmap(self.descriptor, size)
         self.words = memoryview(self.map)[: 8 * WORDS].cast("q")
 
@@ -48,7 +48,8 @@ class Memory:
         os.close(self.descriptor)
 
 
-def _nameless_file(size: int) -> int:
+def nameless_file(size: int) -> int:
+    """Return the descriptor of a file of a size [bytes] that vanishes with whoever holds it."""
     if hasattr(os, "memfd_create"):
         descriptor = os.memfd_create("holdfast")
     else:

@@ -9,7 +9,8 @@ from typing import ClassVar, NamedTuple
 import gtsam
 import numpy as np
 
-from holdfast.config.sensors import OdometryConfig
+from holdfast.config.sensors import DriftingConfig, OdometryConfig, ScansConfig
+from holdfast.errors import EstimatorError
 from holdfast.geometry.world import World
 from holdfast.messages import Array, Message, SensorPose
 from holdfast.sensors.noise import FREE_VARIANCE, noise_model
@@ -23,6 +24,7 @@ MAX_SCALE = 30.0
 LOOSE_TILT_RAD = 0.2  # of a pseudo-global pose, whose roll and pitch are left to the IMU
 STILL_M_S = 1e-3  # velocity of a frame, which has one only because it shares the type of the nodes
 STANDING = np.zeros(3)
+UNMEASURED_RAD, UNMEASURED_M = 10.0, 1e3  # sigmas of a motion since the pose before that nobody measured
 STANDING_DRIFT_M_PER_SQRT_S = 1e-4  # what even a standing odometry is allowed; a tenth of it in rad
 
 
@@ -33,12 +35,14 @@ class TrackPose:
     Attributes:
         excess: (6, 6) covariance in the tangent of I that the odometry itself adds to the motion since the pose before,
             rotation [rad] then translation [m]; None where it adds nothing.
+        begins_anew: the odometry says that it did not measure the motion since the pose before.
     """
 
     stamp_ns: int
     sensor: str
     T_I0_I: gtsam.Pose3
     excess: Array | None = None
+    begins_anew: bool = False
 
 
 class OdometryModel:
@@ -47,7 +51,7 @@ class OdometryModel:
     role: ClassVar[Role] = Role.ODOMETRY
     message: ClassVar[type[Message] | None] = SensorPose
 
-    def __init__(self, name: str, config: OdometryConfig, T_I_L: gtsam.Pose3) -> None:
+    def __init__(self, name: str, config: DriftingConfig, T_I_L: gtsam.Pose3) -> None:
         self.name = name
         self.config = config
         self.offset_ns = round(config.time_offset_s * 1e9)
@@ -58,12 +62,19 @@ class OdometryModel:
         self._T_L_I = T_I_L.inverse()
 
     def convert(self, message: SensorPose, world: World) -> TrackPose | Outcome:  # noqa: ARG002 (it starts anywhere)
-        """Return the pose of the IMU on the track, T_I_L T_L0_L T_L_I, or what is wrong with it."""
+        """Return the pose of the IMU on the track, T_I_L T_L0_L T_L_I, or what is wrong with it.
+
+        Raises:
+            EstimatorError: it is no pose: scans become poses before the estimator, in `holdfast.lidar_odometry`.
+        """
+        if not isinstance(message, SensorPose):
+            raise EstimatorError(f"{self.name}: a {type(message).__name__} came (allowed: SensorPose)")
         T_L0_L = pose_of(message)
         if isinstance(T_L0_L, Outcome):
             return T_L0_L
-        T_I0_I = self._T_I_L * T_L0_L * self._T_L_I
-        return TrackPose(message.stamp_ns + self.offset_ns, self.name, T_I0_I, self._excess(message, T_L0_L))
+        T_I0_I, stamp_ns = self._T_I_L * T_L0_L * self._T_L_I, message.stamp_ns + self.offset_ns
+        excess, begins_anew = self._excess(message, T_L0_L), _is_unmeasured(message.covariance)
+        return TrackPose(stamp_ns, self.name, T_I0_I, excess, begins_anew)
 
     def _excess(self, message: SensorPose, T_L0_L: gtsam.Pose3) -> Array | None:
         """Return what the message claims beyond the configured noise, brought from the axes of L0 at L to I."""
@@ -72,6 +83,11 @@ class OdometryModel:
         turned = np.kron(np.eye(2), T_L0_L.rotation().matrix().T)
         excess = claimed_excess(turned @ message.covariance @ turned.T, self.config)
         return None if excess is None else self.adjoint @ excess @ self.adjoint.T
+
+
+def _is_unmeasured(covariance: Array | None) -> bool:
+    """Whether a covariance of a motion (6, 6) says that nobody measured it."""
+    return covariance is not None and bool((covariance.diagonal()[3:] >= UNMEASURED_M**2).all())
 
 
 def is_possible(motion: gtsam.Pose3, duration_s: float) -> bool:
@@ -239,4 +255,5 @@ def _with(excess: Array | None, covariance: Array) -> Array:
     return covariance if excess is None else covariance + excess
 
 
-register(OdometryConfig, lambda name, section, config: OdometryModel(name, section, mounting(name, config)))
+for _section in (OdometryConfig, ScansConfig):
+    register(_section, lambda name, section, config: OdometryModel(name, section, mounting(name, config)))

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 
-from holdfast.config.sensors import OdometryConfig
+from holdfast.config.sensors import DriftingConfig
 from holdfast.messages import Array
 from holdfast.sensors.clock import IF_RIGHT_S
 from holdfast.sensors.sensor import Parameter
@@ -26,7 +26,7 @@ class OdometryCalibration:
         T_I_L: the pose of its sensor in I, as configured.
     """
 
-    def __init__(self, config: OdometryConfig, T_I_L: gtsam.Pose3) -> None:
+    def __init__(self, config: DriftingConfig, T_I_L: gtsam.Pose3) -> None:
         self._T_I_L, self._T_L_I = T_I_L, T_I_L.inverse()
         self._adjoint: Array = T_I_L.AdjointMap()[:, :3]
         self.lever_arm: Array = T_I_L.translation()

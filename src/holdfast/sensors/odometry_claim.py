@@ -7,7 +7,7 @@ is taken: along a tunnel it is large, across it small. decision 032.
 
 import numpy as np
 
-from holdfast.config.sensors import OdometryConfig
+from holdfast.config.sensors import DriftingConfig
 from holdfast.messages import Array
 
 LARGE = 9.0  # of the configured variance: below three sigmas a claim is no news
@@ -15,7 +15,7 @@ MOST = 1e10  # of the configured variance; what is beyond it is unknown either w
 SKEW = 1e-6
 
 
-def claimed_excess(claim: Array | None, config: OdometryConfig) -> Array | None:
+def claimed_excess(claim: Array | None, config: DriftingConfig) -> Array | None:
     """Return the covariance (6, 6) that a claim adds to the configured noise, or None where it adds nothing.
 
     In units of the configured sigmas, the eigenvalues of the claim above LARGE are kept. That holds only if, of

@@ -13,6 +13,7 @@ import numpy as np
 from holdfast.config.load import resolved_yaml
 from holdfast.config.model import Config
 from holdfast.evaluation.scenario import Verdict, judge
+from holdfast.lidar_odometry.replayed import ReplayedScans
 from holdfast.recording.source import open_recording
 from holdfast.recording.subscriptions import subscriptions
 from holdfast.replay.published import PublishedRecorder
@@ -61,8 +62,11 @@ def estimate(folder: Path, config: Config, progress: Callable[[int], None] | Non
         RecordingError: the recording cannot be read.
     """
     recorder = PublishedRecorder(config)
-    with open_recording(folder / RECORDING) as recording:
-        recorder.run(recording.read(subscriptions(config)), progress)
+    with (
+        open_recording(folder / RECORDING) as recording,
+        ReplayedScans(config, recording.read(subscriptions(config))) as messages,
+    ):
+        recorder.run(messages, progress)
     return recorder
 
 

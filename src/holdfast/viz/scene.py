@@ -15,15 +15,18 @@ import rerun.blueprint as rrb
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.messages import Array
 from holdfast.ros.rows import quaternion_xyzw
+from holdfast.viz.clouds import MAP_S, Clouds
 
 NS_PER_S = 1_000_000_000
 TIMELINE = "time"
 TRACK_NS = 50_000_000
+CLOUD_NS = 200_000_000
 ELLIPSOID_NS = 200_000_000
 ELLIPSOID_SIGMAS = 3.0
 AXIS_M = 0.8
 COLOURS = [(51, 136, 221), (238, 119, 51), (34, 170, 120), (204, 68, 136), (150, 120, 220), (150, 150, 60)]
 LEVELS = {10: "DEBUG", 20: "INFO", 30: "WARN", 40: "ERROR", 50: "CRITICAL"}
+CLOUD = "sensor_msgs/msg/PointCloud2"
 ODOMETRY, FIX = "nav_msgs/msg/Odometry", "sensor_msgs/msg/NavSatFix"
 DATUM = "/datum"
 TRANSFORMS, DIAGNOSTICS, LOG = "tf2_msgs/msg/TFMessage", "diagnostic_msgs/msg/DiagnosticArray", "rcl_interfaces/msg/Log"
@@ -72,18 +75,22 @@ class Scene:
             TRANSFORMS: self._add_transforms,
             DIAGNOSTICS: self._add_diagnostics,
             LOG: self._add_log,
+            CLOUD: self._add_cloud,
         }
+        self._clouds = Clouds()
+        self._maps: set[str] = set()
+        self._shown_maps: set[str] = set()
         recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
 
     def wants(self, topic: str, type_name: str, time_ns: int) -> bool:
         """Whether a message would be drawn: of those that come fast only some are."""
         if type_name not in self._kinds:
             return False
-        if type_name not in (ODOMETRY, TRANSFORMS) or topic == "/tf_static":
+        if type_name not in (ODOMETRY, TRANSFORMS, CLOUD) or topic == "/tf_static":
             return True
         if time_ns < self._due.get(topic, time_ns):
             return False
-        self._due[topic] = time_ns + TRACK_NS
+        self._due[topic] = time_ns + (CLOUD_NS if type_name == CLOUD else TRACK_NS)
         return True
 
     def add(self, topic: str, type_name: str, message: Any, time_ns: int) -> None:
@@ -107,9 +114,10 @@ class Scene:
             if track.stamps_ns:
                 self._send_fixes(topic, track)
         entities = {self._entity(track.frame_id, topic) for topic, track in {**self._tracks, **self._fixes}.items()}
-        if entities - self._shown:
+        if entities - self._shown or self._maps - self._shown_maps:
             self._shown |= entities
-            self._recording.send_blueprint(blueprint(sorted(self._shown)))
+            self._shown_maps |= self._maps
+            self._recording.send_blueprint(blueprint(sorted(self._shown), sorted(self._shown_maps)))
 
     # --- gathering -----------------------------------------------------------------------------------------------
 
@@ -151,6 +159,7 @@ class Scene:
             stamps_ns, poses = self._transforms.setdefault(child, ([], []))
             stamps_ns.append(_stamp_ns(transform.header))
             poses.append(np.array((t.x, t.y, t.z, q.x, q.y, q.z, q.w)))
+            self._clouds.add_transform(transform.header.frame_id, child, stamps_ns[-1], poses[-1])
 
     def _add_diagnostics(self, topic: str, message: Any, time_ns: int) -> None:
         for status in message.status:
@@ -159,6 +168,12 @@ class Scene:
                 self._statuses[entity] = status.message
                 level = "INFO" if int(status.level) == 0 else "WARN"
                 self.write(entity, f"{status.name}: {status.message}", level, _stamp_ns(message.header) or time_ns)
+
+    def _add_cloud(self, topic: str, message: Any, time_ns: int) -> None:  # noqa: ARG002
+        stamp_ns = _stamp_ns(message.header)
+        self._recording.set_time(TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
+        drawn = self._clouds.draw(self._recording, self._entity(message.header.frame_id, topic), message)
+        self._maps |= set() if drawn is None else {drawn}
 
     def _add_log(self, topic: str, message: Any, time_ns: int) -> None:
         self.write(
@@ -245,10 +260,15 @@ class Scene:
         self._style(entity, rr.SeriesLines(colors=[colour]))
 
 
-def blueprint(entities: Iterable[str]) -> rrb.Blueprint:
+def blueprint(entities: Iterable[str], maps: Iterable[str] = ()) -> rrb.Blueprint:
     """Return the arrangement: space with the tracks up to the cursor, beside it time series and events."""
     past = rrb.VisibleTimeRanges(
         timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
+    )
+    recent = rrb.VisibleTimeRanges(
+        timeline=TIMELINE,
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-MAP_S),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
     )
     series = [("position_sigma_m", "position sigma [m]"), ("speed_m_s", "speed [m/s]"), ("height_m", "height [m]")]
     series.append(("yaw_deg", "yaw [deg]"))
@@ -258,7 +278,7 @@ def blueprint(entities: Iterable[str]) -> rrb.Blueprint:
                 origin="/",
                 contents=["/**", "- /plots/**", "- /log/**"],
                 name="map",
-                overrides={f"{entity}/track": past for entity in entities},
+                overrides={**{f"{entity}/track": past for entity in entities}, **dict.fromkeys(maps, recent)},
             ),
             rrb.Vertical(
                 *(rrb.TimeSeriesView(origin=f"/plots/{entity}", name=name) for entity, name in series),

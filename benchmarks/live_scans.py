@@ -1,0 +1,188 @@
+"""Prints what scans cost a live node, and how good its estimate is: `holdfast live` over DDS on simulated drives.
+
+    holdfast simulate construction --scans --duration 120 -o site
+    python benchmarks/live_scans.py site ...
+
+Each folder is played at its own pace, its clouds as sensor_msgs/PointCloud2 from another process, once without scans
+and once with them: what an IMU message takes to be answered, what a scan takes to become a pose (in time and processor
+time), what was dropped, and how far the published track is from the truth.
+"""
+
+import argparse
+import json
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Thread
+from typing import Any
+
+import numpy as np
+from dds import HOLDFAST, LOOPBACK, STAMP, beside, report
+from rosbags.highlevel import AnyReader
+from ruamel.yaml import YAML
+
+from holdfast.bench.replay import describe_machine
+from holdfast.config.live import LiveConfig
+from holdfast.evaluation.association import associate
+from holdfast.live.dds import Network
+from holdfast.live.idl import STORE
+from holdfast.recording.tum import read_tum
+from holdfast.state import Trajectory
+
+CLOUD, IMU, ODOMETRY, DIAGNOSTICS = (
+    "sensor_msgs/msg/PointCloud2",
+    "sensor_msgs/msg/Imu",
+    "nav_msgs/msg/Odometry",
+    "diagnostic_msgs/msg/DiagnosticArray",
+)
+WORLD = "/holdfast/odometry/world"
+
+
+def configured(folder: Path, target: Path, domain: int, *, scans: bool, topic: str) -> None:
+    """Write the configuration of a folder with its odometry made of scans, or without any."""
+    content: dict[str, Any] = YAML(typ="safe").load((folder / "config.yaml").read_text())
+    lidars = [name for name, sensor in content["sensors"].items() if sensor["kind"] == "odometry"]
+    for name in lidars:
+        if scans:
+            content["sensors"][name] |= {"kind": "scans", "topic": topic}
+        else:
+            del content["sensors"][name]
+    target.write_text(json.dumps(content | {"live": LOOPBACK | {"domain_id": domain}}))
+
+
+def stamped(raw: bytes, shift_ns: int) -> bytes:
+    """Return a message with a stamp of now."""
+    data = bytearray(raw)
+    sec, nanosec = STAMP.unpack_from(data, 4)
+    STAMP.pack_into(data, 4, *divmod(sec * 10**9 + nanosec + shift_ns, 10**9))
+    return bytes(data)
+
+
+def play_clouds(  # noqa: PLR0917 (to another process)
+    folder: Path, domain: int, seconds: float, first_ns: int, began: float, shift_ns: int
+) -> None:
+    """Play the clouds of a recording as the driver of a lidar would, in a process of its own."""
+    network = Network(LiveConfig(domain_id=domain, **LOOPBACK))
+    with AnyReader([folder / "recording.mcap"]) as reader:
+        wanted = [c for c in reader.connections if c.msgtype == CLOUD]
+        publish = {c.topic: network.advertise(c.topic, CLOUD, depth=2) for c in wanted}
+        for connection, at_ns, raw in reader.messages(wanted):
+            at_s = (at_ns - first_ns) * 1e-9
+            if at_s > seconds:
+                break
+            data = stamped(raw, shift_ns)
+            time.sleep(max(0.0, began + at_s - time.perf_counter()))
+            publish[connection.topic](data)
+    time.sleep(1.0)
+    network.close()
+
+
+def play(folder: Path, domain: int, seconds: float, *, scans: bool) -> tuple[list[float], int, int, dict[str, str]]:
+    """Play a recording as its drivers would.
+
+    Returns round trips of the IMU [ms], how many had none, what was added to stamps [ns], and diagnostics.
+    """
+    network = Network(LiveConfig(domain_id=domain, **LOOPBACK))
+    network.subscribe(WORLD, ODOMETRY, reliable=True)
+    network.subscribe("/diagnostics", DIAGNOSTICS, reliable=True)
+    sent: dict[bytes, float] = {}
+    took: list[float] = []
+    diagnostics: dict[str, str] = {}
+
+    def receive(until: float) -> None:
+        while (left := until - time.perf_counter()) > 0.0:
+            for sample in network.wait(min(left, 0.05)):
+                if sample.topic == WORLD:
+                    at = sent.pop(sample.data[4 : 4 + STAMP.size], None)
+                    if at is not None:
+                        took.append((time.perf_counter() - at) * 1e3)
+                    continue
+                for status in STORE.deserialize_cdr(sample.data, sample.type_name).status:
+                    if "odometry of" in status.name:
+                        diagnostics.update({entry.key: entry.value for entry in status.values})
+
+    with AnyReader([folder / "recording.mcap"]) as reader:
+        left_out = ("/tf_static", "/tf", "/lidar/odometry")
+        wanted = [c for c in reader.connections if c.topic not in left_out and c.msgtype != CLOUD]
+        publish = {c.topic: network.advertise(c.topic, c.msgtype) for c in wanted}
+        first_ns, count = reader.start_time, 0
+        began = time.perf_counter() + 4.0
+        shift_ns = time.time_ns() + 4 * 10**9 - first_ns
+        if scans:
+            beside(play_clouds, folder, domain, seconds, first_ns, began, shift_ns)
+        for connection, at_ns, raw in reader.messages(wanted):
+            at_s = (at_ns - first_ns) * 1e-9
+            if at_s > seconds:
+                break
+            receive(began + at_s)
+            data = stamped(raw, shift_ns)
+            if connection.topic == "/imu/data":
+                sent[data[4 : 4 + STAMP.size]] = time.perf_counter()
+                count += 1
+            publish[connection.topic](data)
+        receive(time.perf_counter() + 1.5)
+    network.close()
+    return took[len(took) // 10 :], count - len(took), shift_ns, diagnostics
+
+
+def measure(folder: Path, work: Path, domain: int, seconds: float, topic: str, *, scans: bool) -> dict[str, Any]:
+    config, log = work / "live.json", work / "log.mcap"
+    configured(folder, config, domain, scans=scans, topic=topic)
+    arguments = ["live", "-c", str(config), "--record", str(log)]
+    live = subprocess.Popen([sys.executable, "-c", HOLDFAST, *arguments], stderr=subprocess.PIPE, text=True)
+    assert live.stderr is not None
+    while "publishing" not in live.stderr.readline():
+        if live.poll() is not None:
+            sys.exit("holdfast live has ended")
+    lines: list[str] = []
+    Thread(target=lambda: lines.extend(live.stderr or ()), daemon=True).start()
+    time.sleep(3.0)  # the odometry's process comes up
+    took, unanswered, shift_ns, diagnostics = play(folder, domain, seconds, scans=scans)
+    live.send_signal(signal.SIGINT)
+    live.wait(60)
+    found = report(f"{folder.name}, {'with' if scans else 'without'} scans", took, unanswered)
+    print(f"    {off_the_truth(folder, log, shift_ns)}")
+    return found | {"diagnostics": diagnostics, "lines": lines}
+
+
+def off_the_truth(folder: Path, log: Path, shift_ns: int) -> str:
+    """Return how far the track that was published is from the truth, horizontally, once it has settled."""
+    rows = []
+    with AnyReader([log]) as reader:
+        for connection, _, raw in reader.messages([c for c in reader.connections if c.topic == WORLD]):
+            message = reader.deserialize(raw, connection.msgtype)
+            p, q, stamp = message.pose.pose.position, message.pose.pose.orientation, message.header.stamp
+            rows.append((stamp.sec * 10**9 + stamp.nanosec, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)))
+    if len(rows) < 1000:
+        return f"only {len(rows)} estimates"
+    stamps_ns, positions, quaternions = zip(*rows[500:], strict=True)
+    track = Trajectory(np.array(stamps_ns) - shift_ns, np.array(positions), np.array(quaternions))
+    pairs = associate(read_tum(folder / "truth" / "imu_in_world.tum"), track)
+    off_m = np.linalg.norm((pairs.estimate.positions - pairs.reference.positions)[:, :2], axis=1)
+    return f"horizontal error: RMS {np.sqrt(np.mean(off_m**2)) * 1e3:.1f} mm, max {off_m.max() * 1e3:.1f} mm"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folders", type=Path, nargs="+", help="written by holdfast simulate --scans")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of each recording")
+    parser.add_argument("--topic", default="/lidar/points")
+    options = parser.parse_args()
+    domain = random.SystemRandom().randrange(1, 98)
+    print(", ".join(f"{key} {value}" for key, value in describe_machine().items()))
+    print(f"{'Imu in, Odometry out':34s} {'median':>7s} {'p95':>7s} {'p99':>7s} {'max':>7s}")
+    for folder in options.folders:
+        for number, scans in enumerate((False, True)):
+            with TemporaryDirectory() as work:
+                found = measure(folder, Path(work), domain + number, options.seconds, options.topic, scans=scans)
+            if scans:
+                print("    " + ", ".join(f"{key} {value}" for key, value in found["diagnostics"].items()))
+                print("".join(f"    live: {line}" for line in found["lines"][:12]), end="")
+
+
+if __name__ == "__main__":
+    main()
