@@ -22,8 +22,8 @@ MAX_STEP_NS = 3 * STEP_NS
 TRANSLATION_SPANS, ROTATION_SPANS = (5, 10, 20), (1, 3, 10, 20)  # steps
 DRIFT_MEMORY_S, NOISE_MEMORY_SCANS = 600.0, 300
 DELAY_NS = 20_000_000_000  # what is seen of distances is learnt so much later: until then the fixes may have walked
-LOWEST_NOISE, LOWEST_DRIFT = 0.2, 0.4
-LOWEST_ROTATION = 0.7  # which of them is better odometry and gyroscope do not tell each other
+LOWEST_NOISE, LOWEST_DRIFT = 0.5, 0.4  # scans have errors in common with the next that their noise does not show
+LOWEST_ROTATION = 1.0  # which of them is better odometry and gyroscope do not tell each other
 ATTITUDE_SIGMA_RAD = 1e-3  # of the estimate, at least
 
 
