@@ -65,9 +65,9 @@ def leaves(data: dict[str, Any], path: tuple[str, ...] = ()) -> dict[tuple[str, 
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_every_value_of_a_preset_is_allowed_and_differs_from_the_default(name: str) -> None:
-    sections, antenna = PRESETS[name]
+    sections, of_kinds = PRESETS[name]
     default, config = parse_config(SENSORS), parse_config(f"preset: {name}\n{SENSORS}")
-    values = leaves(sections) | {("sensors", "gnss", key): value for key, value in antenna.items()}
+    values = leaves(sections) | {("sensors", "gnss", key): value for key, value in of_kinds.get("gnss", {}).items()}
     for path, value in values.items():
         ours, theirs = default, config
         for key in path:

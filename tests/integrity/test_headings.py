@@ -1,5 +1,6 @@
 """Headings come from the receiver whose fixes are doubted: while GNSS is lost they wait, and enter with the fixes."""
 
+from dataclasses import replace
 from math import atan2
 
 import numpy as np
@@ -8,6 +9,7 @@ from motion import Drive, machine, ns
 from rig import Rig
 
 from holdfast.sensors.heading import AxisYaw
+from holdfast.sensors.noise import Colour
 from holdfast.state import EventKind, Outcome
 
 DRIVE = Drive(start_s=-3.0)
@@ -43,6 +45,25 @@ def test_a_heading_enters_while_gnss_is_trusted_and_one_from_the_wrong_side_does
     assert yaw_sigma_rad(rig.graph.main) < 0.001
     assert receive(rig, heading(3.0, np.pi)) is Outcome.INNOVATION
     assert rig.events() == [(EventKind.REJECTED, "heading")]
+
+
+def test_a_slow_error_of_headings_is_not_taken_for_the_heading_of_a_machine_that_knew_it():
+    """The state at the start is known to 5 mrad: headings that are 5 mrad off for long are believed by half."""
+    off_rad, rigs = {}, {"a state": begun(correlation_s=1.0), "white": begun()}
+    for name, rig in rigs.items():
+        for t in np.arange(0.05, 4.0, 0.05):
+            measured = heading(t, 0.005, sigma_rad=0.007)
+            if name == "a state":
+                measured = replace(measured, colour=Colour(0.5, 0.5, 60.0))
+            assert receive(rig, measured) is Outcome.USED
+        attitude, truth = (
+            rig.graph.main.newest.nav.attitude(),
+            DRIVE.nav((rig.graph.main.newest.stamp_ns - ns(0.0)) * 1e-9).attitude(),
+        )
+        off_rad[name] = abs(truth.unrotate(attitude.rotate(np.array([1.0, 0.0, 0.0])))[1])
+    assert off_rad["white"] > 0.0045
+    assert 0.0015 < off_rad["a state"] < 0.0035
+    assert 0.003 < yaw_sigma_rad(rigs["a state"].graph.main) < 0.005
 
 
 def test_so_many_contradictions_lose_a_heading_by_name():

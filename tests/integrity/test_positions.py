@@ -1,11 +1,14 @@
 """Positions on their way into the main graph: judged, weighed, taken out again, counted."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from motion import ARM, ARM_RIGHT, Drive, machine, ns
 from rig import Rig, position
 
 from holdfast.integrity.receiver import Trust
+from holdfast.sensors.noise import Colour
 from holdfast.state import EventKind, Outcome
 
 DRIVE = Drive(start_s=-3.0)
@@ -59,6 +62,20 @@ def test_correlated_positions_weigh_less_the_closer_they_are():
             receive(rig, type(measured)(measured.stamp_ns, "gnss", measured.p_W_P, measured.covariance, correlation_s))
         sigmas[correlation_s] = np.sqrt(np.trace(rig.graph.main.newest.covariance[3:6, 3:6]))
     assert sigmas[10.0] > 1.3 * sigmas[0.0]
+
+
+def test_many_fixes_with_a_slow_error_never_say_more_than_the_slow_error_allows():
+    rig = Rig(DRIVE, machine(lidar=False, gnss_={"correlation_s": 0.25}), 12.0)
+    colour = Colour(0.5, 0.5, 60.0)
+    for t in np.arange(0.05, 6.0, 0.05):
+        measured = replace(position(DRIVE, t, ARM), colour=colour)
+        assert receive(rig, measured) is Outcome.USED
+    newest = rig.graph.main.newest
+    R = newest.nav.attitude().matrix()
+    sigmas = np.sqrt((R @ newest.covariance[3:6, 3:6] @ R.T).diagonal())
+    slow_m, start_m = 0.01 * np.sqrt(0.5), 0.01
+    assert sigmas.min() > 0.9 / np.hypot(1.0 / slow_m, 1.0 / start_m)  # of the start and of the slow error
+    assert sigmas.max() < 1.2 * slow_m
 
 
 def test_one_that_its_successors_contradict_is_taken_out_again_and_recounted():

@@ -24,10 +24,16 @@ _PAPER: dict[str, Any] = {
     },
     "standstill": {"enabled": False},
 }
-_PAPER_ANTENNA = {"max_sigma_m": round(sqrt(0.1), 3)}  # 0.1 m^2
+_PAPER_SENSORS: dict[str, dict[str, Any]] = {
+    "gnss": {"max_sigma_m": round(sqrt(0.1), 3), "slow_time_constant_s": 0.0},  # 0.1 m^2
+    "heading": {"slow_time_constant_s": 0.0},
+}
 
-# name -> (what differs in the sections, what differs for every antenna that the file has)
-PRESETS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {"holdfast": ({}, {}), "paper": (_PAPER, _PAPER_ANTENNA)}
+# name -> (what differs in the sections, what differs for every sensor of a kind that the file has)
+PRESETS: dict[str, tuple[dict[str, Any], dict[str, dict[str, Any]]]] = {
+    "holdfast": ({}, {}),
+    "paper": (_PAPER, _PAPER_SENSORS),
+}
 
 
 def with_preset(given: dict[str, Any]) -> dict[str, Any]:
@@ -36,12 +42,14 @@ def with_preset(given: dict[str, Any]) -> dict[str, Any]:
     An unknown name changes nothing: the model refuses it.
     """
     name = given.get("preset", "holdfast")
-    sections, antenna = PRESETS.get(name, ({}, {})) if isinstance(name, str) else ({}, {})
+    sections, of_kinds = PRESETS.get(name, ({}, {})) if isinstance(name, str) else ({}, {})
     merged = _on_top(sections, given)
     sensors = merged.get("sensors")
     if isinstance(sensors, dict):
-        antennas = {name: one for name, one in sensors.items() if isinstance(one, dict) and one.get("kind") == "gnss"}
-        merged["sensors"] = sensors | {name: antenna | one for name, one in antennas.items()}
+        merged["sensors"] = {
+            name: of_kinds.get(str(one.get("kind")), {}) | one if isinstance(one, dict) else one
+            for name, one in sensors.items()
+        }
     return merged
 
 

@@ -113,6 +113,18 @@ class GnssConfig(PositionConfig):
     )
     float_above_m: float = quantity("m", 0.05, gt=0, doc="with a larger sigma the ambiguities are not resolved")
     float_correlation_s: float = quantity("s", 10.0, ge=0, le=600, doc="correlation time of such fixes")
+    slow_time_constant_s: float = quantity(
+        "s",
+        60.0,
+        ge=0,
+        le=3600,
+        doc="of the slow part of the errors, which is estimated; 0: `correlation_s` weighs them",
+    )
+
+    @property
+    def slow_size(self) -> int:
+        """How many numbers its slow error has."""
+        return 3 if self.slow_time_constant_s > 0.0 and self.correlation_s > 0.0 else 0
 
 
 class HeadingConfig(JudgedConfig):
@@ -127,8 +139,20 @@ class HeadingConfig(JudgedConfig):
     baseline: tuple[str, str] | None = Field(
         None, description="from which antenna to which, as named in `sensors`; by default the first two"
     )
+    slow_time_constant_s: float = quantity(
+        "s",
+        60.0,
+        ge=0,
+        le=3600,
+        doc="of the slow part of the errors, which is estimated; 0: `correlation_s` weighs them",
+    )
     default_sigma_deg: float = quantity("deg", 1.0, gt=0, le=180, doc="where the sensor reports no covariance")
     min_sigma_deg: float = quantity("deg", 0.05, gt=0, le=180, doc="floor under the sensor's claim")
+
+    @property
+    def slow_size(self) -> int:
+        """How many numbers its slow error has."""
+        return 1 if self.slow_time_constant_s > 0.0 and self.correlation_s > 0.0 else 0
 
 
 class DriftingConfig(MountedConfig):

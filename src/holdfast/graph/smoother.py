@@ -15,18 +15,22 @@ from holdfast.config.model import Config
 from holdfast.graph.nodes import BIAS, FRAME, NODE, Link, Timeline, to_grid
 from holdfast.graph.parameters import MAX_SIZE, REFRESHED_NS, Parameters, parameter_letter
 from holdfast.graph.prior import joint_prior
+from holdfast.graph.slow_errors import SLOW, SlowErrors, Step, sizes_of
 from holdfast.graph.solver import Placed, Solver
 from holdfast.graph.window import Window
 from holdfast.messages import Array
+from holdfast.sensors.coloured import NAV_SIZE, SlowError
 from holdfast.sensors.constants import Constant
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.sensors.noise import FREE_VARIANCE
+from holdfast.sensors.noise import FREE_VARIANCE, Colour
 from holdfast.sensors.preintegration import ImuNoise, MotionModel, preintegrate
 from holdfast.sensors.sensor import Joint, Measurement, Parameter, State
 from holdfast.state import OptimisedState, is_finite
 
 BIAS_EPOCH_NS = 1_000_000_000
+BIAS_END = 15  # of a node and its bias
 SETTLE_MARGIN_NS = 1_000_000_000  # a node is read this long before it leaves the window; updates are not further apart
+LINEAR = 1e6  # a threshold that is never reached
 FREE = FREE_VARIANCE**0.5  # sigma of what a factor says nothing about
 PARAMETER_THRESHOLD = 0.01  # 1 cm, 0.6 deg, 1 %: a sensor's parameter is relinearised when it has moved by more
 FORGET_NS = 1_000_000_000  # measurements that left the window are dropped this often
@@ -71,11 +75,13 @@ class Smoother:
         self._bias_walk = np.repeat([imu.accelerometer_random_walk, imu.gyroscope_random_walk], 3)
         self._new_solver = new_solver or (lambda: Window(self._relinearize_thresholds()))
         self._parameters = Parameters(max(REFRESHED_NS, self._lag_ns // 3))
+        self._slow_sizes = sizes_of(config)
         self._frames_made = 0
         self._begin(state)
 
     def _begin(self, state: OptimisedState) -> None:
         """Begin a window; of what was before only the parameters of the sensors are known."""
+        self._slow_errors = SlowErrors(self._slow_sizes)
         self._window = self._new_solver()
         self._measured: dict[int, tuple[Measurement, Placed]] = {}  # by the identity of the measurement
         self._epoch_ns = to_grid(state.stamp_ns)
@@ -86,7 +92,8 @@ class Smoother:
         self._settled_ns = 0
         self._new_navs: dict[int, gtsam.NavState] = {}  # not optimised yet, by stamp
         self._state = state
-        self._tail: Array = state.covariance  # of the newest node and the bias, new nodes included
+        # of the newest node, the bias and the newest slow errors if there are any, what is new included
+        self._tail: Array = state.covariance
         key = self._nodes.insert(self._epoch_ns)
         bias_key = self._bias_key(self._epoch_ns, state.bias)
         self._insert(key, self._epoch_ns, state.nav)
@@ -103,7 +110,7 @@ class Smoother:
         other._links = {start: replace(link, placed=counterpart(link.placed)) for start, link in self._links.items()}
         held = ((key, one, placed) for key, (one, placed) in self._measured.items() if self._holds(placed))
         other._measured = {key: (one, counterpart(placed)) for key, one, placed in held}
-        other._new_navs = {}
+        other._new_navs, other._slow_errors = {}, self._slow_errors.copy()
         return other
 
     def _relinearize_thresholds(self) -> gtsam.ISAM2ThresholdMap:
@@ -115,6 +122,8 @@ class Smoother:
         thresholds.insert((BIAS, np.repeat([20.0 * attitude, attitude], 3)))
         for size in range(1, MAX_SIZE + 1):
             thresholds.insert((parameter_letter(size), np.full(size, PARAMETER_THRESHOLD)))
+        if self._slow_errors.size:
+            thresholds.insert((SLOW, np.full(self._slow_errors.size, LINEAR)))
         return thresholds
 
     @property
@@ -196,6 +205,41 @@ class Smoother:
     def review_parameters(self, priors: Mapping[str, Parameter]) -> bool:
         """Read parameters after a batch has converged; return whether it must once more, as their belief changed."""
         return self._parameters.review(self._window, priors)
+
+    def slow_error(self, name: str, colour: Colour, stamp_ns: int, at_W: Array | None = None) -> SlowError:
+        """Return the slow error of a sensor at a time, whose node must exist, made a variable where there is none."""
+        stamp, errors = to_grid(stamp_ns), self._slow_errors
+        epoch, step = errors.use(self._window, name, colour, stamp, at_W)
+        if step is not None:
+            self._step_tail(step)
+        block = errors.block(name)
+        joint: Array | None = None
+        if stamp == self.newest_ns and epoch is errors.newest:
+            joint, first = self._tail, BIAS_END
+        elif stamp not in self._new_navs and errors.is_solved(epoch):
+            joint, first = self._window.covariance(self._nodes.key(stamp), epoch.key), NAV_SIZE
+        if joint is not None:
+            index = [*range(NAV_SIZE), *range(first + block.start, first + block.stop)]
+            covariance = joint[np.ix_(index, index)]
+        else:  # a late measurement: what both have in common is left out
+            covariance = np.eye(NAV_SIZE + block.stop - block.start)
+            covariance[:NAV_SIZE, :NAV_SIZE] = self.covariance(stamp)
+        return SlowError(epoch.key, block.start, errors.value(self._window, epoch), covariance)
+
+    def _step_tail(self, step: Step) -> None:
+        """Let the newest slow errors be those of an epoch that was just made."""
+        tail = np.zeros((BIAS_END + len(step.decay), BIAS_END + len(step.decay)))
+        known = len(self._tail)
+        tail[:known, :known] = self._tail
+        tail[BIAS_END:] *= step.decay[:, None]
+        tail[:, BIAS_END:] *= step.decay
+        tail[BIAS_END:, BIAS_END:] += np.diag(step.variance)
+        self._tail = tail
+
+    def renew_slow_errors(self) -> None:
+        """Let the slow errors from here on have nothing to do with those before."""
+        self._slow_errors = self._slow_errors.without_past()
+        self._tail = self._tail[:BIAS_END, :BIAS_END]
 
     def insert_frame(self, frame: gtsam.Pose3, stamp_ns: int) -> int:
         """Make a variable for the pose of a frame in W and return its key; what joins it to others is up to factors."""
@@ -291,8 +335,9 @@ class Smoother:
         horizon = self.newest_ns - self._lag_ns
         expected, allowed_m_s = self._nav(self.newest_ns).velocity(), self._velocity_step_m_s()
         try:
+            self._slow_errors.keep(self._window, self.newest_ns)
             self._window.solve(horizon)
-            state = self._read_newest()
+            state, tail = self._read_newest()
             step_m_s = float(np.linalg.norm(state.nav.velocity() - expected))
             if step_m_s > allowed_m_s:
                 raise ValueError(f"it diverges: the velocity steps by {step_m_s:.0f} m/s")
@@ -301,24 +346,29 @@ class Smoother:
             raise OptimiserError((str(error).strip() or repr(error)).splitlines()[0]) from error
         self._new_navs = {}
         self._parameters.mark_solved()
+        self._slow_errors.mark_solved()
         for stamp in self._nodes.forget_before(horizon):
             self._links.pop(stamp, None)
         if self._measured and next(iter(self._measured.values()))[0].stamp_ns < self.oldest_ns - FORGET_NS:
             self._measured = {key: one for key, one in self._measured.items() if one[0].stamp_ns >= self.oldest_ns}
-        self._state, self._tail = state, state.covariance
+        self._state, self._tail = state, tail
         return state
 
-    def _read_newest(self) -> OptimisedState:
+    def _read_newest(self) -> tuple[OptimisedState, Array]:
+        """Return the newest state, and its covariance with that of the newest slow errors behind it."""
         stamp, key = self.newest_ns, self._nodes.key(self.newest_ns)
         bias_key = gtsam.symbol(BIAS, self._bias_epoch)
         nav, bias = self._window.nav(key), self._window.bias(bias_key)
-        covariance = self._window.covariance(key, bias_key)
+        slow = self._slow_errors.newest
+        slow_keys = [slow.key] if slow is not None and slow.key in self._window else []
+        tail = self._window.covariance(key, bias_key, *slow_keys)
+        covariance = tail[:BIAS_END, :BIAS_END]
         state = OptimisedState(stamp, nav, bias, covariance, self._angular_velocity(stamp, nav, bias))
         if not state.is_finite():
             raise ValueError("the optimised state is not finite")
         if not (np.diag(covariance) > 0.0).all():
             raise ValueError("the covariance of the optimised state is not positive")
-        return state
+        return state, tail
 
     def _velocity_step_m_s(self) -> float:
         """Return by how much one optimisation may change the newest velocity: more is no solution."""
@@ -362,8 +412,8 @@ class Smoother:
         pim = self._join(left_ns, stamp_ns, self._bias_key(left_ns, bias), is_gap, nav)
         H_nav, H_bias = np.zeros((9, 9), order="F"), np.zeros((9, 6), order="F")
         self._insert(key, stamp_ns, pim.predict(nav, bias, H_nav, H_bias))
-        F = np.eye(15)
-        F[:9, :9], F[:9, 9:] = H_nav, H_bias
+        F = np.eye(len(self._tail))
+        F[:9, :9], F[:9, 9:BIAS_END] = H_nav, H_bias
         self._tail = F @ self._tail @ F.T
         self._tail[:9, :9] += pim.residualCovariance()
         return key

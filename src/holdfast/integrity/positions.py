@@ -16,6 +16,8 @@ from holdfast.integrity.lever_arms import LeverArms
 from holdfast.integrity.noise_scale import LOWEST, NoiseScale
 from holdfast.integrity.receiver import Held, ReceiverGate, Trust, predict
 from holdfast.integrity.review import UsedPositions
+from holdfast.integrity.white_noise import WhiteNoise
+from holdfast.sensors.coloured import Compared, coloured, coloured_factor
 from holdfast.sensors.noise import correlation_inflation, shared_inflation
 from holdfast.sensors.sensor import Position, PositionSensor, State
 from holdfast.state import EventKind, Outcome
@@ -57,6 +59,7 @@ class Positions:
         self._log = log
         self._reviewed_ns = 0
         self._scales = scales
+        self._white = {name: WhiteNoise() for name in sensors}
         self._consensus = {
             name: Consensus(config.max_speed_m_s, config.regain_after, believe_after_s) for name in sensors
         }
@@ -83,13 +86,16 @@ class Positions:
     def add(self, graph: DualGraph, position: Position, now_ns: int) -> Outcome:
         """Judge a position at its node, and add its factor to the main graph if it may enter."""
         smoother, name = graph.published, position.sensor
-        if smoother.node(position.stamp_ns) is None:
+        key = smoother.node(position.stamp_ns)
+        if key is None:
             self._log.record(position.stamp_ns, name, Outcome.LATE, p_W_P=position.p_W_P)
             return Outcome.LATE
-        gate, scale, claimed = self.gates[name], self._scales[name], position.covariance
-        position = replace(position, covariance=claimed * scale.above)
-        _, state = self._state(smoother, position)
-        innovation = self._sensors[name].innovation(position, state)
+        gate, scale = self.gates[name], self._scales[name]
+        position = replace(position, covariance=position.covariance * scale.above)
+        if position.colour is not None:
+            position = replace(position, colour=self._white[name].colour(position.colour, scale.above))
+        found = self._compare(smoother, key, position)
+        innovation, state = found.innovation, found.state
         prediction = predict(innovation, state)
         worse = None
         if self._config.baseline:
@@ -101,11 +107,16 @@ class Positions:
         outcome = gate.judge(position, prediction, now_ns=now_ns, baseline_agrees=worse is not position)
         self._consensus[name].add(position, is_refused=outcome not in (Outcome.USED, Outcome.QUARANTINED))
         if gate.trust is Trust.TRUSTED and outcome in LEARNT_FROM and len(state.parameter) < ARM_SIZE:
-            lowest = LOWEST_SLOW if position.correlation_s >= SLOW_S else LOWEST
-            scale.learn(innovation._replace(R=claimed), state, position, self._log, lowest)
+            lowest = LOWEST_SLOW if position.correlation_s >= SLOW_S and found.slow is None else LOWEST
+            scale.learn(innovation._replace(R=innovation.R / scale.above), state, position, self._log, lowest)
         if outcome is Outcome.USED:
-            correlated = correlation_inflation(position.correlation_s, self.used.since_last_s(position))
-            if self._enter(graph.main, position, gate.inflation(prediction) * correlated):
+            if position.colour is not None:
+                sensor, white = self._sensors[name], self._white[name]
+                white.learn(sensor, position, position.colour, smoother, state, scale.above)
+            correlated = correlation_inflation(_correlation_s(position), self.used.since_last_s(position))
+            inflation = gate.inflation(prediction) * correlated
+            known = found if smoother is graph.main else None
+            if self._enter(graph.main, position, inflation, known):
                 self.used.add(position)
         elif outcome is not Outcome.QUARANTINED:
             self._log.report(EventKind.REJECTED, position.stamp_ns, name, outcome)
@@ -126,7 +137,7 @@ class Positions:
                 continue
             before_s = inf if is_trial else self.used.since_last_s(positions[0])
             gaps_s = [(b.stamp_ns - a.stamp_ns) * 1e-9 for a, b in pairwise(positions)]
-            correlation_s = max(one.correlation_s for one in positions)
+            correlation_s = max(_correlation_s(one) for one in positions)
             inflation = shared_inflation(correlation_s, [before_s, *gaps_s])
             entered += [one for one in positions if self._enter(smoother, one, inflation)]
         return entered
@@ -186,15 +197,29 @@ class Positions:
         """Return for how long a used position can be taken out again."""
         return round(max(self._config.quarantine_s, 2.5 * self.gates[sensor].period_s) * 1e9)
 
-    def _enter(self, smoother: Smoother, position: Position, inflation: float) -> bool:
+    def _enter(self, smoother: Smoother, position: Position, inflation: float, known: Compared | None = None) -> bool:
         key = smoother.node(position.stamp_ns)
         if key is not None:
-            scale = self._scales[position.sensor]
-            below = scale.value / scale.above
             sensor = self._sensors[position.sensor]
-            keys, state = self._state(smoother, position)
-            smoother.enter(position, sensor.factor([key, *keys], position, inflation * below, state))
+            found = known or self._compare(smoother, key, position)
+            if found.slow is None:
+                scale = self._scales[position.sensor]
+                factor = sensor.factor(found.keys, position, inflation * scale.value / scale.above, found.state)
+            else:
+                factor = coloured_factor(sensor, position, found, found.slow, inflation, sensor.loss)
+            smoother.enter(position, factor)
         return key is not None
+
+    def _compare(self, smoother: Smoother, key: int, position: Position) -> Compared:
+        """Compare a position with the state at its node."""
+        colour, stamp_ns = position.colour, position.stamp_ns
+        parameter_keys, state = self._state(smoother, position)
+        keys = [key, *parameter_keys]
+        innovation = self._sensors[position.sensor].innovation(position, state)
+        if colour is None:
+            return Compared(keys, state, innovation)
+        slow = smoother.slow_error(position.sensor, colour, stamp_ns, position.p_W_P)
+        return coloured(keys, state, innovation, colour, slow)
 
     def _state(self, smoother: Smoother, position: Position) -> tuple[list[int], State]:
         """Return the key of the receiver's parameter, if it has one, and the state at the node of a position."""
@@ -203,3 +228,8 @@ class Positions:
             return [], state
         key, value, covariance = smoother.parameter(prior.name(position.sensor), prior, position.stamp_ns)
         return [key], state._replace(parameter=value, parameter_covariance=covariance)
+
+
+def _correlation_s(position: Position) -> float:
+    """Return the correlation time of the errors of a position, or of what is white of them."""
+    return position.correlation_s if position.colour is None else position.colour.white_correlation_s

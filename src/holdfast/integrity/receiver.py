@@ -64,7 +64,7 @@ class Prediction:
 def predict(innovation: Innovation, state: State) -> Prediction:
     """Return what a state expects of a position, given the innovation of that at the state."""
     R_W_I = state.nav.attitude().matrix()
-    of_velocity = R_W_I @ state.covariance[6:, 6:] @ R_W_I.T
+    of_velocity = R_W_I @ state.covariance[6:9, 6:9] @ R_W_I.T
     return Prediction(innovation.y, innovation.of_state(state), innovation.R, of_velocity)
 
 

@@ -112,6 +112,7 @@ class Recovery:
     def _accepts(self, trial: Smoother, held: list[Held], now_ns: int) -> bool:
         """Add positions to a smoother on trial, and say whether it agrees with them afterwards."""
         positions = self._positions
+        trial.renew_slow_errors()  # ambiguities are resolved anew, and multipath has changed
         entered = positions.enter_held(trial, held, is_trial=True)
         try:
             trial.optimise()

@@ -3,13 +3,17 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 
+import gtsam
+
 from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.innovation import Change, InnovationGate
 from holdfast.integrity.noise_scale import LOWEST, NoiseScale
-from holdfast.sensors.noise import correlation_inflation, shared_inflation
-from holdfast.sensors.sensor import ConstraintSensor, Innovation, Joint, Measurement, Role, State, StateSensor
+from holdfast.integrity.white_noise import WhiteNoise
+from holdfast.sensors.coloured import Compared, coloured, coloured_factor
+from holdfast.sensors.noise import Colour, correlation_inflation, shared_inflation
+from holdfast.sensors.sensor import ConstraintSensor, Joint, Measurement, Role, State, StateSensor
 from holdfast.state import EventKind, Outcome
 
 LOWEST_VELOCITY = 0.25  # of the variance that a receiver claims of its Doppler velocity
@@ -35,6 +39,7 @@ class JudgedSensor:
         self._log = log
         self._used_ns = 0
         self._scale = scale
+        self._white = WhiteNoise()
 
     def judge(
         self,
@@ -54,20 +59,19 @@ class JudgedSensor:
             inflation: factor on its covariance; without it, that of one measurement after the last.
         """
         found = self._compare(judge, measurement)
-        nis = found if isinstance(found, Outcome) else found[0].nis(found[1])
+        nis = found if isinstance(found, Outcome) else found.innovation.nis(found.state)
         outcome = self.gate.judge(measurement, nis, now_ns)
-        if not (isinstance(found, Outcome) or self.gate.is_lost):
-            claimed = found[0]._replace(R=found[0].R / self._scale.above)
-            lowest = LOWEST_VELOCITY if self._sensor.role is Role.VELOCITY else LOWEST
-            self._scale.learn(claimed, found[1], measurement, self._log, lowest)
         if outcome is Outcome.USED:
             if inflation is None:
                 since_s = abs(measurement.stamp_ns - self._used_ns) * 1e-9
-                inflation = correlation_inflation(self._sensor.settings.correlation_s, since_s)
-            self._enter(measurement, smoothers, inflation)
+                inflation = correlation_inflation(self._correlation_s(measurement), since_s)
+            known = None if isinstance(found, Outcome) else found
+            self._enter(measurement, smoothers, inflation, judge, known)
         elif outcome is not Outcome.QUARANTINED:
             self._log.report(EventKind.REJECTED, measurement.stamp_ns, measurement.sensor, outcome)
-        tested = () if isinstance(nis, Outcome) or isinstance(found, Outcome) else (nis, len(found[0].y))
+        if not (isinstance(found, Outcome) or self.gate.is_lost):
+            self._learn(measurement, found, judge)
+        tested = () if isinstance(nis, Outcome) or isinstance(found, Outcome) else (nis, len(found.innovation.y))
         self._log.record(measurement.stamp_ns, measurement.sensor, outcome, *tested, limit=self.gate.limit)
         return outcome
 
@@ -77,7 +81,12 @@ class JudgedSensor:
             return 1.0
         gaps_s = [abs(b.stamp_ns - a.stamp_ns) * 1e-9 for a, b in pairwise(held)]
         since_s = abs(held[0].stamp_ns - self._used_ns) * 1e-9
-        return shared_inflation(self._sensor.settings.correlation_s, [since_s, *gaps_s])
+        return shared_inflation(self._correlation_s(held[0]), [since_s, *gaps_s])
+
+    def _correlation_s(self, measurement: Measurement) -> float:
+        """Return the correlation time of the errors of a measurement, or of what is white of them."""
+        colour = _colour(measurement)
+        return self._sensor.settings.correlation_s if colour is None else colour.white_correlation_s
 
     def review(self, smoothers: Iterable[Smoother], now_ns: int) -> None:
         """Lose the sensor or regain it; what waited enters when it is regained."""
@@ -93,28 +102,53 @@ class JudgedSensor:
                     self._log.record(measurement.stamp_ns, name, Outcome.USED)
             self._log.report(EventKind.SENSOR_REGAINED, now_ns, name, f"{len(held)} good measurements in a row")
 
-    def _compare(self, smoother: Smoother, measurement: Measurement) -> tuple[Innovation, State] | Outcome:
-        if smoother.node(measurement.stamp_ns) is None:
+    def _learn(self, measurement: Measurement, found: Compared, smoother: Smoother) -> None:
+        """Learn the noise of the sensor from a measurement."""
+        claimed = found.innovation._replace(R=found.innovation.R / self._scale.above)
+        lowest = LOWEST_VELOCITY if self._sensor.role is Role.VELOCITY else LOWEST
+        colour = _colour(measurement)
+        if colour is not None:
+            self._white.learn(self._sensor, measurement, colour, smoother, found.state)
+        self._scale.learn(claimed, found.state, measurement, self._log, lowest)
+
+    def _compare(self, smoother: Smoother, measurement: Measurement) -> Compared | Outcome:
+        key, stamp_ns = smoother.node(measurement.stamp_ns), measurement.stamp_ns
+        if key is None:
             return Outcome.LATE
-        _, state = self._state(smoother, measurement)
+        parameter_keys, state = self._state(smoother, measurement)
         innovation = self._sensor.innovation(measurement, state)
         if isinstance(innovation, Outcome):
             return innovation
-        return innovation._replace(R=innovation.R * self._scale.above), state
+        keys, innovation = [key, *parameter_keys], innovation._replace(R=innovation.R * self._scale.above)
+        colour = _colour(measurement)
+        if colour is None:
+            return Compared(keys, state, innovation)
+        slow = smoother.slow_error(measurement.sensor, colour, stamp_ns)
+        return coloured(keys, state, innovation, self._white.colour(colour, self._scale.above), slow)
 
-    def _enter(self, measurement: Measurement, smoothers: Iterable[Smoother], inflation: float) -> bool:
-        has_entered, inflation = False, inflation * self._scale.value
+    def _enter(
+        self,
+        measurement: Measurement,
+        smoothers: Iterable[Smoother],
+        inflation: float,
+        judge: Smoother | None = None,
+        known: Compared | None = None,
+    ) -> bool:
+        """Add the factor of a measurement to smoothers; to one of them it may have been compared already."""
+        has_entered = False
         for smoother in smoothers:
-            key = smoother.node(measurement.stamp_ns)
-            if key is None:
-                continue
-            parameter_keys, state = self._state(smoother, measurement)
-            innovation = self._sensor.innovation(measurement, state)
-            if isinstance(innovation, Innovation):
-                factor = self._sensor.factor([key, *parameter_keys], measurement, state, innovation, inflation)
-                smoother.enter(measurement, factor)
+            found = known if known is not None and smoother is judge else self._compare(smoother, measurement)
+            if not isinstance(found, Outcome):
+                smoother.enter(measurement, self._factor(measurement, found, inflation))
                 self._used_ns, has_entered = measurement.stamp_ns, True
         return has_entered
+
+    def _factor(self, measurement: Measurement, found: Compared, inflation: float) -> gtsam.NonlinearFactor:
+        if found.slow is not None:
+            return coloured_factor(self._sensor, measurement, found, found.slow, inflation)
+        scale = inflation * self._scale.value
+        claimed = found.innovation._replace(R=found.innovation.R / self._scale.above)
+        return self._sensor.factor(found.keys, measurement, found.state, claimed, scale)
 
     def _state(self, smoother: Smoother, measurement: Measurement) -> tuple[list[int], State]:
         stamp_ns, prior = measurement.stamp_ns, self._sensor.parameter
@@ -124,6 +158,12 @@ class JudgedSensor:
         start = self._sensor.first_parameter(measurement, state)
         key, value, covariance = smoother.parameter(prior.name(self._sensor.name), prior, stamp_ns, start)
         return [key], state._replace(parameter=value, parameter_covariance=covariance)
+
+
+def _colour(measurement: Measurement) -> Colour | None:
+    """Return the colour of the error of a measurement, if its slow part is estimated."""
+    colour: Colour | None = getattr(measurement, "colour", None)
+    return colour
 
 
 class States:

@@ -13,6 +13,7 @@ from holdfast.config.sensors import GnssConfig
 from holdfast.geometry.earth import Geodetic
 from holdfast.geometry.world import World
 from holdfast.messages import Array, FixStatus, GnssFix, Message
+from holdfast.sensors.noise import Colour
 from holdfast.sensors.position import position_factor, position_innovation
 from holdfast.sensors.sensor import Innovation, Parameter, Position, Role, State, is_claim, lever_arm, register
 from holdfast.state import Outcome
@@ -23,7 +24,20 @@ STATUS_SIGMA_M = {  # east, north, up, from datasheets: RTK fixed, corrected by 
     FixStatus.SBAS: (0.8, 0.8, 1.5),
     FixStatus.FIX: (2.5, 2.5, 4.0),
 }
+SLOW_DISTANCE_M = 3.0  # over which multipath of a carrier phase is another one
+WHITE_CORRELATION_S = 0.05  # of what is white: receivers have filters inside
 MIN_STATUS = {"fix": FixStatus.FIX, "sbas": FixStatus.SBAS, "gbas": FixStatus.GBAS}
+
+
+def _resolved(time_constant_s: float) -> Colour:
+    """Return the colour of a fix whose ambiguities are resolved, before successive fixes have told what is white."""
+    return Colour(
+        0.5,
+        0.5,
+        time_constant_s,
+        distance_constant_m=SLOW_DISTANCE_M,
+        white_correlation_s=WHITE_CORRELATION_S,
+    )
 
 
 class GnssModel:
@@ -40,6 +54,7 @@ class GnssModel:
         self.limit = config.gate_sigma**2
         self.loss, self.offset_sigma_s = config.robust_loss, config.time_offset_sigma_s
         self._config = config
+        self._colour = _resolved(config.slow_time_constant_s) if config.slow_size else None
 
     def with_estimated_arm(self, sigma_m: float) -> "GnssModel":
         """Return a model of the same antenna whose lever arm is to be estimated, known to a sigma [m] per axis."""
@@ -56,7 +71,8 @@ class GnssModel:
         covariance = self._covariance(fix)
         is_float = float(covariance[:2, :2].max()) > self._config.float_above_m**2
         correlation_s = self._config.float_correlation_s if is_float else self._config.correlation_s
-        return Position(fix.stamp_ns + self.offset_ns, self.name, p_W_P, covariance, correlation_s)
+        colour = None if is_float else self._colour  # a receiver that is not sure jumps, too
+        return Position(fix.stamp_ns + self.offset_ns, self.name, p_W_P, covariance, correlation_s, colour)
 
     def check(self, fix: GnssFix) -> Outcome:
         """Say whether a fix can be used, by what the receiver says of it."""

@@ -14,7 +14,7 @@ from holdfast.config.sensors import GnssConfig, HeadingConfig
 from holdfast.errors import ConfigError
 from holdfast.geometry.world import World
 from holdfast.messages import Array, Heading, Message
-from holdfast.sensors.noise import FREE_TILT_RAD, FREE_VARIANCE
+from holdfast.sensors.noise import FREE_TILT_RAD, FREE_VARIANCE, Colour
 from holdfast.sensors.sensor import Innovation, Parameter, Role, State, StateSensor, lever_arm, register
 from holdfast.state import Outcome
 
@@ -24,12 +24,13 @@ MIN_HORIZONTAL = 0.2  # fraction of the axis that must lie in the horizon
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AxisYaw:
-    """A checked heading: yaw in W of the measured axis, time offset applied."""
+    """A checked heading: yaw in W of the measured axis, time offset applied; `colour` is that of its error."""
 
     stamp_ns: int
     sensor: str
     yaw_rad: float
     sigma_rad: float
+    colour: Colour | None = None
 
 
 class HeadingModel(StateSensor):
@@ -63,6 +64,7 @@ class HeadingModel(StateSensor):
             self.axis, self.antennas = baseline / length_m, tuple(arms)
         self.offset_ns = round(config.time_offset_s * 1e9)
         self.settings = config
+        self._colour = Colour(0.5, 0.5, config.slow_time_constant_s) if config.slow_size else None
         self.offset_sigma_s = config.time_offset_sigma_s
 
     def without_axis(self) -> "HeadingModel":
@@ -79,7 +81,7 @@ class HeadingModel(StateSensor):
         if claim > MAX_SIGMA_RAD:
             return Outcome.LARGE_COVARIANCE
         sigma = max(claim, radians(self.settings.min_sigma_deg))
-        return AxisYaw(heading.stamp_ns + self.offset_ns, self.name, heading.yaw_rad, sigma)
+        return AxisYaw(heading.stamp_ns + self.offset_ns, self.name, heading.yaw_rad, sigma, self._colour)
 
     def of_imu(self, measured: AxisYaw, level: gtsam.Rot3) -> tuple[float, float] | None:
         """Return the heading of the IMU's x axis and its sigma [rad], given the IMU's attitude with zero heading."""

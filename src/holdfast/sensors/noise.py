@@ -1,6 +1,8 @@
 """Noise models: a covariance and a robust loss become what GTSAM weighs a residual with."""
 
 from collections.abc import Callable, Sequence
+from math import inf
+from typing import NamedTuple
 
 import gtsam
 
@@ -10,6 +12,31 @@ from holdfast.messages import Array
 UNBOUNDED = RobustLoss()  # the square, whatever the residual
 FREE_VARIANCE = 1e12  # of what a factor says nothing about
 FREE_TILT_RAD = 1e2  # the same of roll and pitch: much more, and a rotated covariance could not be inverted
+
+LEAST_WHITE, MOST_WHITE = 0.05, 0.9  # of a claim, as far as measurements tell
+
+
+class Colour(NamedTuple):
+    """How the error of a measurement is composed, in units of the covariance that it claims.
+
+    Attributes:
+        white: variance of the part that is independent from one measurement to the next.
+        slow: variance of the part that lasts.
+        time_constant_s: after which the slow part is another one.
+        distance_constant_m: over which it is another one, too: multipath is a pattern in space.
+        white_correlation_s: correlation time of the white part, which no sensor's is quite.
+    """
+
+    white: float
+    slow: float
+    time_constant_s: float
+    distance_constant_m: float = inf
+    white_correlation_s: float = 0.0
+
+    def with_white(self, white: float) -> "Colour":
+        """Return the same claim split otherwise, as successive measurements tell."""
+        white = min(max(white, LEAST_WHITE), MOST_WHITE)
+        return self._replace(white=white, slow=1.0 - white)
 
 
 def noise_model(covariance: Array, loss: RobustLoss) -> gtsam.noiseModel.Base:

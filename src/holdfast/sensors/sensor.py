@@ -19,7 +19,7 @@ from holdfast.config.model import Config
 from holdfast.config.sensors import JudgedConfig, RobustLoss, SensorConfig
 from holdfast.geometry.world import World
 from holdfast.messages import Array, Message, SensorPose
-from holdfast.sensors.noise import UNBOUNDED, noise_model
+from holdfast.sensors.noise import UNBOUNDED, Colour, noise_model
 from holdfast.state import Outcome
 
 RECENT = 64  # stamps per sensor among which a duplicate is looked for
@@ -133,6 +133,7 @@ class Position:
 
     Attributes:
         correlation_s: correlation time of its error.
+        colour: how its error is composed, if the slow part is estimated.
     """
 
     stamp_ns: int
@@ -140,6 +141,7 @@ class Position:
     p_W_P: Array
     covariance: Array
     correlation_s: float
+    colour: Colour | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,6 +180,7 @@ class PositionSensor(Sensor, Protocol):
 
     p_I_P: Array
     limit: float
+    loss: RobustLoss
     parameter: Parameter | None
 
     def innovation(self, position: Position, state: State) -> Innovation:

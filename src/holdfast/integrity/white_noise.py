@@ -1,0 +1,68 @@
+"""Which part of what a sensor claims is white: what successive measurements differ by, beside the motion."""
+
+import numpy as np
+
+from holdfast.graph.smoother import Smoother
+from holdfast.sensors.noise import Colour
+from holdfast.sensors.sensor import Comparing, Measurement, State
+from holdfast.state import Outcome
+
+MAX_INTERVAL_NS = 250_000_000  # over which the IMU knows the motion better than the measurements
+PRIOR, ENOUGH, MEMORY = 5, 60, 300  # differences
+EVERY = 5  # measurements, of which the last two are compared once enough is known
+MAX_RATIO = 9.0  # one difference tells no more
+
+
+class WhiteNoise:
+    """The variance of the white part of one sensor's errors, in units of what it claims: (63) in docs/math.md."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._received = 0
+        self._variance: float | None = None
+        self._last: Measurement | None = None
+
+    def colour(self, colour: Colour, above: float) -> Colour:
+        """Return how an error is composed whose claim is believed times a factor."""
+        return colour if self._variance is None else colour.with_white(self._variance / above)
+
+    def learn(  # noqa: PLR0917 (a measurement and all that it is compared with)
+        self,
+        sensor: Comparing,
+        measurement: Measurement,
+        colour: Colour,
+        smoother: Smoother,
+        state: State,
+        above: float = 1.0,
+    ) -> None:
+        """Take in a measurement that was used, in the order of stamps.
+
+        Args:
+            sensor: that measured.
+            measurement: it.
+            colour: of its error.
+            smoother: whose state it is compared with.
+            state: there, at its time.
+            above: by how much its covariance is larger than what is claimed.
+        """
+        self._received += 1
+        if self._count > ENOUGH and self._received % EVERY < EVERY - 2:
+            return
+        last, self._last = self._last, measurement
+        if last is None or last.stamp_ns < smoother.oldest_ns:
+            return
+        if not 0 < measurement.stamp_ns - last.stamp_ns <= MAX_INTERVAL_NS:
+            return
+        nav, rate = smoother.nav(last.stamp_ns), smoother.angular_velocity(last.stamp_ns)
+        before = sensor.innovation(last, state._replace(nav=nav, angular_velocity=rate))
+        now = sensor.innovation(measurement, state)
+        if isinstance(before, Outcome) or isinstance(now, Outcome):
+            return
+        self._take(float(np.mean((now.y - before.y) ** 2 / now.R.diagonal())) * 0.5 * above, colour)
+
+    def _take(self, ratio: float, colour: Colour) -> None:
+        """Take in the square of a difference, in units of twice the variance that is claimed."""
+        variance = colour.white if self._variance is None else self._variance
+        weight = 1.0 / (PRIOR + min(self._count, MEMORY))
+        self._variance = variance + weight * (min(ratio, MAX_RATIO * variance) - variance)
+        self._count += 1

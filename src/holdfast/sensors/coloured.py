@@ -1,0 +1,134 @@
+"""Measurements whose errors are coloured: white noise, and a slow error that is a state beside the machine's.
+
+The slow error of one sensor is L u, with L a root of its share of what the sensor claims and u (m,) a Gauss-Markov
+process of unit variance per axis: z = h(x) + L u + n, (61) in docs/math.md. Measurements that follow each other closely
+then say as much as they do, of position as of heading: their common error is estimated, and not taken for news.
+"""
+
+from collections.abc import Callable, Sequence
+from math import sqrt
+from typing import Any, NamedTuple
+
+import gtsam
+import numpy as np
+
+from holdfast.config.sensors import RobustLoss
+from holdfast.messages import Array
+from holdfast.sensors.noise import UNBOUNDED, Colour, noise_model
+from holdfast.sensors.sensor import Comparing, Innovation, State
+from holdfast.state import Outcome
+
+NAV_SIZE = 9
+LINEAR_RAD = 0.02  # sigma of an attitude that is known well enough for a factor that is linear about the prediction
+
+
+class SlowError(NamedTuple):
+    """The slow error of one sensor in a graph, at the time of a measurement.
+
+    Attributes:
+        key: of the variable that holds it, and those of others.
+        first: index of its first element there.
+        value: (n,) estimate of the whole variable.
+        covariance: (9 + m, 9 + m) joint one of the node and of the sensor's own elements.
+    """
+
+    key: int
+    first: int
+    value: Array
+    covariance: Array
+
+
+class Compared(NamedTuple):
+    """A measurement beside the state that explains it.
+
+    Attributes:
+        keys: of the node, of the parameter if there is one.
+        state: of node and parameter; its covariance (9 + m, 9 + m) is the joint one with the slow error.
+        innovation: its `H` (m, 9 + m) has the slow error behind the node, and its `R` is that of the white part.
+        slow: the slow error, None where the whole error is white.
+    """
+
+    keys: Sequence[int]
+    state: State
+    innovation: Innovation
+    slow: SlowError | None = None
+
+
+def coloured(keys: Sequence[int], state: State, innovation: Innovation, colour: Colour, slow: SlowError) -> Compared:
+    """Return what is known of a measurement whose error has a colour; `R` of the innovation is what it claims."""
+    size = len(innovation.y)
+    root = _root(innovation.R) * sqrt(colour.slow)
+    y = innovation.y - root @ slow.value[slow.first : slow.first + size]
+    H = np.concatenate([innovation.H, root], axis=1)
+    own = Innovation(y, H, innovation.R * colour.white, innovation.J)
+    return Compared(keys, state._replace(covariance=slow.covariance), own, slow)
+
+
+def coloured_factor(  # noqa: PLR0917 (what a factor is made of)
+    sensor: Comparing,
+    measurement: Any,
+    compared: Compared,
+    slow: SlowError,
+    inflation: float,
+    loss: RobustLoss = UNBOUNDED,
+) -> gtsam.NonlinearFactor:
+    """Return the factor of a measurement on a node, on its parameter if there is one, and on its slow error.
+
+    It is linear about the prediction where that is good: as precise, and far cheaper than one that is evaluated anew.
+
+    Args:
+        sensor: that compares the measurement with a state.
+        measurement: what was measured.
+        compared: with the current estimate.
+        slow: the slow error in it.
+        inflation: factor on the covariance of the white part.
+        loss: of the sensor.
+    """
+    keys, state, innovation, _ = compared
+    root = np.zeros((len(innovation.y), len(slow.value)))
+    root[:, slow.first : slow.first + len(innovation.y)] = innovation.H[:, NAV_SIZE:]
+    noise = innovation.R * inflation
+    if loss.kind != "none" or state.covariance[:3, :3].trace() > LINEAR_RAD**2:
+        return _nonlinear(sensor, [*keys, slow.key], measurement, state, root, noise_model(noise, loss))
+    at = gtsam.Values()
+    at.insert(keys[0], state.nav)
+    blocks: list[Any] = [keys[0], innovation.H[:, :NAV_SIZE]]
+    if len(keys) > 1:
+        at.insert(keys[1], state.parameter)
+        blocks += [keys[1], innovation.J]
+    at.insert(slow.key, slow.value)
+    blocks += [slow.key, root]
+    whitening = np.linalg.inv(_root(noise))
+    blocks[1::2] = [whitening @ block for block in blocks[1::2]]
+    blocks += [whitening @ innovation.y, gtsam.noiseModel.Unit.Create(len(noise))]
+    jacobian_factor: Callable[..., gtsam.JacobianFactor] = gtsam.JacobianFactor  # of two variables, or of three
+    return gtsam.LinearContainerFactor(jacobian_factor(*blocks), at)
+
+
+def _nonlinear(  # noqa: PLR0917 (what a factor is made of)
+    sensor: Comparing, keys: Sequence[int], measurement: Any, state: State, root: Array, noise: gtsam.noiseModel.Base
+) -> gtsam.NonlinearFactor:
+    size = len(root)
+
+    def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
+        at = state._replace(nav=values.atNavState(keys[0]))
+        if len(keys) > 2:
+            at = at._replace(parameter=values.atVector(keys[1]))
+        found = sensor.innovation(measurement, at)
+        if isinstance(found, Outcome):
+            found = Innovation(np.zeros(size), np.zeros((size, 9)), np.eye(size), np.zeros((size, len(at.parameter))))
+        if jacobians is not None:
+            blocks = (found.H, found.J, root) if len(keys) > 2 else (found.H, root)
+            for k, block in enumerate(blocks):
+                jacobians[k] = block
+        residual: Array = root @ values.atVector(keys[-1]) - found.y
+        return residual
+
+    return gtsam.CustomFactor(noise, list(keys), error)
+
+
+def _root(covariance: Array) -> Array:
+    """Return a root (m, m) of a covariance (m, m): diagonal where that is."""
+    if np.count_nonzero(covariance) == len(covariance):
+        return np.diag(np.sqrt(covariance.diagonal()))
+    return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
