@@ -1,4 +1,4 @@
-"""Learns how noisy an odometry is and how fast it drifts, rotation and translation apart: (70) to (73) in docs/math.md.
+"""Learns how noisy an odometry is and how fast it drifts, rotation and translation apart: (67) to (70) in docs/math.md.
 
 Noise is what two scans contradict the IMU by, drift what spans of seconds contradict the gyroscope and the fixes by. No
 residual is of an estimate that the same number has led: the rotation is compared with the gyroscope alone, the motion
@@ -154,7 +154,7 @@ class OdometryLearning:
     def _compare_rotation(
         self, before: TrackPose, pose: TrackPose, measured: InertialMotion, smoother: Smoother
     ) -> None:
-        """Compare the rotation between two scans with that of the gyroscope: (71)."""
+        """Compare the rotation between two scans with that of the gyroscope: (68)."""
         motion = before.T_I0_I.between(pose.T_I0_I)
         duration_s = (pose.stamp_ns - before.stamp_ns) * 1e-9
         residual = gtsam.Rot3.Logmap(gtsam.Rot3(measured.R).between(motion.rotation()))
@@ -163,7 +163,7 @@ class OdometryLearning:
         self._noises[0].learn(float(residual @ residual), 3, 2.0 * self._noise.pose_variances()[0], other, 0.5)
 
     def _compare_translation(self, smoother: Smoother) -> None:
-        """Compare how the velocity changes between the middles of two intervals with the specific force: (72)."""
+        """Compare how the velocity changes between the middles of two intervals with the specific force: (69)."""
         (first, _), (middle, to_middle), (last, to_last) = self._scans
         if to_middle is None or to_last is None or not smoother.imu.is_trusted(first.stamp_ns, last.stamp_ns):
             return
@@ -184,7 +184,7 @@ class OdometryLearning:
         self._noises[1].learn(float(residual @ residual), 3, scaled, other, 1.0 / 3.0)
 
     def _add_step(self, smoother: Smoother, first: TrackPose, last: TrackPose) -> None:
-        """Compare rotations over seconds with those of the gyroscope: (73)."""
+        """Compare rotations over seconds with those of the gyroscope: (70)."""
         measured = self._measured(smoother, first.stamp_ns, last.stamp_ns)
         if measured is None:
             self._steps.clear()

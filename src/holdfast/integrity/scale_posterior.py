@@ -1,4 +1,4 @@
-"""How many times larger a standard deviation is than configured: its posterior, on a grid of its logarithm: (70)."""
+"""How many times larger a standard deviation is than configured: its posterior, on a grid of its logarithm: (67)."""
 
 from math import log
 
