@@ -15,8 +15,9 @@ from holdfast.config.model import Config
 from holdfast.graph.nodes import BIAS, FRAME, NODE, Link, Timeline, to_grid
 from holdfast.graph.parameters import MAX_SIZE, REFRESHED_NS, Parameters, parameter_letter
 from holdfast.graph.prior import joint_prior
-from holdfast.graph.slow_errors import SLOW, SlowErrors, Step, sizes_of
+from holdfast.graph.slow_errors import SLOW, SlowErrors, sizes_of
 from holdfast.graph.solver import Placed, Solver
+from holdfast.graph.tail import BIAS_END, Tail
 from holdfast.graph.window import Window
 from holdfast.messages import Array
 from holdfast.sensors.coloured import NAV_SIZE, SlowError
@@ -28,7 +29,6 @@ from holdfast.sensors.sensor import Joint, Measurement, Parameter, State
 from holdfast.state import OptimisedState, is_finite
 
 BIAS_EPOCH_NS = 1_000_000_000
-BIAS_END = 15  # of a node and its bias
 SETTLE_MARGIN_NS = 1_000_000_000  # a node is read this long before it leaves the window; updates are not further apart
 LINEAR = 1e6  # a threshold that is never reached
 FREE = FREE_VARIANCE**0.5  # sigma of what a factor says nothing about
@@ -93,7 +93,7 @@ class Smoother:
         self._new_navs: dict[int, gtsam.NavState] = {}  # not optimised yet, by stamp
         self._state = state
         # of the newest node, the bias and the newest slow errors if there are any, what is new included
-        self._tail: Array = state.covariance
+        self._tail = Tail(state.covariance)  # new nodes included
         key = self._nodes.insert(self._epoch_ns)
         bias_key = self._bias_key(self._epoch_ns, state.bias)
         self._insert(key, self._epoch_ns, state.nav)
@@ -211,11 +211,11 @@ class Smoother:
         stamp, errors = to_grid(stamp_ns), self._slow_errors
         epoch, step = errors.use(self._window, name, colour, stamp, at_W)
         if step is not None:
-            self._step_tail(step)
+            self._tail = self._tail.with_epoch(step)
         block = errors.block(name)
         joint: Array | None = None
         if stamp == self.newest_ns and epoch is errors.newest:
-            joint, first = self._tail, BIAS_END
+            joint, first = self._tail.covariance, BIAS_END
         elif stamp not in self._new_navs and errors.is_solved(epoch):
             joint, first = self._window.covariance(self._nodes.key(stamp), epoch.key), NAV_SIZE
         if joint is not None:
@@ -226,20 +226,10 @@ class Smoother:
             covariance[:NAV_SIZE, :NAV_SIZE] = self.covariance(stamp)
         return SlowError(epoch.key, block.start, errors.value(self._window, epoch), covariance)
 
-    def _step_tail(self, step: Step) -> None:
-        """Let the newest slow errors be those of an epoch that was just made."""
-        tail = np.zeros((BIAS_END + len(step.decay), BIAS_END + len(step.decay)))
-        known = len(self._tail)
-        tail[:known, :known] = self._tail
-        tail[BIAS_END:] *= step.decay[:, None]
-        tail[:, BIAS_END:] *= step.decay
-        tail[BIAS_END:, BIAS_END:] += np.diag(step.variance)
-        self._tail = tail
-
     def renew_slow_errors(self) -> None:
         """Let the slow errors from here on have nothing to do with those before."""
         self._slow_errors = self._slow_errors.without_past()
-        self._tail = self._tail[:BIAS_END, :BIAS_END]
+        self._tail = self._tail.without_slow_errors()
 
     def insert_frame(self, frame: gtsam.Pose3, stamp_ns: int) -> int:
         """Make a variable for the pose of a frame in W and return its key; what joins it to others is up to factors."""
@@ -286,7 +276,7 @@ class Smoother:
         """
         stamp = to_grid(stamp_ns)
         if stamp == self.newest_ns:
-            return self._tail[:9, :9]
+            return self._tail.node
         while stamp in self._new_navs:
             if stamp == self.oldest_ns:
                 return self._state.covariance[:9, :9]
@@ -354,25 +344,24 @@ class Smoother:
         self._state, self._tail = state, tail
         return state
 
-    def _read_newest(self) -> tuple[OptimisedState, Array]:
+    def _read_newest(self) -> tuple[OptimisedState, Tail]:
         """Return the newest state, and its covariance with that of the newest slow errors behind it."""
         stamp, key = self.newest_ns, self._nodes.key(self.newest_ns)
         bias_key = gtsam.symbol(BIAS, self._bias_epoch)
         nav, bias = self._window.nav(key), self._window.bias(bias_key)
         slow = self._slow_errors.newest
         slow_keys = [slow.key] if slow is not None and slow.key in self._window else []
-        tail = self._window.covariance(key, bias_key, *slow_keys)
-        covariance = tail[:BIAS_END, :BIAS_END]
-        state = OptimisedState(stamp, nav, bias, covariance, self._angular_velocity(stamp, nav, bias))
+        tail = Tail(self._window.covariance(key, bias_key, *slow_keys))
+        state = OptimisedState(stamp, nav, bias, tail.state, self._angular_velocity(stamp, nav, bias))
         if not state.is_finite():
             raise ValueError("the optimised state is not finite")
-        if not (np.diag(covariance) > 0.0).all():
+        if not (np.diag(tail.state) > 0.0).all():
             raise ValueError("the covariance of the optimised state is not positive")
         return state, tail
 
     def _velocity_step_m_s(self) -> float:
         """Return by how much one optimisation may change the newest velocity: more is no solution."""
-        return MAX_STEP_M_S + MAX_STEP_SIGMA * float(np.sqrt(max(0.0, np.trace(self._tail[6:9, 6:9]))))
+        return MAX_STEP_M_S + MAX_STEP_SIGMA * float(np.sqrt(max(0.0, np.trace(self._tail.node[6:, 6:]))))
 
     def _angular_velocity(self, stamp_ns: int, nav: gtsam.NavState, bias: gtsam.imuBias.ConstantBias) -> Array:
         """Angular velocity at a node: from the gyroscope, or where it is silent from the last two nodes."""
@@ -412,10 +401,7 @@ class Smoother:
         pim = self._join(left_ns, stamp_ns, self._bias_key(left_ns, bias), is_gap, nav)
         H_nav, H_bias = np.zeros((9, 9), order="F"), np.zeros((9, 6), order="F")
         self._insert(key, stamp_ns, pim.predict(nav, bias, H_nav, H_bias))
-        F = np.eye(len(self._tail))
-        F[:9, :9], F[:9, 9:BIAS_END] = H_nav, H_bias
-        self._tail = F @ self._tail @ F.T
-        self._tail[:9, :9] += pim.residualCovariance()
+        self._tail = self._tail.moved(H_nav, H_bias, pim.residualCovariance())
         return key
 
     def _split(self, stamp_ns: int) -> int:
