@@ -49,7 +49,8 @@ def ablated(tmp_path_factory: pytest.TempPathFactory, scenario: Path) -> tuple[s
 
 @pytest.mark.slow
 def test_the_table_on_the_screen_has_a_line_per_variation_that_fits_a_terminal(ablated: tuple[str, Path]):
-    title, head, *lines = ablated[0].splitlines()
+    # on a busy machine it takes more than ten seconds, and tells its progress before
+    title, head, *lines = [line for line in ablated[0].splitlines() if not line.startswith("ablating")]
     assert "2 seeds" in title
     assert head.split()[0] == "variation"
     assert [line.split()[0] for line in lines[:2]] == ["default", "no-lidar"]
@@ -124,7 +125,7 @@ def test_every_column_is_a_measure():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["nowhere", "-o", "x"], "nowhere: no such scenario (allowed: boastful-fixes, clocks, construction"),
+        (["nowhere", "-o", "x"], "nowhere: no such scenario (allowed: arm-and-traffic, boastful-fixes"),
         (["quick", "-o", "x", "--only", "no-imu"], "--only no-imu: no such variation (allowed: default, paper"),
     ],
 )

@@ -116,9 +116,9 @@ def test_readme_and_settings_describe_what_was_done(quick: Path):
 @pytest.mark.parametrize(
     ("arguments", "report"),
     [
-        (("nonsense", "-o", "x"), "nonsense: no such scenario (allowed: boastful-fixes, clocks, construction"),
+        (("nonsense", "-o", "x"), "nonsense: no such scenario (allowed: arm-and-traffic, boastful-fixes"),
         (("quick", "-o", "x", "--duration", "0"), "--duration 0: must be > 1"),
-        (("nowhere.yaml", "-o", "x"), "nowhere.yaml: no such file (shipped are boastful-fixes"),
+        (("nowhere.yaml", "-o", "x"), "nowhere.yaml: no such file (shipped are arm-and-traffic, boastful-fixes"),
     ],
 )
 def test_a_mistake_gets_one_line(arguments: tuple[str, ...], report: str):

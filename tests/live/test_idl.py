@@ -34,6 +34,8 @@ def value(description, numbers):
         return filled(content, numbers)
     if kind == Nodetype.BASE:
         number = next(numbers)
+        if content[0] == "bool":
+            return number % 2 == 0
         return f"text {number}" if content[0] == "string" else number % 100 if content[0] in WHOLE else number + 0.5
     entries = [value(content[0], numbers) for _ in range(content[1] or 3)]
     is_number = content[0][0] == Nodetype.BASE and content[0][1][0] != "string"

@@ -124,7 +124,7 @@ def test_covariances_of_the_base_are_symmetric_and_positive(messages):
             P = np.asarray(part.covariance).reshape(6, 6)
             np.testing.assert_allclose(P, P.T, rtol=0, atol=1e-9 * abs(P).max())
             assert np.linalg.eigvalsh(0.5 * (P + P.T))[0] > -1e-12 * abs(P).max()
-        assert message.pose.covariance[35] > (2e-3) ** 2  # yaw: at least the zero of the encoder
+        assert message.pose.covariance[35] > (1e-3) ** 2  # yaw: the zero of the encoder, 2 mrad, which may be learnt
         assert 1e-4 < message.twist.covariance[35] ** 0.5 < 0.05
 
 

@@ -73,7 +73,8 @@ def test_the_machine_stays_on_its_site_and_on_its_wheels(name: str):
     base = motion(name).frame("base_link", np.arange(0.0, scenario.duration_s, 0.1))
     assert np.abs(base.p_W[:, :2]).max() < scenario.ground.size_m / 2 - 15.0
     tilt_deg = np.degrees(np.arccos(base.R_W_F[:, 2, 2]))
-    assert 0.2 < tilt_deg.max() < 30.0
+    flattest = 0.1 if name in ("gallery", "open-field") else 0.2  # paved, and a meadow
+    assert flattest < tilt_deg.max() < 30.0
 
 
 def test_the_chassis_lies_on_the_ground(quick: Motion):

@@ -22,8 +22,9 @@ def simulate(scenario: str, output: Path, seed: int, scans: bool, duration_s: fl
     """Simulate SCENARIO, a shipped one or a YAML file, and write what the machine would have recorded.
 
     Shipped: construction, navigation, tunnel, liar, late, clocks, moving-start, rough, quick, wheels, two-lidars,
-    prism, new-sensors; rounds, and with a configuration that is wrong wrong-mount, offset-clocks, wrong-encoder,
-    noisy-odometry, good-odometry, boastful-fixes, one-antenna.
+    prism, new-sensors, slow-errors; with scans gallery, open-field, arm-and-traffic, without-arm-and-traffic; rounds,
+    and with a configuration that is wrong wrong-mount, offset-clocks, wrong-encoder, noisy-odometry, good-odometry,
+    boastful-fixes, one-antenna.
 
     Writes to the output folder: recording.mcap (ROS 2), config.yaml for `holdfast replay`, truth/ (poses, velocities,
     biases, constants, errors of the fixes), site.ply, plan.png, scenario.yaml with every setting, and a README.md.

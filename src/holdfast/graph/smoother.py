@@ -148,6 +148,10 @@ class Smoother:
         """Return the links between neighbouring nodes, in the order of time."""
         return [self._links[stamp] for stamp in self._nodes.stamps[:-1]]
 
+    def has_node(self, stamp_ns: int) -> bool:
+        """Whether there is a node at a time: not where a window was begun anew after it was made."""
+        return to_grid(stamp_ns) in self._nodes
+
     def node(self, stamp_ns: int) -> int | None:
         """Return the key of the node at a time, making it where there is none; None if the time left the window."""
         stamp = to_grid(stamp_ns)

@@ -165,7 +165,7 @@ class OdometryLearning:
     def _compare_translation(self, smoother: Smoother) -> None:
         """Compare how the velocity changes between the middles of two intervals with the specific force: (69)."""
         (first, _), (middle, to_middle), (last, to_last) = self._scans
-        if to_middle is None or to_last is None or not smoother.imu.is_trusted(first.stamp_ns, last.stamp_ns):
+        if to_middle is None or to_last is None or not smoother.has_node(middle.stamp_ns):
             return
         dts = (middle.stamp_ns - first.stamp_ns) * 1e-9, (last.stamp_ns - middle.stamp_ns) * 1e-9
         dt_1, dt_2 = dts

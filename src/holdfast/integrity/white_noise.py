@@ -49,7 +49,7 @@ class WhiteNoise:
         if self._count > ENOUGH and self._received % EVERY < EVERY - 2:
             return
         last, self._last = self._last, measurement
-        if last is None or last.stamp_ns < smoother.oldest_ns:
+        if last is None or not smoother.has_node(last.stamp_ns):
             return
         if not 0 < measurement.stamp_ns - last.stamp_ns <= MAX_INTERVAL_NS:
             return
