@@ -8,7 +8,6 @@ from rig import Rig, position
 
 from holdfast.integrity.odometry_learning import LOWEST_ROTATION
 from holdfast.sensors.odometry import LearntNoise, TrackPose
-from holdfast.state import EventKind
 
 END_S = 60.0
 DRIVE = Drive(start_s=-3.0)
@@ -76,12 +75,3 @@ def test_without_fixes_nothing_is_learnt_of_distances():
             rig.odometries.add(rig.graph, pose, ns(t))
     found = rig.odometries.noise("lidar").learnt
     assert found.translation_drift == pytest.approx(1.0, rel=0.01) and found.translation_noise < 0.8
-
-
-def test_an_odometry_that_is_worse_than_configured_is_told():
-    rig = Rig(DRIVE, machine(), 30.0)
-    for t, pose in poses(3.0, 1.0):
-        if t < 30.0:
-            rig.odometries.add(rig.graph, pose, ns(t))
-    told = [event.reason for event in rig.log.take_events() if event.kind is EventKind.NOISE]
-    assert 1 <= len(told) <= 3 and "noise of rotation" in told[0]

@@ -1,7 +1,6 @@
 """Odometries on their way into both graphs: which jump, slip or fall silent, and what they say against GNSS."""
 
 from collections.abc import Iterator
-from math import log
 from typing import NamedTuple
 
 import gtsam
@@ -13,11 +12,10 @@ from holdfast.graph.odometry_track import OdometryTrack
 from holdfast.integrity.drift_monitor import NOMINAL, Contradiction, DriftMonitor
 from holdfast.integrity.odometry_learning import OdometryLearning
 from holdfast.messages import Array
-from holdfast.sensors.odometry import CONFIGURED, LearntNoise, OdometryModel, OdometryNoise, TrackPose
+from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
 from holdfast.state import EventKind, Outcome
 
 DISTRUST = 3.0  # factor on the noise of an odometry that proves to be worse than configured
-NEWS = log(2.0)
 JUMPS, JUMPS_NS = 4, 20_000_000_000  # so many jumps in this time are no jumps but noise
 
 
@@ -40,15 +38,6 @@ class _Odometry:
         self.used_ns: int | None = None
         self.is_lost = False
         self._jumps_ns: list[int] = []
-        self._told = CONFIGURED
-
-    def has_news(self) -> bool:
-        """Whether it has proved to be twice as bad as was told last, or half; better than configured is no news."""
-        found = LearntNoise(*(max(1.0, one) for one in self.noise.learnt))
-        if all(abs(log(now / told)) < NEWS for now, told in zip(found, self._told, strict=True)):
-            return False
-        self._told = found
-        return True
 
     def note_jump(self, stamp_ns: int) -> bool:
         """Note a jump; trust the odometry less if it jumps too often to be as good as is configured."""
@@ -123,8 +112,6 @@ class Odometries:
             odometry.forget_frame()  # it does not know its motion: it cannot contradict, nor be learnt from
         elif outcome is Outcome.USED and pose is graph.newest_pose(pose.sensor):
             odometry.learning.learn_from_scan(graph.main, pose)
-            if odometry.has_news():
-                self._log.report(EventKind.NOISE, pose.stamp_ns, pose.sensor, odometry.noise.in_words())
         self._log.record(pose.stamp_ns, pose.sensor, outcome)
         return outcome
 

@@ -121,15 +121,6 @@ class OdometryNoise:
         self._config = model.config
         self._adjoint = model.adjoint
 
-    def in_words(self) -> str:
-        """Say what was learnt."""
-        learnt = LearntNoise(*(self.scale * one for one in self.learnt))
-        return (
-            f"times what is configured: noise of rotation {learnt.rotation_noise:.1f}, of translation "
-            f"{learnt.translation_noise:.1f}; drift of rotation {learnt.rotation_drift:.1f}, of translation "
-            f"{learnt.translation_drift:.1f}"
-        )
-
     def trust_less(self, factor: float) -> None:
         """The odometry has proved to be worse than configured."""
         self.scale = min(factor * self.scale, MAX_SCALE)
