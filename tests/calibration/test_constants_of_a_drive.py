@@ -3,23 +3,13 @@
 import gtsam
 import numpy as np
 import pytest
-from motion import T_I_L, Drive, fixes, imu, in_order, link, machine, scans
+from motion import T_I_L, StopAndGo, fixes, imu, in_order, link, machine, scans
 
 from holdfast.calibration.clocks import clocks, is_off
 from holdfast.calibration.evidence import collected
 from holdfast.calibration.lever_arms import lever_arms, with_estimated_arms
 from holdfast.calibration.mountings import mountings
 from holdfast.calibration.odometry_noise import odometry_noise
-
-
-class StopAndGo(Drive):
-    """Its speed swings: on a circle at a constant one, a late stamp looks like another heading."""
-
-    def phase(self, t):
-        u, du, ddu = super().phase(t)
-        swing = 1.0 + 0.7 * np.cos(2.0 * u)
-        return np.array([u + 0.35 * np.sin(2.0 * u), du * swing, ddu * swing - 1.4 * np.sin(2.0 * u) * du**2])
-
 
 DRIVE = StopAndGo(radius_m=4.0, speed=0.35)  # 0.4 to 2.4 m/s
 END_S = 40.0

@@ -98,6 +98,15 @@ class Drive:
         return self.nav(t).attitude().unrotate(second * du**2 + first * ddu + UP), rate * du
 
 
+class StopAndGo(Drive):
+    """Its speed swings: on a circle at a constant one, a late stamp looks like another heading."""
+
+    def phase(self, t):
+        u, du, ddu = super().phase(t)
+        swing = 1.0 + 0.7 * np.cos(2.0 * u)
+        return np.array([u + 0.35 * np.sin(2.0 * u), du * swing, ddu * swing - 1.4 * np.sin(2.0 * u) * du**2])
+
+
 @dataclass(frozen=True)
 class ConstantTwist:
     """Constant twist from `gtsam.ConstantTwistScenario`, which owes nothing to `Drive`."""

@@ -3,19 +3,9 @@
 import gtsam
 import numpy as np
 import pytest
-from motion import T_I_L, Drive, error, estimates, fixes, imu, in_order, link, machine, ns, run, scans
+from motion import T_I_L, StopAndGo, error, estimates, fixes, imu, in_order, link, machine, ns, run, scans
 
 from holdfast.state import EventKind
-
-
-class StopAndGo(Drive):
-    """Its speed swings: on a circle at a constant one, a late stamp looks like another heading."""
-
-    def phase(self, t):
-        u, du, ddu = super().phase(t)
-        swing = 1.0 + 0.7 * np.cos(2.0 * u)
-        return np.array([u + 0.35 * np.sin(2.0 * u), du * swing, ddu * swing - 1.4 * np.sin(2.0 * u) * du**2])
-
 
 DRIVE = StopAndGo(radius_m=4.0, speed=0.35)  # 0.4 to 2.4 m/s
 END_S = 40.0

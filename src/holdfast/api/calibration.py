@@ -59,11 +59,9 @@ class Calibration:
         """
         with needing("a report", "report"):
             from holdfast.calibration.page import calibration_page
-        from holdfast.report.page import write_page
+        from holdfast.report.page import page_file, write_page
 
-        file = Path(path)
-        if file.suffix.lower() not in (".html", ".htm"):
-            raise ConfigError(f"{file}: the name must end in .html")
+        file = page_file(path)
         write_page(calibration_page(self._found, "holdfast.calibrate"), file)
         return file
 

@@ -8,7 +8,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from holdfast.api.trajectory import Trajectory
-from holdfast.errors import ConfigError
 from holdfast.extras import needing
 from holdfast.state import Event
 
@@ -46,11 +45,9 @@ class Result:
         with needing("a report", "report"):
             import plotly  # noqa: F401
         from holdfast.replay.results import read_run
-        from holdfast.report.page import write_page
+        from holdfast.report.page import page_file, write_page
         from holdfast.report.single_run import single_run_page
 
-        file = Path(path)
-        if file.suffix.lower() not in (".html", ".htm"):
-            raise ConfigError(f"{file}: the name must end in .html")
+        file = page_file(path)
         write_page(single_run_page(read_run(self.folder, None)), file)
         return file

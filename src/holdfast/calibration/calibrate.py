@@ -17,7 +17,7 @@ from holdfast.calibration.mountings import mountings
 from holdfast.calibration.odometry_noise import odometry_noise
 from holdfast.calibration.turn_joint import turn_joint
 from holdfast.config.document import Path as KeyPath
-from holdfast.config.document import yaml_text
+from holdfast.config.document import value_at, yaml_text
 from holdfast.config.edit import Change
 from holdfast.config.model import Config
 from holdfast.config.sensors import DriftingConfig, PositionConfig
@@ -150,7 +150,7 @@ def _comment(draft: Draft, found: Found, change: Change, source: str) -> str:
     rows = [row for row in found.estimates if row.is_written and _belongs(row.path, change.path)]
     sigmas = " ".join(f"{row.sigma:.2g}" for row in rows)
     unit = f" {rows[0].unit}" if rows else ""
-    old = _value_at(draft, change.path)
+    old = value_at(draft.data, change.path)
     default = f"default {rows[0].before:.4g}" if len(rows) == 1 else "default"
     before = default if old is None else yaml_text(old)
     return f"calibrated: {before} -> {yaml_text(change.value)}{unit}, sigma {sigmas}, from {source}"
@@ -158,16 +158,6 @@ def _comment(draft: Draft, found: Found, change: Change, source: str) -> str:
 
 def _belongs(row: KeyPath, change: KeyPath) -> bool:
     return row == change or (row[0] == change[0] and row[0] in ("extrinsics", "turn_joint") and row[:-1] == change[:-1])
-
-
-def _value_at(draft: Draft, path: KeyPath) -> object:
-    value = draft.data
-    for part in path:
-        try:
-            value = value[part]
-        except (KeyError, IndexError, TypeError):
-            return None
-    return value
 
 
 def _accepted(

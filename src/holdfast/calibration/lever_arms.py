@@ -9,7 +9,7 @@ import numpy as np
 from holdfast.calibration.constants import combined, of_name
 from holdfast.calibration.estimated import Estimated, Family, Found, judged
 from holdfast.calibration.evidence import Evidence
-from holdfast.calibration.placing import entry_of, moved
+from holdfast.calibration.placing import corrected, entry_of
 from holdfast.config.edit import Change
 from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig, HeadingConfig
@@ -57,10 +57,7 @@ def lever_arms(evidence: Sequence[Evidence], original: Config) -> Found:
         correction = np.eye(4)
         seen = np.array([one.after if one.is_observable else 0.0 for one in rows])
         correction[:3, 3] = original.T_I(frame)[:3, :3].T @ seen
-        written = moved(original, frame, correction)
-        if isinstance(written, str):
-            rows = [one.kept(written) for one in rows]
-        elif any(one.is_written for one in rows):
-            changes += written
+        rows, written = corrected(original, frame, correction, rows)
         estimates += rows
+        changes += written
     return Found(estimates, changes)

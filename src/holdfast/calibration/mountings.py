@@ -9,7 +9,7 @@ import numpy as np
 from holdfast.calibration.constants import combined, of_name
 from holdfast.calibration.estimated import Estimated, Family, Found, judged
 from holdfast.calibration.evidence import Evidence
-from holdfast.calibration.placing import entry_of, moved
+from holdfast.calibration.placing import corrected, entry_of
 from holdfast.config.edit import Change
 from holdfast.config.model import Config
 from holdfast.config.sensors import DriftingConfig
@@ -41,10 +41,7 @@ def mountings(evidence: Sequence[Evidence], original: Config, config: Config) ->
         correction = np.eye(4)
         seen = [one.after if one.is_observable else 0.0 for one in rows]
         correction[:3, :3] = gtsam.Rot3.Expmap(np.radians(seen)).matrix()
-        written = moved(original, frame, correction)
-        if isinstance(written, str):
-            rows = [one.kept(written) for one in rows]
-        elif any(one.is_written for one in rows):
-            changes += written
+        rows, written = corrected(original, frame, correction, rows)
         estimates += rows
+        changes += written
     return Found(estimates, changes)

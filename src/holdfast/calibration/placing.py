@@ -6,6 +6,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from holdfast.calibration.estimated import Estimated
 from holdfast.config.edit import Change
 from holdfast.config.extrinsics import Extrinsic
 from holdfast.config.model import Config
@@ -32,6 +33,19 @@ def moved(config: Config, frame: str, correction: Array) -> list[Change] | str:
     if entry.child == frame:
         return placed(("extrinsics", number), entry, entry.matrix() @ correction)
     return placed(("extrinsics", number), entry, np.linalg.inv(correction) @ entry.matrix())
+
+
+def corrected(
+    config: Config, frame: str, correction: Array, rows: list[Estimated]
+) -> tuple[list[Estimated], list[Change]]:
+    """Return what was found of a frame, and the changes by a correction (4, 4) of it if one of the rows is written.
+
+    Where the file cannot say it in one entry, the rows keep what it says, and tell why.
+    """
+    changes = moved(config, frame, correction)
+    if isinstance(changes, str):
+        return [one.kept(changes) for one in rows], []
+    return rows, changes if any(one.is_written for one in rows) else []
 
 
 def placed(path: Sequence[str | int], entry: Extrinsic, T: Array) -> list[Change]:

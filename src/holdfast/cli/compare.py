@@ -9,7 +9,6 @@ import click
 from holdfast.cli.columns import aligned
 from holdfast.cli.command_line import command_line
 from holdfast.cli.names import names_of
-from holdfast.errors import ConfigError
 from holdfast.extras import needing
 
 if TYPE_CHECKING:
@@ -38,11 +37,9 @@ def compare(first: Path, second: Path, reference: Path | None, output: Path | No
         import plotly  # noqa: F401
     from holdfast.replay.comparison import read_comparison
     from holdfast.report.comparison import comparison_page
-    from holdfast.report.page import write_page
+    from holdfast.report.page import page_file, write_page
 
-    file = second / "compare.html" if output is None else output
-    if file.suffix.lower() not in (".html", ".htm"):
-        raise ConfigError(f"--output {file}: the name must end in .html")
+    file = page_file(second / "compare.html" if output is None else output, "--output ")
     one, other = names_of(first, second) if first.resolve() != second.resolve() else (str(first), str(second))
     comparison = read_comparison((first, second), (one, other), reference, command_line())
     write_page(comparison_page(comparison), file)

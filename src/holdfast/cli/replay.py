@@ -10,8 +10,8 @@ import click
 from holdfast.cli.progress import reading_bar
 from holdfast.cli.writing import naming_the_output, write_json
 from holdfast.errors import ConfigError, EstimatorError, HoldfastError
-from holdfast.fleet.parent import end_with_parent
 from holdfast.output_folder import replaced
+from holdfast.parent import end_with_parent
 
 if TYPE_CHECKING:
     from holdfast.config.model import Config

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import click
 
-from holdfast.errors import ConfigError
 from holdfast.extras import needing
 from holdfast.output_folder import add_results, check_output_file
 
@@ -27,12 +26,10 @@ def report(folder: Path, reference: Path | None, output: Path | None) -> None:
     with needing("a report", "report"):
         import plotly  # noqa: F401
     from holdfast.replay.results import read_run
-    from holdfast.report.page import write_page
+    from holdfast.report.page import page_file, write_page
     from holdfast.report.single_run import single_run_page
 
-    file = folder / "report.html" if output is None else output
-    if file.suffix.lower() not in (".html", ".htm"):
-        raise ConfigError(f"--output {file}: the name must end in .html")
+    file = page_file(folder / "report.html" if output is None else output, "--output ")
     check_output_file(file, [] if reference is None else [reference])
     write_page(single_run_page(read_run(folder, reference)), file)
     add_results(file, file.with_suffix(".json"))

@@ -91,6 +91,16 @@ def scalar(text: str) -> str | float | int | bool | None:
     return text
 
 
+def value_at(data: Any, path: Path) -> Any:
+    """Return the value at a path in nested maps and lists, or None where there is none."""
+    for part in path:
+        try:
+            data = data[part]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return data
+
+
 @dataclass
 class Document:
     """A file's plain data; `lines` maps the path of every key and list entry to its line (from 1)."""
@@ -110,13 +120,7 @@ class Document:
 
     def at(self, path: Path) -> Any:
         """Return the value at a path, or None where there is none."""
-        value = self.data
-        for part in path:
-            try:
-                value = value[part]
-            except (KeyError, IndexError, TypeError):
-                return None
-        return value
+        return value_at(self.data, path)
 
     def fault(self, path: Path, what: str, line: int | None = None) -> None:
         """Note a mistake at a path."""

@@ -30,7 +30,6 @@ ATTITUDE_SIGMA_RAD = 1e-3  # of the estimate, at least
 class _Step(NamedTuple):
     """What lies between two poses that are about a second apart, the sums since the first of all."""
 
-    stamp_ns: int
     by_gyroscope: gtsam.Rot3
     by_odometry: gtsam.Rot3
     drift_variance: float
@@ -98,7 +97,7 @@ class OdometryLearning:
             self._first = pose
             return
         self._compare_rotation(before, pose, measured, smoother)
-        if len(self._scans) == 3 and self._scans[1][1] is not None:
+        if len(self._scans) == 3:
             self._compare_translation(smoother)
         for posterior in self._noises:
             posterior.forget(1.0 / NOISE_MEMORY_SCANS)
@@ -191,11 +190,10 @@ class OdometryLearning:
             return
         duration_s = (last.stamp_ns - first.stamp_ns) * 1e-9
         motion = first.T_I0_I.between(last.T_I0_I)
-        before = self._steps[-1] if self._steps else _Step(first.stamp_ns, gtsam.Rot3(), gtsam.Rot3(), 0.0, 0.0, 0.0)
+        before = self._steps[-1] if self._steps else _Step(gtsam.Rot3(), gtsam.Rot3(), 0.0, 0.0, 0.0)
         if not self._steps:
             self._steps.append(before)
         step = _Step(
-            last.stamp_ns,
             before.by_gyroscope * gtsam.Rot3(measured.R),
             before.by_odometry * motion.rotation(),
             before.drift_variance + float(self._noise.drift(motion, duration_s)[0]) ** 2,

@@ -13,6 +13,7 @@ from time import perf_counter_ns, process_time
 
 from holdfast.lidar_odometry.scan_odometry import ScanOdometry, Settings
 from holdfast.lidar_odometry.shared_scan import READY, Answer, Request, Slot
+from holdfast.parent import die_with_parent
 from holdfast.recording.decode import UndecodableError
 
 
@@ -36,7 +37,7 @@ def main() -> None:
     """Run the odometry for the process that started this one."""
     for number in (signal.SIGINT, signal.SIGTERM):  # whoever started this process decides when it ends
         signal.signal(number, signal.SIG_IGN)
-    _die_with_parent()
+    die_with_parent()
     descriptor, *slots = (int(text) for text in sys.argv[1:])
     connection = Connection(descriptor)
     try:
@@ -51,17 +52,6 @@ def main() -> None:
         text = " ".join(str(error).split())
         connection.send(Answer(READY, fault=f"failed: {type(error).__name__}: {text}"))
         sys.exit(1)
-
-
-def _die_with_parent() -> None:
-    """Let the kernel end this process with the one that started it, even in the middle of a scan (Linux)."""
-    if sys.platform == "linux":
-        import ctypes
-
-        parent = os.getppid()
-        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
-        if os.getppid() != parent:
-            sys.exit(0)
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from holdfast.estimator.tracking import Update
 from holdfast.event_log import EventLog
 from holdfast.geometry.earth import Geodetic
 from holdfast.messages import ImuSample
+from holdfast.parent import die_with_parent
 from holdfast.realtime.layout import Board
 from holdfast.realtime.memory import Word
 from holdfast.realtime.placement import place_optimiser
@@ -215,7 +216,7 @@ def main() -> None:
     memory, reports, length = (int(text) for text in sys.argv[1:])
     for number in (signal.SIGINT, signal.SIGTERM):  # whoever started this process decides when it ends
         signal.signal(number, signal.SIG_IGN)
-    _die_with_parent()
+    die_with_parent()
     outbox = Outbox(reports)
     settings: Settings = pickle.loads(_read_exactly(length))
     place_optimiser(settings.config.realtime, settings.cores)
@@ -245,17 +246,6 @@ def _read_exactly(length: int) -> bytes:
             sys.exit(0)
         body += part
     return body
-
-
-def _die_with_parent() -> None:
-    """Let the kernel end this process with the one that started it, even while it is stopped (Linux)."""
-    if sys.platform == "linux":
-        import ctypes
-
-        parent = os.getppid()
-        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
-        if os.getppid() != parent:
-            sys.exit(0)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from hashlib import sha256
 from html import escape
 from importlib.resources import files
 from math import isfinite
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -148,6 +149,18 @@ class Page:
 def digest(config: Mapping[str, Any]) -> str:
     """Return the first 12 digits of the SHA-256 of a resolved configuration, as sorted JSON."""
     return sha256(json.dumps(config, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def page_file(path: str | PathLike[str], option: str = "") -> Path:
+    """Return the file of a page; `option` names where the user gave it.
+
+    Raises:
+        ConfigError: the name does not end in .html.
+    """
+    file = Path(path)
+    if file.suffix.lower() not in (".html", ".htm"):
+        raise ConfigError(f"{option}{file}: the name must end in .html")
+    return file
 
 
 def write_page(page: Page, path: Path) -> None:

@@ -15,8 +15,7 @@ import numpy as np
 from holdfast.config.sensors import RobustLoss
 from holdfast.messages import Array
 from holdfast.sensors.noise import UNBOUNDED, Colour, noise_model
-from holdfast.sensors.sensor import Comparing, Innovation, State
-from holdfast.state import Outcome
+from holdfast.sensors.sensor import Comparing, Innovation, State, innovation_at
 
 NAV_SIZE = 9
 LINEAR_RAD = 0.02  # sigma of an attitude that is known well enough for a factor that is linear about the prediction
@@ -108,15 +107,8 @@ def coloured_factor(  # noqa: PLR0917 (what a factor is made of)
 def _nonlinear(  # noqa: PLR0917 (what a factor is made of)
     sensor: Comparing, keys: Sequence[int], measurement: Any, state: State, root: Array, noise: gtsam.noiseModel.Base
 ) -> gtsam.NonlinearFactor:
-    size = len(root)
-
     def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
-        at = state._replace(nav=values.atNavState(keys[0]))
-        if len(keys) > 2:
-            at = at._replace(parameter=values.atVector(keys[1]))
-        found = sensor.innovation(measurement, at)
-        if isinstance(found, Outcome):
-            found = Innovation(np.zeros(size), np.zeros((size, 9)), np.eye(size), np.zeros((size, len(at.parameter))))
+        found = innovation_at(sensor, keys[:-1], measurement, state, values, len(root))
         if jacobians is not None:
             blocks = (found.H, found.J, root) if len(keys) > 2 else (found.H, root)
             for k, block in enumerate(blocks):

@@ -78,7 +78,7 @@ class OdometryModel:
 
     def _excess(self, message: SensorPose, T_L0_L: gtsam.Pose3) -> Array | None:
         """Return what the message claims beyond the configured noise, brought from the axes of L0 at L to I."""
-        if message.covariance is None or self.config.covariance == "never":
+        if message.covariance is None:
             return None
         turned = np.kron(np.eye(2), T_L0_L.rotation().matrix().T)
         excess = claimed_excess(turned @ message.covariance @ turned.T, self.config)

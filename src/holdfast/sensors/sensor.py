@@ -246,6 +246,22 @@ class ConstraintSensor(StateSensor, Protocol):
         """Return the measurement at a time."""
 
 
+def innovation_at(  # noqa: PLR0917 (a measurement, and the variables that it is compared with)
+    sensor: Comparing, keys: Sequence[int], measurement: Any, state: State, values: gtsam.Values, size: int
+) -> Innovation:
+    """Return the innovation (m,) of a measurement at the values of a node and, behind it, of its parameter.
+
+    Angular velocity and joint are those of `state`. What cannot be compared any more weighs nothing.
+    """
+    at = state._replace(nav=values.atNavState(keys[0]))
+    if len(keys) > 1:
+        at = at._replace(parameter=values.atVector(keys[1]))
+    found = sensor.innovation(measurement, at)
+    if isinstance(found, Outcome):
+        return Innovation(np.zeros(size), np.zeros((size, 9)), np.eye(size), np.zeros((size, len(at.parameter))))
+    return found
+
+
 def innovation_factor(  # noqa: PLR0917 (what a factor is made of)
     sensor: Comparing,
     keys: Sequence[int],
@@ -262,12 +278,7 @@ def innovation_factor(  # noqa: PLR0917 (what a factor is made of)
     size = len(covariance)
 
     def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
-        at = state._replace(nav=values.atNavState(keys[0]))
-        if len(keys) > 1:
-            at = at._replace(parameter=values.atVector(keys[1]))
-        found = sensor.innovation(measurement, at)
-        if isinstance(found, Outcome):
-            found = Innovation(np.zeros(size), np.zeros((size, 9)), covariance, np.zeros((size, len(at.parameter))))
+        found = innovation_at(sensor, keys, measurement, state, values, size)
         if jacobians is not None:
             for k, by_variable in enumerate((found.H, found.J)[: len(keys)]):
                 jacobians[k] = by_variable

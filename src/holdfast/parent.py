@@ -11,6 +11,17 @@ def end_with_parent() -> None:
     Thread(target=_watch, name="parent", daemon=True).start()
 
 
+def die_with_parent() -> None:
+    """Let the kernel end this process with the one that started it, even while it is stopped or busy (Linux)."""
+    if sys.platform == "linux":
+        import ctypes
+
+        parent = os.getppid()
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+        if os.getppid() != parent:
+            sys.exit(0)
+
+
 def _watch() -> None:
     try:
         while os.read(sys.stdin.fileno(), 1):
