@@ -10,6 +10,7 @@ from holdfast.errors import MessageError
 LIMIT_NS = 2**63
 TEXT_CHARACTERS = 40
 NUMBERS = (float, int, np.floating, np.integer)
+WHOLE = (int, np.integer)
 
 
 class Quantity(NamedTuple):
@@ -56,7 +57,7 @@ def check_message(message: Any, quantities: Mapping[str, Quantity]) -> None:
 
 def is_stamp(value: object) -> bool:
     """Whether a value is a time as messages have it."""
-    is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    is_whole = isinstance(value, WHOLE) and not isinstance(value, bool)
     return is_whole and -LIMIT_NS <= value < LIMIT_NS  # type: ignore[operator]
 
 

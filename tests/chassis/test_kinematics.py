@@ -35,6 +35,7 @@ from holdfast.config.model import Config
 from holdfast.estimator.estimator import Estimator
 from holdfast.kernel.turn_joint import place
 from holdfast.messages import FixStatus, GnssFix, ImuSample, JointAngle
+from holdfast.ros.rows import Rows
 from holdfast.sim.scenario import load_scenario
 from holdfast.sim.simulation import simulate
 from holdfast.state import PUBLISHED, BaseState, EncoderState, Estimate
@@ -109,7 +110,9 @@ def test_covariances_are_those_of_samples():
         errors.append([*pose, *(other.angular_velocity - mean.angular_velocity), *(other.velocity - mean.velocity)])
     found = np.cov(np.array(errors).T)
     uncertainty = BaseUncertainty(machine())
-    of_two = uncertainty.covariances([given, DRIVING.estimate(3.0)], [mean, mean], np.array([sigmas[2] ** 2, 1.0]))
+    rows = Rows.of([given, DRIVING.estimate(3.0)], [mean, mean])
+    variances = np.array([sigmas[2] ** 2, 1.0])
+    of_two = uncertainty.covariances(rows.covariances, rows.velocities, rows.chassis, variances)
     for block, expected in zip((slice(6), slice(6, 12)), (of_two.pose[0], of_two.twist[0]), strict=True):
         part = found[block, block]
         # five standard deviations of what so many samples can tell

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from holdfast.ros.outputs import odometry, pose_covariances
-from holdfast.ros.rows import Poses, Rows, quaternion_xyzw
-from holdfast.state import Estimate
+from holdfast.ros.rows import Poses, Rows, quaternion_xyzw, quaternions_xyzw
+from holdfast.state import BaseState, Estimate
 
 SAMPLES = 20_000
 RATE_VARIANCE = 3e-4
@@ -105,3 +105,25 @@ def test_twist_is_the_velocity_in_the_body_whichever_frame_the_pose_has():
 def test_quaternions_are_x_y_z_w():
     np.testing.assert_allclose(quaternion_xyzw(gtsam.Rot3.Yaw(0.6)), [0, 0, np.sin(0.3), np.cos(0.3)], atol=1e-15)
     np.testing.assert_allclose(quaternion_xyzw(gtsam.Rot3.Roll(0.6)), [np.sin(0.3), 0, 0, np.cos(0.3)], atol=1e-15)
+
+
+def test_quaternions_of_matrices_are_those_of_gtsam_also_at_half_a_turn():
+    turns = [np.pi * np.array(axis) for axis in ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.6, 0.8])]
+    drawn = np.random.default_rng(2).normal(0.0, 2.0, (200, 3))
+    rotations = [gtsam.Rot3.Expmap(turn) for turn in (np.zeros(3), *turns, *drawn)]
+    found = quaternions_xyzw(np.array([rotation.matrix() for rotation in rotations]))
+    np.testing.assert_allclose(found, [quaternion_xyzw(rotation) for rotation in rotations], rtol=0, atol=1e-15)
+
+
+def test_the_poses_of_rows_are_those_of_the_estimates():
+    T_W_O = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.1, 0.2, 2.0), np.array([7.0, -5.0, 1.0]))
+    T_O_B, T_W_B = (gtsam.Pose3(gtsam.Rot3.Yaw(yaw), np.array([yaw, 2.0, 3.0])) for yaw in (0.4, -2.5))
+    plain = estimate(ATTITUDES["askew"])
+    given = Estimate.of(1, plain.nav, T_W_O, gtsam.imuBias.ConstantBias(), TANGENT, np.zeros(3), True)
+    base = BaseState.of(1, T_O_B, T_W_B, np.zeros(3), np.zeros(3), (0.0, 0.0, 0.0, 0.0), None)
+    rows = Rows.of([plain, given], [base, base])
+    expected = (T_W_O, given.nav.pose(), T_W_O.inverse() * given.nav.pose(), T_O_B, T_W_B)
+    for poses, pose in zip((rows.T_W_O, rows.T_W_I, rows.T_O_I, rows.T_O_B, rows.T_W_B), expected, strict=True):
+        for ours, theirs in zip(poses, Poses.of([pose]), strict=True):
+            np.testing.assert_allclose(ours[1], theirs[0], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(rows.velocities[1], given.nav.bodyVelocity(), rtol=0, atol=1e-15)

@@ -68,3 +68,15 @@ def test_a_robust_loss_is_kept():
     far = values(slow=(0.0, 50.0, 0.0, 0.0))
     plain = factor().error(far)
     assert factor(loss=RobustLoss(kind="huber", threshold=2.5)).error(far) < 0.2 * plain
+
+
+def test_what_the_graph_has_not_taken_in_yet_is_used_as_it_is_and_not_written():
+    new = gtsam.Values()
+    new.insert(NODE, NAV)
+    new.insert(gtsam.symbol("x", 7), gtsam.NavState())
+    at = values(NAV.retract(np.full(9, 1e-3)))
+    assert factor(new=new).error(at) == factor().error(at) > 0.0
+    assert new.size() == 2
+    elsewhere = gtsam.Values()
+    elsewhere.insert(NODE, NAV.retract(np.full(9, 0.1)))
+    assert factor(new=elsewhere).error(at) > 2.0 * factor().error(at)

@@ -71,3 +71,20 @@ def test_velocity_depends_on_attitude_and_velocity_of_the_imu_as_claimed():
 
 def test_without_a_turn_joint_no_frame_is_beyond_it():
     assert not Mount(machine(more={"wheels": {"kind": "twist", "mount": at([1.0, 0.0, 0.0])}}), "imu").is_beyond_joint
+
+
+@pytest.mark.parametrize(
+    "mount",
+    [
+        Mount(machine(more={"wheels": {"kind": "twist", "mount": T_I_S}}), "wheels"),
+        Mount(slewing_machine(), "base_link"),
+        Mount(slewing_machine(), "base_imu"),
+    ],
+    ids=["fixed", "base", "on the chassis"],
+)
+def test_many_angles_at_once_are_one_after_the_other(mount):
+    angles = np.array([0.0, 0.3, -2.0, 7.0])
+    expected = [mount.T_I_S(Joint(angle, 0.0)).inverse() for angle in angles]
+    R, p = mount.T_S_I(angles)
+    np.testing.assert_allclose(R, [pose.rotation().matrix() for pose in expected], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(p, [pose.translation() for pose in expected], rtol=0, atol=1e-14)

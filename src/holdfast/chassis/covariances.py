@@ -1,16 +1,13 @@
 """How well pose and twist of the chassis are known, of many states at once."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from holdfast.config.model import Config
-from holdfast.geometry.skew import skew
+from holdfast.geometry.rotations import skew
 from holdfast.messages import Array
 from holdfast.sensors.mount import Mount
-from holdfast.sensors.sensor import Joint
-from holdfast.state import BaseState, Estimate
 
 
 class BaseCovariances(NamedTuple):
@@ -37,41 +34,40 @@ class BaseUncertainty:
         by_angle = np.concatenate([-self._axis, self._of_arm @ self._axis])
         self._by_angle: Array = np.outer(by_angle, by_angle)  # what a variance of the angle makes of the pose
 
-    def covariances(
-        self, estimates: Sequence[Estimate], bases: Sequence[BaseState], rate_variances: Array
-    ) -> BaseCovariances:
+    def covariances(self, P: Array, velocities: Array, chassis: Any, rate_variances: Array) -> BaseCovariances:
         """Return the covariances of some states of the chassis.
 
         Args:
-            estimates: of the cabin's IMU.
-            bases: what came of each.
+            P: (N, 9, 9) covariances of the estimates of the cabin's IMU.
+            velocities: (N, 3) of I in I [m/s].
+            chassis: (N,) of `CHASSIS`, what came of each.
             rate_variances: (N,) of the components of the estimate's angular velocity [rad^2/s^2].
         """
-        P = np.array([estimate.covariance for estimate in estimates])
-        angle_variances = np.array([base.joint_angle_sigma_rad**2 for base in bases])
-        T_B_I = [self._mount.T_I_S(Joint(base.joint_angle_rad, 0.0)).inverse() for base in bases]
-        to_B = np.array([pose.AdjointMap() for pose in T_B_I])
+        angle_variances = chassis["joint_angle_sigma_rad"] ** 2
+        R_B_I, p_B_I = self._mount.T_S_I(chassis["joint_angle_rad"])
+        to_B = np.zeros((len(P), 6, 6))  # the adjoint
+        to_B[:, :3, :3] = to_B[:, 3:, 3:] = R_B_I
+        to_B[:, 3:, :3] = skew(p_B_I) @ R_B_I
         pose = to_B @ P[:, :6, :6] @ to_B.transpose(0, 2, 1) + angle_variances[:, None, None] * self._by_angle
-        G = self._sources_to_twist(to_B[:, :3, :3], bases)
-        J = np.zeros((len(bases), 3, 9))
-        J[:, :, :3] = skew(np.array([estimate.nav.bodyVelocity() for estimate in estimates]))
+        G = self._sources_to_twist(R_B_I, chassis)
+        J = np.zeros((len(P), 3, 9))
+        J[:, :, :3] = skew(velocities)
         J[:, :, 6:] = np.eye(3)
-        sources = np.zeros((len(bases), 8, 8))
+        sources = np.zeros((len(P), 8, 8))
         sources[:, :3, :3] = J @ P @ J.transpose(0, 2, 1)
         sources[:, range(3, 6), range(3, 6)] = rate_variances[:, None]
         sources[:, 6, 6] = angle_variances
-        sources[:, 7, 7] = [base.turn_rate_sigma_rad_s**2 for base in bases]
+        sources[:, 7, 7] = chassis["turn_rate_sigma_rad_s"] ** 2
         return BaseCovariances(pose, G @ sources @ G.transpose(0, 2, 1))
 
-    def _sources_to_twist(self, R_B_I: Array, bases: Sequence[BaseState]) -> Array:
+    def _sources_to_twist(self, R_B_I: Array, chassis: Any) -> Array:
         """Return what (N, 6, 8) the sources of error make of the twist of B.
 
         The sources are velocity of I in I, angular velocity of I in I, angle of the joint, rate of the chassis.
         """
-        velocities = np.array([base.velocity for base in bases])
-        rates = np.array([base.angular_velocity for base in bases])
-        velocities_J = velocities - skew(rates) @ self._arm
-        G = np.zeros((len(bases), 6, 8))
+        rates = chassis["angular_velocity"]
+        velocities_J = chassis["velocity"] - skew(rates) @ self._arm
+        G = np.zeros((len(rates), 6, 8))
         G[:, :3, 3:6] = self._across_axis @ R_B_I
         G[:, :3, 6] = rates @ self._of_axis.T
         G[:, :3, 7] = self._axis

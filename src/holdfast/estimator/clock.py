@@ -12,7 +12,7 @@ from typing import Any, cast
 
 import gtsam
 
-from holdfast.event_log import EventLog
+from holdfast.event_log import EventLog, MeasurementRecord
 from holdfast.messages import ImuSample, Message
 from holdfast.sensors.imu import CLOCK_JUMP_NS, ImuBuffer
 from holdfast.state import NOTHING, Event, EventKind, OptimisedState, Output
@@ -141,3 +141,7 @@ class Clock:
     def events(self, events: list[Event]) -> list[Event]:
         """Return events with their stamps; the same list where that changes nothing."""
         return [replace(one, stamp_ns=self.stamp(one.stamp_ns)) for one in events] if self._since else events
+
+    def records(self, records: list[MeasurementRecord]) -> list[MeasurementRecord]:
+        """Return records with their stamps; the same list where that changes nothing."""
+        return [one._replace(stamp_ns=self.stamp(one.stamp_ns)) for one in records] if self._since else records

@@ -110,8 +110,7 @@ class Estimator(Intake):
 
     def take_records(self) -> list[MeasurementRecord]:
         """Return the records since the last call."""
-        stamp = self._path.clock.stamp
-        return [record._replace(stamp_ns=stamp(record.stamp_ns)) for record in self._log.take_records()]
+        return self._path.clock.records(self._log.take_records())
 
     def process(self, message: Message) -> Output:
         """Take in one message, in the order of arrival.

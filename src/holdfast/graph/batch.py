@@ -57,6 +57,11 @@ class Batch:
         self._values.insert(key, value)
         self._stamps[key] = stamp_ns
 
+    @property
+    def new(self) -> gtsam.Values:
+        """The variables that wait for `solve`: none."""
+        return gtsam.Values()
+
     def keep(self, key: int, stamp_ns: int) -> None:
         """Keep a variable for as long as the time of a factor on it."""
         self._stamps[key] = max(stamp_ns, self._stamps[key])

@@ -108,7 +108,9 @@ class Parameters:
 
     def mark_solved(self) -> None:
         """Note that the solver has taken in all that it was given."""
-        self._known = {name: known._replace(is_solved=True) for name, known in self._known.items()}
+        for name, known in self._known.items():
+            if not known.is_solved:
+                self._known[name] = known._replace(is_solved=True)
 
     def _insert(
         self, solver: Solver, before: Known | None, prior: Parameter, stamp_ns: int, start: Array | None

@@ -17,7 +17,7 @@ from holdfast.graph.parameters import MAX_SIZE, REFRESHED_NS, Parameters, parame
 from holdfast.graph.prior import joint_prior
 from holdfast.graph.slow_errors import SLOW, SlowErrors, sizes_of
 from holdfast.graph.solver import Placed, Solver
-from holdfast.graph.tail import BIAS_END, Tail
+from holdfast.graph.tail import BIAS_END, Tail, node_beside
 from holdfast.graph.window import Window
 from holdfast.messages import Array
 from holdfast.sensors.coloured import NAV_SIZE, SlowError
@@ -223,12 +223,16 @@ class Smoother:
         elif stamp not in self._new_navs and errors.is_solved(epoch):
             joint, first = self._window.covariance(self._nodes.key(stamp), epoch.key), NAV_SIZE
         if joint is not None:
-            index = [*range(NAV_SIZE), *range(first + block.start, first + block.stop)]
-            covariance = joint[np.ix_(index, index)]
+            covariance = node_beside(joint, first + block.start, first + block.stop)
         else:  # a late measurement: what both have in common is left out
             covariance = np.eye(NAV_SIZE + block.stop - block.start)
             covariance[:NAV_SIZE, :NAV_SIZE] = self.covariance(stamp)
         return SlowError(epoch.key, block.start, errors.value(self._window, epoch), covariance)
+
+    @property
+    def new(self) -> gtsam.Values:
+        """The variables that are not optimised yet; not to be written."""
+        return self._window.new
 
     def renew_slow_errors(self) -> None:
         """Let the slow errors from here on have nothing to do with those before."""
@@ -359,7 +363,7 @@ class Smoother:
         state = OptimisedState(stamp, nav, bias, tail.state, self._angular_velocity(stamp, nav, bias))
         if not state.is_finite():
             raise ValueError("the optimised state is not finite")
-        if not (np.diag(tail.state) > 0.0).all():
+        if not (tail.state.diagonal() > 0.0).all():
             raise ValueError("the covariance of the optimised state is not positive")
         return state, tail
 

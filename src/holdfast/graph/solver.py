@@ -28,6 +28,10 @@ class Solver(Protocol):
     def insert(self, key: int, value: Value, stamp_ns: int) -> None:
         """Add a variable that is used until a time, about which a factor must follow."""
 
+    @property
+    def new(self) -> gtsam.Values:
+        """The variables that wait for `solve`; not to be written."""
+
     def keep(self, key: int, stamp_ns: int) -> None:
         """Keep a variable for as long as the time of a factor on it."""
 

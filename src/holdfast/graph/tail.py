@@ -51,3 +51,14 @@ class Tail(NamedTuple):
     def without_slow_errors(self) -> "Tail":
         """Return that of node and bias alone."""
         return Tail(self.state)
+
+
+def node_beside(joint: Array, first: int, end: int) -> Array:
+    """Return the part (9 + m, 9 + m) of a joint covariance: of its first nine rows, a node, and of m others."""
+    others, covariance = slice(first, end), np.empty((NAV_SIZE + end - first, NAV_SIZE + end - first))
+    covariance[:NAV_SIZE, :NAV_SIZE], covariance[:NAV_SIZE, NAV_SIZE:] = (
+        joint[:NAV_SIZE, :NAV_SIZE],
+        joint[:NAV_SIZE, others],
+    )
+    covariance[NAV_SIZE:, :NAV_SIZE], covariance[NAV_SIZE:, NAV_SIZE:] = joint[others, :NAV_SIZE], joint[others, others]
+    return covariance

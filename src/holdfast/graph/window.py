@@ -6,6 +6,7 @@ touching the rest. GTSAM's own order has none of this: docs/decisions/018-elimin
 """
 
 from collections.abc import Callable, Collection, Iterable, Sequence
+from itertools import islice
 
 import gtsam
 
@@ -80,6 +81,11 @@ class Window:
         self._stamps[key] = max(stamp_ns, self._stamps[key])
         self._touched.add(key)
 
+    @property
+    def new(self) -> gtsam.Values:
+        """The variables that wait for `solve`; not to be written."""
+        return self._values
+
     def add(self, factor: gtsam.NonlinearFactor) -> Placed:
         """Add a factor on variables that are there; it takes effect with `solve`. Return a handle to `retract` it."""
         placed = Placed(factor)
@@ -121,9 +127,10 @@ class Window:
         step = gtsam.ISAM2UpdateParams()
         step.removeFactorIndices = removed
         step.extraReelimKeys = _key_list(touched)
-        affected: Collection[int] = list(self._isam.predictUpdateInfo(graph, values, step)[0])
-        if not affected:
+        found, _ = self._isam.predictUpdateInfo(graph, values, step)
+        if found.empty():
             return []
+        affected: Collection[int] = list(islice(found, found.size()))  # its end is an exception in C++, which is slow
         if len(affected) >= BATCH_FRACTION * len(self._stamps):
             affected = self._stamps
             step.extraReelimKeys = _key_list(affected)

@@ -91,9 +91,10 @@ class Positions:
             self._log.record(position.stamp_ns, name, Outcome.LATE, p_W_P=position.p_W_P)
             return Outcome.LATE
         gate, scale = self.gates[name], self._scales[name]
-        position = replace(position, covariance=position.covariance * scale.above)
-        if position.colour is not None:
-            position = replace(position, colour=self._white[name].colour(position.colour, scale.above))
+        above, colour = scale.above, position.colour
+        if colour is not None:
+            colour = self._white[name].colour(colour, above)
+        position = replace(position, covariance=position.covariance * above, colour=colour)
         found = self._compare(smoother, key, position)
         innovation, state = found.innovation, found.state
         prediction = predict(innovation, state)
@@ -108,7 +109,7 @@ class Positions:
         self._consensus[name].add(position, is_refused=outcome not in (Outcome.USED, Outcome.QUARANTINED))
         if gate.trust is Trust.TRUSTED and outcome in LEARNT_FROM and len(state.parameter) < ARM_SIZE:
             lowest = LOWEST_SLOW if position.correlation_s >= SLOW_S and found.slow is None else LOWEST
-            scale.learn(innovation._replace(R=innovation.R / scale.above), state, position, self._log, lowest)
+            scale.learn(innovation._replace(R=innovation.R / above), state, position, self._log, lowest)
         if outcome is Outcome.USED:
             if position.colour is not None:
                 sensor, white = self._sensors[name], self._white[name]
@@ -206,7 +207,7 @@ class Positions:
                 scale = self._scales[position.sensor]
                 factor = sensor.factor(found.keys, position, inflation * scale.value / scale.above, found.state)
             else:
-                factor = coloured_factor(sensor, position, found, found.slow, inflation, sensor.loss)
+                factor = coloured_factor(sensor, position, found, found.slow, inflation, sensor.loss, new=smoother.new)
             smoother.enter(position, factor)
         return key is not None
 

@@ -1,6 +1,5 @@
 """The positions that were used, while the main graph holds them: what is to be taken out again once more is known."""
 
-from collections import deque
 from math import inf
 
 import numpy as np
@@ -8,7 +7,7 @@ import numpy as np
 from holdfast.graph.smoother import Smoother
 from holdfast.messages import Array
 from holdfast.sensors.clock import receiver_constants
-from holdfast.sensors.position import predicted_position
+from holdfast.sensors.position import Motion, predicted_position
 from holdfast.sensors.sensor import Position, PositionSensor
 
 
@@ -21,7 +20,7 @@ class UsedPositions:
 
     def __init__(self, sensors: dict[str, PositionSensor]) -> None:
         self._sensors = sensors
-        self._used: deque[Position] = deque()
+        self._used: list[Position] = []
 
     def __len__(self) -> int:
         return len(self._used)
@@ -45,8 +44,7 @@ class UsedPositions:
 
     def forget_before(self, oldest_ns: int) -> None:
         """Forget what left the window."""
-        if any(one.stamp_ns < oldest_ns for one in self._used):  # they are in the order of arrival, not of stamps
-            self._used = deque(one for one in self._used if one.stamp_ns >= oldest_ns)
+        self._used = [one for one in self._used if one.stamp_ns >= oldest_ns]  # they are in the order of arrival
 
     def of(self, sensor: str | None = None, since_ns: int = 0) -> list[Position]:
         """Return the positions of a receiver, or of all, since a time."""
@@ -67,7 +65,7 @@ class UsedPositions:
             quarantine_ns: for how long a used position of each receiver can be taken out again.
         """
         # the newest has no successor yet, and may be what pulls at the others
-        older = list(self._used)[:-1]
+        older = self._used[:-1]
         doubted = [one for one in older if self.newest_ns - one.stamp_ns <= quarantine_ns[one.sensor]]
         if not doubted:
             return None
@@ -81,12 +79,14 @@ class UsedPositions:
 
     def _residual_nis(self, positions: list[Position], smoother: Smoother) -> Array:
         """Return the squared residuals (N,) of positions at the optimised states over their covariance."""
-        stamps = sorted({one.stamp_ns for one in positions})
         names = {one.sensor for one in positions}
         constants = {name: receiver_constants(self._sensors[name], self._estimated(name, smoother)) for name in names}
-        states = {stamp: (smoother.nav(stamp), smoother.angular_velocity(stamp)) for stamp in stamps}
-        predicted = [predicted_position(*states[one.stamp_ns], *constants[one.sensor]) for one in positions]
-        y: Array = np.array([one.p_W_P for one in positions]) - predicted
+        rows = {stamp: row for row, stamp in enumerate({one.stamp_ns for one in positions})}
+        motions = [Motion.of(smoother.nav(stamp), smoother.angular_velocity(stamp)) for stamp in rows]
+        index = [rows[one.stamp_ns] for one in positions]
+        motion = Motion(*(np.array(part)[index] for part in zip(*motions, strict=True)))
+        arms, offsets_s = (np.array(part) for part in zip(*(constants[one.sensor] for one in positions), strict=True))
+        y: Array = np.array([one.p_W_P for one in positions]) - predicted_position(motion, arms, offsets_s)
         weighted = np.linalg.solve(np.array([one.covariance for one in positions]), y[:, :, None])[:, :, 0]
         squared: Array = (y * weighted).sum(axis=1)
         return squared

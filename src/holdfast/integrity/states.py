@@ -139,13 +139,15 @@ class JudgedSensor:
         for smoother in smoothers:
             found = known if known is not None and smoother is judge else self._compare(smoother, measurement)
             if not isinstance(found, Outcome):
-                smoother.enter(measurement, self._factor(measurement, found, inflation))
+                smoother.enter(measurement, self._factor(smoother, measurement, found, inflation))
                 self._used_ns, has_entered = measurement.stamp_ns, True
         return has_entered
 
-    def _factor(self, measurement: Measurement, found: Compared, inflation: float) -> gtsam.NonlinearFactor:
+    def _factor(
+        self, smoother: Smoother, measurement: Measurement, found: Compared, inflation: float
+    ) -> gtsam.NonlinearFactor:
         if found.slow is not None:
-            return coloured_factor(self._sensor, measurement, found, found.slow, inflation)
+            return coloured_factor(self._sensor, measurement, found, found.slow, inflation, new=smoother.new)
         scale = inflation * self._scale.value
         claimed = found.innovation._replace(R=found.innovation.R / self._scale.above)
         return self._sensor.factor(found.keys, measurement, found.state, claimed, scale)

@@ -7,7 +7,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import gtsam
 import numpy as np
 
 from holdfast.config.model import Config
@@ -17,7 +16,7 @@ from holdfast.messages import Array
 from holdfast.recording.covariance_csv import CovarianceWriter, beside
 from holdfast.recording.tum import TumWriter
 from holdfast.replay.published import by_sensor
-from holdfast.ros.rows import quaternion_xyzw
+from holdfast.ros.rows import quaternions_xyzw
 from holdfast.sensors.constants import Constant
 from holdfast.smoothing.batch_smoother import BatchSmoother
 from holdfast.smoothing.block import Block, Work
@@ -76,7 +75,7 @@ class BatchOutputs:
         if len(base.rows) and "base_in_world" in self._tracks:
             q = track.quaternions[base.rows]
             positions = track.positions[base.rows] + quaternions.rotate(q, base.positions)
-            attitudes = quaternions.multiply(q, np.array([quaternion_xyzw(gtsam.Rot3(R)) for R in base.rotations]))
+            attitudes = quaternions.multiply(q, quaternions_xyzw(base.rotations))
             self._tracks["base_in_world"].extend(track.times_ns[base.rows].tolist(), positions, attitudes)
         self._covariances.extend(block.covariances)
         self._rows(BIASES, block.biases.times_ns, np.hstack([block.biases.values, block.biases.sigmas]))

@@ -36,9 +36,11 @@ class MeasurementWriter(Closing):
     def write(self, records: Iterable[MeasurementRecord], outcome: str = "") -> None:
         """Write records; `outcome` stands in for theirs."""
         rows = [_row(record, outcome or record.outcome) for record in records if self._has_room(record, outcome)]
-        if rows:
-            self._rows.writerows(rows)
-            self._file.flush()
+        self._rows.writerows(rows)
+
+    def flush(self) -> None:
+        """Let what was written reach the file."""
+        self._file.flush()
 
     def close(self) -> None:
         """Close the file."""

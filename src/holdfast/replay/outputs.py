@@ -112,6 +112,7 @@ class Outputs:
         self._mcap.write("/diagnostics", message, DIAGNOSTICS, now_ns)
 
     def _write_pending(self) -> None:
+        self._measurements.flush()
         if self._estimates:
             self._newest = self._estimates[-1]
             self._write_estimates(Rows.of(self._estimates, self._bases))
@@ -125,9 +126,9 @@ class Outputs:
         stamps = rows.stamps_ns
         self._append("imu_in_world", stamps, rows.T_W_I)
         self._append("imu_in_odom", stamps, rows.T_O_I)
-        if rows.bases:
+        if len(rows.chassis):
             self._append("base_in_odom", stamps, rows.T_O_B)
-            self._append("base_in_world", stamps, Poses.of(base.T_W_B for base in rows.bases))
+            self._append("base_in_world", stamps, rows.T_W_B)
         if not self._mounted:
             self._mounted = True
             self._write_messages(stamps[0], [self._messages.mounts(stamps[0])])

@@ -1,12 +1,12 @@
 """The tree of frames as tf2 messages: what moves, at every estimate, and what is mounted, once."""
 
 import gtsam
-import numpy as np
 
 from holdfast.config.frame_tree import links_from
 from holdfast.config.model import Config
+from holdfast.geometry.rotations import about_z
 from holdfast.ros.cdr import TransformEncoder
-from holdfast.ros.rows import Poses, Rows, quaternion_xyzw
+from holdfast.ros.rows import Poses, Rows, quaternions_xyzw
 
 
 class FrameTransforms:
@@ -37,15 +37,13 @@ class FrameTransforms:
     def at(self, rows: Rows) -> list[bytes]:
         """Return the messages for /tf; where the base is not known, nothing below `odom` is."""
         poses = [rows.T_W_O[:2]]
-        if self._has_base and not rows.bases:
+        if self._has_base and not len(rows.chassis):
             return self._world.encode(rows.stamps_ns, poses)
         if self._has_base:
             poses.append(rows.T_O_B[:2])
             if self._joint is not None:
-                turned = self._joint.rotation()
-                rotations = [gtsam.Rot3.Rz(base.joint_angle_rad) * turned for base in rows.bases]
-                quaternions = np.array([quaternion_xyzw(rotation) for rotation in rotations])
-                poses.append((self._joint.translation(), quaternions))
+                turned = about_z(rows.chassis["joint_angle_rad"]) @ self._joint.rotation().matrix()
+                poses.append((self._joint.translation(), quaternions_xyzw(turned)))
         else:
             poses.append(rows.T_O_I[:2])
         return self._chain.encode(rows.stamps_ns, poses)

@@ -71,7 +71,7 @@ class EstimateMessages:
             [RosMessage(in_odometry, ODOMETRY, data) for data in self._in_odometry.encode(stamps, *odom)],
             [RosMessage("/tf", TRANSFORMS, data) for data in self._transforms.at(rows)],
         ]
-        if rows.bases and self._uncertainty is not None:
+        if len(rows.chassis) and self._uncertainty is not None:
             chassis = base_odometry(rows, self._uncertainty, rate_variances)
             found.append([RosMessage(of_base, ODOMETRY, data) for data in self._of_base.encode(stamps, *chassis)])
         return list(zip(*found, strict=True))

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from holdfast.chassis.covariances import BaseUncertainty
-from holdfast.geometry.skew import skew
+from holdfast.geometry.rotations import skew
 from holdfast.messages import Array
 from holdfast.ros.rows import Poses, Rows
 
@@ -42,13 +42,13 @@ def pose_covariances(covariances: Array, R: Array) -> Array:
 def base_odometry(rows: Rows, uncertainty: BaseUncertainty, rate_variances: Array) -> RosOdometry:
     """Return the odometry of the chassis: T_O_B, and its twist in B; arguments as for `BaseUncertainty.covariances`."""
     poses = rows.T_O_B
-    pose, twist = uncertainty.covariances(rows.estimates, rows.bases, rate_variances)
+    pose, twist = uncertainty.covariances(rows.covariances, rows.velocities, rows.chassis, rate_variances)
     return RosOdometry(
         poses.translations,
         poses.quaternions,
         pose_covariances(pose, poses.rotations).reshape(-1, 36),
-        np.array([base.velocity for base in rows.bases]),
-        np.array([base.angular_velocity for base in rows.bases]),
+        rows.chassis["velocity"],
+        rows.chassis["angular_velocity"],
         twist[:, TRANSLATION_FIRST[:, None], TRANSLATION_FIRST].reshape(-1, 36),
     )
 
@@ -56,9 +56,9 @@ def base_odometry(rows: Rows, uncertainty: BaseUncertainty, rate_variances: Arra
 def odometry(rows: Rows, poses: Poses, rate_variances: Array) -> RosOdometry:
     """Return the odometry for `poses`, T_W_I or T_O_I; `rate_variances` (N,) [rad^2/s^2] as for the chassis."""
     # v_I = R^T v: its error is that of v in the body, plus the error of attitude across v
-    J = np.zeros((len(rows.estimates), 3, 9))
+    J = np.zeros((len(rows.stamps_ns), 3, 9))
     J[:, :, :3], J[:, :, 6:] = skew(rows.velocities), np.eye(3)
-    twist = np.zeros((len(rows.estimates), 6, 6))
+    twist = np.zeros((len(rows.stamps_ns), 6, 6))
     twist[:, :3, :3] = J @ rows.covariances @ J.transpose(0, 2, 1)
     twist[:, range(3, 6), range(3, 6)] = rate_variances[:, None]
     return RosOdometry(
@@ -66,7 +66,7 @@ def odometry(rows: Rows, poses: Poses, rate_variances: Array) -> RosOdometry:
         poses.quaternions,
         pose_covariances(rows.covariances, poses.rotations).reshape(-1, 36),
         rows.velocities,
-        np.array([estimate.angular_velocity for estimate in rows.estimates]),
+        rows.angular_velocities,
         twist.reshape(-1, 36),
     )
 

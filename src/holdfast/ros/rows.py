@@ -1,13 +1,13 @@
 """Estimates one after the other as arrays, so that what is written of them is computed for many at once."""
 
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
 
 from holdfast.messages import Array
-from holdfast.state import BaseState, Estimate
+from holdfast.state import PUBLISHED, BaseState, Estimate
 
 
 class Poses(NamedTuple):
@@ -20,17 +20,10 @@ class Poses(NamedTuple):
     @classmethod
     def of(cls, poses: Iterable[gtsam.Pose3]) -> "Poses":
         """Return the arrays of some poses."""
-        translations, quaternions, rotations = [], [], []
-        for pose in poses:
-            rotation = pose.rotation()
-            translations.append(pose.translation())
-            quaternions.append(quaternion_xyzw(rotation))
-            rotations.append(rotation.matrix())
-        return cls(
-            np.array(translations).reshape(-1, 3),
-            np.array(quaternions).reshape(-1, 4),
-            np.array(rotations).reshape(-1, 3, 3),
-        )
+        every = list(poses)
+        rotations = np.array([pose.rotation().matrix() for pose in every]).reshape(-1, 3, 3)
+        translations = np.array([pose.translation() for pose in every]).reshape(-1, 3)
+        return cls(translations, quaternions_xyzw(rotations), rotations)
 
 
 class Rows(NamedTuple):
@@ -38,39 +31,79 @@ class Rows(NamedTuple):
 
     Attributes:
         stamps_ns: (N,).
+        chassis: (N,) or (0,) of `CHASSIS`.
         velocities: (N, 3) of I in I [m/s].
+        angular_velocities: (N, 3) of I in I [rad/s].
         covariances: (N, 9, 9) of the states.
     """
 
-    estimates: Sequence[Estimate]
-    bases: Sequence[BaseState]
     stamps_ns: list[int]
+    chassis: Any
     T_W_O: Poses
     T_W_I: Poses
     T_O_I: Poses
     T_O_B: Poses
+    T_W_B: Poses
     velocities: Array
+    angular_velocities: Array
     covariances: Array
 
     @classmethod
     def of(cls, estimates: Sequence[Estimate], bases: Sequence[BaseState] = ()) -> "Rows":
         """Return the arrays of some estimates; `bases` are as many or none."""
-        T_W_I = [estimate.nav.pose() for estimate in estimates]
-        T_O_I = [estimate.T_W_O.inverse() * pose for estimate, pose in zip(estimates, T_W_I, strict=True)]
+        rows, chassis = _published(estimates)["estimate"], _published(bases)["chassis"]
+        nav, W_O, O_B, W_B = rows["nav"], rows["T_W_O"], chassis["T_O_B"], chassis["T_W_B"]
+        R_O_W, R_I_W = W_O["R"].transpose(0, 2, 1), nav["R"].transpose(0, 2, 1)
+        translations = W_O["p"], nav["p"], _turned(R_O_W, nav["p"] - W_O["p"]), O_B["p"], W_B["p"]
+        rotations = W_O["R"], nav["R"], R_O_W @ nav["R"], O_B["R"], W_B["R"]
+        q, n, m = quaternions_xyzw(np.concatenate(rotations)), len(rows), len(chassis)
+        quaternions = q[:n], q[n : 2 * n], q[2 * n : 3 * n], q[3 * n : 3 * n + m], q[3 * n + m :]
+        T_W_O, T_W_I, T_O_I, T_O_B, T_W_B = map(Poses, translations, quaternions, rotations)
         return cls(
-            estimates,
-            bases,
             [estimate.stamp_ns for estimate in estimates],
-            Poses.of(estimate.T_W_O for estimate in estimates),
-            Poses.of(T_W_I),
-            Poses.of(T_O_I),
-            Poses.of(base.T_O_B for base in bases),
-            np.array([estimate.nav.bodyVelocity() for estimate in estimates]),
-            np.array([estimate.covariance for estimate in estimates]),
+            chassis,
+            T_W_O,
+            T_W_I,
+            T_O_I,
+            T_O_B,
+            T_W_B,
+            _turned(R_I_W, nav["v"]),
+            rows["angular_velocity"],
+            rows["covariance"],
         )
+
+
+def _published(rows: Sequence[Estimate] | Sequence[BaseState]) -> Any:
+    """Return rows as one array (N,) of `PUBLISHED`."""
+    return np.frombuffer(b"".join(bytes(one.row) for one in rows), PUBLISHED)
+
+
+def _turned(R: Array, vectors: Array) -> Array:
+    """Return vectors (N, 3) turned by rotations (N, 3, 3)."""
+    turned: Array = (R @ vectors[:, :, None])[:, :, 0]
+    return turned
 
 
 def quaternion_xyzw(rotation: gtsam.Rot3) -> Array:
     """Return the quaternion (4,) x, y, z, w."""
     coefficients: Array = rotation.toQuaternion().coeffs()  # type: ignore[attr-defined]  # absent from the stubs
     return coefficients
+
+
+def quaternions_xyzw(rotations: Array) -> Array:
+    """Return the quaternions (N, 4) x, y, z, w of rotations (N, 3, 3): by w, or by the largest where that is small.
+
+    Shepperd, "Quaternion from rotation matrix", 1978: each row of 4 q q^T is q, but for its length.
+    """
+    (a, d, g), (b, e, h), (c, f, i) = rotations.transpose(2, 1, 0)
+    rows = np.array([
+        [1.0 + a - e - i, b + d, c + g, h - f],
+        [b + d, 1.0 + e - a - i, f + h, c - g],
+        [c + g, f + h, 1.0 + i - a - e, d - b],
+        [h - f, c - g, d - b, 1.0 + a + e + i],
+    ])  # fmt: skip
+    number, largest = np.arange(len(rotations)), np.array([a, e, i]).argmax(axis=0)
+    largest[a + e + i > 0.0] = 3
+    chosen = rows[largest, :, number]
+    quaternions: Array = chosen / (2.0 * np.sqrt(chosen[number, largest]))[:, None]
+    return quaternions

@@ -70,6 +70,8 @@ def coloured_factor(  # noqa: PLR0917 (what a factor is made of)
     slow: SlowError,
     inflation: float,
     loss: RobustLoss = UNBOUNDED,
+    *,
+    new: gtsam.Values | None = None,
 ) -> gtsam.NonlinearFactor:
     """Return the factor of a measurement on a node, on its parameter if there is one, and on its slow error.
 
@@ -82,6 +84,8 @@ def coloured_factor(  # noqa: PLR0917 (what a factor is made of)
         slow: the slow error in it.
         inflation: factor on the covariance of the white part.
         loss: of the sensor.
+        new: the estimates of variables that the graph has not taken in yet; to put a `NavState` into other `Values`
+            takes as long as all the rest of a factor.
     """
     keys, state, innovation, _ = compared
     root = np.zeros((len(innovation.y), len(slow.value)))
@@ -89,16 +93,15 @@ def coloured_factor(  # noqa: PLR0917 (what a factor is made of)
     noise = innovation.R * inflation
     if loss.kind != "none" or state.covariance[:3, :3].trace() > LINEAR_RAD**2:
         return _nonlinear(sensor, [*keys, slow.key], measurement, state, root, noise_model(noise, loss))
-    at = gtsam.Values()
-    at.insert(keys[0], state.nav)
-    blocks: list[Any] = [keys[0], innovation.H[:, :NAV_SIZE]]
-    if len(keys) > 1:
-        at.insert(keys[1], state.parameter)
-        blocks += [keys[1], innovation.J]
-    at.insert(slow.key, slow.value)
-    blocks += [slow.key, root]
-    whitening = np.linalg.inv(_root(noise))
-    blocks[1::2] = [whitening @ block for block in blocks[1::2]]
+    at = gtsam.Values() if new is None else gtsam.Values(new)
+    values: tuple[Any, ...] = state.nav, state.parameter
+    by_own = zip(keys, values, (innovation.H[:, :NAV_SIZE], innovation.J), strict=False)
+    whitening = _inverse_root(noise)
+    blocks: list[Any] = []
+    for key, value, by_variable in (*by_own, (slow.key, slow.value, root)):
+        if not at.exists(key):
+            at.insert(key, value)
+        blocks += [key, whitening @ by_variable]
     blocks += [whitening @ innovation.y, gtsam.noiseModel.Unit.Create(len(noise))]
     jacobian_factor: Callable[..., gtsam.JacobianFactor] = gtsam.JacobianFactor  # of two variables, or of three
     return gtsam.LinearContainerFactor(jacobian_factor(*blocks), at)
@@ -124,3 +127,10 @@ def _root(covariance: Array) -> Array:
     if np.count_nonzero(covariance) == len(covariance):
         return np.diag(np.sqrt(covariance.diagonal()))
     return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+
+
+def _inverse_root(covariance: Array) -> Array:
+    """Return the inverse (m, m) of a root of a covariance (m, m)."""
+    root = _root(covariance)
+    inverse = np.diag(1.0 / root.diagonal()) if np.count_nonzero(root) == len(root) else np.linalg.inv(root)
+    return np.asarray(inverse, dtype=np.float64)

@@ -4,6 +4,7 @@ import gtsam
 import numpy as np
 
 from holdfast.config.model import Config
+from holdfast.geometry.rotations import about_z
 from holdfast.messages import Array
 from holdfast.sensors.sensor import Joint, State
 
@@ -40,6 +41,14 @@ class Mount:
     def T_I_S(self, joint: Joint = STILL) -> gtsam.Pose3:
         """Return the pose of S in I."""
         return self._T_I_J(joint) * self.T_J_S
+
+    def T_S_I(self, angles_rad: Array) -> tuple[Array, Array]:
+        """Return the poses of I in S at angles of the joint (N,): rotations (N, 3, 3), translations (N, 3) [m]."""
+        turned = about_z(-angles_rad if self.is_beyond_joint else np.zeros(len(angles_rad)))
+        R_I_J = self.T_I_A.rotation().matrix() @ turned
+        p_I_S = self.T_I_A.translation() + R_I_J @ self.T_J_S.translation()
+        R_S_I: Array = (R_I_J @ self.T_J_S.rotation().matrix()).transpose(0, 2, 1)
+        return R_S_I, -(R_S_I @ p_I_S[:, :, None])[:, :, 0]
 
     def velocity(self, state: State) -> tuple[Array, Array]:
         """Return the velocity (3,) of S in its own axes [m/s], and its derivative (3, 9) by the `NavState`.

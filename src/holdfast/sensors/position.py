@@ -1,9 +1,12 @@
 """The position of a point of the machine in W: what antennas and prisms have in common."""
 
+from typing import NamedTuple
+
 import gtsam
 import numpy as np
 
 from holdfast.config.sensors import RobustLoss
+from holdfast.geometry.rotations import skew
 from holdfast.messages import Array
 from holdfast.sensors.noise import noise_model
 from holdfast.sensors.sensor import Innovation, Position, State
@@ -37,14 +40,30 @@ def position_factor(
     return gtsam.GPSFactor2Arm(key, position.p_W_P, p_I_P, noise)
 
 
-def predicted_position(nav: gtsam.NavState, angular_velocity: Array, arm: Array, offset_s: float) -> Array:
-    """Return where a point with a lever arm (3,) [m] is so long after the time of a node."""
-    pose = nav.pose()
-    at: Array = pose.transformFrom(arm)
-    if offset_s != 0.0:
-        at += offset_s * (nav.velocity() + pose.rotation().rotate(_cross(angular_velocity, arm)))
+class Motion(NamedTuple):
+    """How I moves in W, at one time or at many.
+
+    Attributes:
+        R: (..., 3, 3) attitude R_W_I.
+        p: (..., 3) position [m].
+        v: (..., 3) velocity [m/s].
+        w: (..., 3) angular velocity of I in I [rad/s].
+    """
+
+    R: Array
+    p: Array
+    v: Array
+    w: Array
+
+    @classmethod
+    def of(cls, nav: gtsam.NavState, angular_velocity: Array) -> "Motion":
+        """Return that at one node."""
+        return cls(nav.attitude().matrix(), nav.position(), nav.velocity(), angular_velocity)
+
+
+def predicted_position(motion: Motion, arm: Array, offset_s: Array | float) -> Array:
+    """Return where (..., 3) points with lever arms (..., 3) [m] are so long (...) after the times of nodes."""
+    offset = np.asarray(offset_s)[..., None]
+    in_I = arm[..., None] + offset[..., None] * (skew(motion.w) @ arm[..., None])
+    at: Array = motion.p + offset * motion.v + (motion.R @ in_I)[..., 0]
     return at
-
-
-def _cross(a: Array, b: Array) -> Array:
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

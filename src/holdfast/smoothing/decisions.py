@@ -20,7 +20,7 @@ from holdfast.graph.solver import Placed
 from holdfast.messages import Array
 from holdfast.sensors.clock import receiver_constants
 from holdfast.sensors.noise import correlation_inflation
-from holdfast.sensors.position import predicted_position
+from holdfast.sensors.position import Motion, predicted_position
 from holdfast.sensors.sensor import Joint, Measurement, Role, Sensor, State
 from holdfast.state import Outcome
 
@@ -79,7 +79,7 @@ class Candidate:
             position: Any = self.measurement
             state = self._state(batch)
             constants = receiver_constants(self.sensor, state.parameter)
-            residual = position.p_W_P - predicted_position(state.nav, state.angular_velocity, *constants)
+            residual = position.p_W_P - predicted_position(Motion.of(state.nav, state.angular_velocity), *constants)
             self.nis = float(residual @ self._information() @ residual)
             return
         state = self._state(batch)._replace(covariance=NO_DOUBT if covariance is None else covariance)

@@ -7,14 +7,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-import gtsam
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.messages import Array
-from holdfast.ros.rows import quaternion_xyzw
+from holdfast.ros.rows import quaternions_xyzw
 from holdfast.viz.clouds import MAP_S, Clouds
 
 NS_PER_S = 1_000_000_000
@@ -234,7 +233,7 @@ class Scene:
         columns = rr.Ellipsoids3D.columns(
             centers=positions[rows],
             half_sizes=ELLIPSOID_SIGMAS * np.sqrt(np.maximum(values, 0.0)),
-            quaternions=_quaternions(vectors),
+            quaternions=quaternions_xyzw(vectors),
         )
         self._recording.send_columns(entity, [_times(stamps[rows].tolist())], columns)
         self._style(entity, rr.Ellipsoids3D.from_fields(colors=[track.colour]))
@@ -300,8 +299,3 @@ def _time_ns(stamp: Any) -> int:
 
 def _stamp_ns(header: Any) -> int:
     return _time_ns(header.stamp)
-
-
-def _quaternions(rotations: Array) -> Array:
-    """Return quaternions (N, 4) x, y, z, w of rotation matrices (N, 3, 3)."""
-    return np.array([quaternion_xyzw(gtsam.Rot3(R)) for R in rotations]).reshape(-1, 4)

@@ -1,4 +1,4 @@
-"""The cross product as a matrix, for many vectors at once."""
+"""Matrices of many rotations and cross products at once."""
 
 import numpy as np
 
@@ -13,3 +13,13 @@ def skew(vectors: Array) -> Array:
     """Return the matrices (..., 3, 3) with [v]x w = v x w of vectors (..., 3)."""
     matrices: Array = vectors @ GENERATORS.reshape(3, 9)
     return matrices.reshape(*vectors.shape, 3)
+
+
+def about_z(angles_rad: Array) -> Array:
+    """Return the rotations (N, 3, 3) about the z axis by angles (N,)."""
+    matrices = np.zeros((len(angles_rad), 3, 3))
+    matrices[:, 0, 0] = matrices[:, 1, 1] = np.cos(angles_rad)
+    matrices[:, 1, 0] = np.sin(angles_rad)
+    matrices[:, 0, 1] = -matrices[:, 1, 0]
+    matrices[:, 2, 2] = 1.0
+    return matrices
