@@ -9,7 +9,7 @@ CANDIDATES := $(or $(PYTHON),python3 python3.13 python3.12 python3.11 python3.14
 SUITABLE := import ensurepip, sys, venv; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))
 
 FUZZ_SECONDS := 600
-FUZZ_TARGETS := cdr csv mcap db3 bag metadata tum config upgrade
+FUZZ_TARGETS := cdr cloud csv mcap db3 bag metadata frames tum covariances results config upgrade scenario points
 
 PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
 

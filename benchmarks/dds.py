@@ -33,6 +33,7 @@ from holdfast.live.idl import STORE
 from holdfast.ros.cdr import OdometryEncoder
 
 IMU, FIX, ODOMETRY = "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix", "nav_msgs/msg/Odometry"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
 LOOPBACK: dict[str, Any] = {"interface": "lo", "multicast": False, "peers": ["localhost"]}
 STAMP = struct.Struct("<iI")  # behind the four bytes of the encapsulation
 ODOMETRY_BYTES = 720
@@ -196,7 +197,7 @@ def measure_live(
     content = YAML(typ="safe").load((folder / "config.yaml").read_text())
     (folder / "live.json").write_text(json.dumps(content | {"live": LOOPBACK | {"domain_id": domain}}))
     with AnyReader([folder / "recording.mcap"]) as reader:
-        topics = {c.topic: c.msgtype for c in reader.connections if c.topic != "/tf_static"}
+        topics = {c.topic: c.msgtype for c in reader.connections if c.msgtype != TRANSFORMS}
         wanted = [c for c in reader.connections if c.topic in topics]
         rows = [(at, c.topic, c.msgtype, reader.deserialize(raw, c.msgtype)) for c, at, raw in reader.messages(wanted)]
     rows = [((at - rows[0][0]) * 1e-9, topic, name, message) for at, topic, name, message in rows]

@@ -1,29 +1,59 @@
 """Runs random fault schedules through the estimator and prints every seed that breaks it.
 
-`python benchmarks/fault_schedules.py --count 1000 --jobs 2`: each schedule is simulated, recorded and replayed; no
-exception, no number that is none, and no step of the odometry frame may come of it.
+`python benchmarks/fault_schedules.py --count 1000`: each schedule is simulated, recorded and replayed; no exception, no
+number that is none, and no step of the odometry frame may come of it. Clocks step, sensors flood, have twins and send
+garbage on top of what `--mild` leaves.
+
+With `--realtime` the engine takes the recording at `--rate` times its pace while its optimiser is killed at random, and
+no answer may come later than 5 ms. What this process waits for a processor that others keep busy is no fault of the
+engine, and not counted (Linux: /proc/thread-self/schedstat).
 """
 
 import argparse
+import os
+import signal
 import sys
 import traceback
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from time import perf_counter, perf_counter_ns, sleep
 
 from holdfast.config.load import config_of
+from holdfast.config.model import Config
 from holdfast.errors import ConfigError
 from holdfast.evaluation.soundness import violations
+from holdfast.messages import Message
+from holdfast.realtime.engine import RealtimeEstimator
+from holdfast.recording.source import open_recording
+from holdfast.recording.subscriptions import subscriptions
+from holdfast.replay.published import PublishedRecorder
 from holdfast.sim.configuration import configuration_data
-from holdfast.sim.schedules import random_schedule
+from holdfast.sim.readings import generator
+from holdfast.sim.schedules import DURATION_S, hostile_schedule, random_schedule
 from holdfast.sim.simulation import START_NS
-from holdfast.trial.run import estimate, write_simulation
+from holdfast.state import Output
+from holdfast.trial.run import RECORDING, estimate, write_simulation
+
+LATE_NS = 5_000_000
+SCHEDSTAT = Path("/proc/thread-self/schedstat")
+EVERY = 50  # schedules that are done, a line says so
+KILLED_RATIO = 0.5  # of the runs in real time
 
 
-def complaints(seed: int, preset: str = "holdfast") -> list[str]:
-    """Return what the schedule of a seed broke, one line each."""
-    scenario = random_schedule(seed)
+def complaints(seed: int, preset: str = "holdfast", *, hostile: bool = False, rate: float | None = None) -> list[str]:
+    """Return what the schedule of a seed broke, one line each.
+
+    Args:
+        seed: of the schedule.
+        preset: of the configuration.
+        hostile: with what broken software does, too.
+        rate: run the engine at so many times the pace of the recording, and kill its optimiser; else the estimator.
+    """
+    scenario = (hostile_schedule if hostile else random_schedule)(seed)
     config = config_of({"preset": preset} | configuration_data(scenario, seed), f"schedule {seed}")
     with TemporaryDirectory() as folder:
         try:
@@ -31,39 +61,115 @@ def complaints(seed: int, preset: str = "holdfast") -> list[str]:
         except ConfigError as error:
             return [f"no such simulation: {error}"]
         try:
-            recorder = estimate(Path(folder), config)
-            return [line for life in recorder.lives() for line in violations(life, START_NS)]
+            late: list[str] = []
+            if rate is None:
+                recorder = estimate(Path(folder), config)
+            else:
+                recorder, late = played(Path(folder), config, seed, rate)
+            return [line for life in recorder.lives() for line in violations(life, START_NS)] + late
         except Exception as error:
             at = traceback.extract_tb(error.__traceback__)[-1]
             return [f"{type(error).__name__} in {Path(at.filename).name}:{at.lineno} {at.name}: {error}".split("\n")[0]]
 
 
-def run(seeds: Sequence[int], jobs: int, preset: str) -> Iterator[tuple[int, list[str]]]:
+def played(folder: Path, config: Config, seed: int, rate: float) -> tuple[PublishedRecorder, list[str]]:
+    """Run the engine over a recording and return what it published, with a line if an answer came late."""
+    rng = generator(seed, "kills")
+    kills_s = rng.uniform(0.0, DURATION_S, int(rng.integers(1, 4))) if rng.random() < KILLED_RATIO else ()
+    with open_recording(folder / RECORDING) as recording, RealtimeEstimator(config) as engine:
+        engine.wait_until_ready()
+        timed = TimedEngine(engine)
+        recorder = PublishedRecorder(config, timed)
+        recorder.run(paced(recording.read(subscriptions(config)), rate, sorted(kills_s), engine))
+        engine.flush()
+    return recorder, timed.complaints()
+
+
+def paced(
+    messages: Iterator[Message], rate: float, kills_s: Sequence[float], engine: RealtimeEstimator
+) -> Iterator[Message]:
+    """Yield messages at their times, and kill the optimiser at others."""
+    began, left = perf_counter(), list(kills_s)
+    for message in messages:
+        at_s = (message.arrival_ns - START_NS) * 1e-9
+        if (ahead_s := at_s / rate - (perf_counter() - began)) > 0.0:
+            sleep(ahead_s)
+        while left and at_s >= left[0]:
+            left.pop(0)
+            if (pid := engine.optimiser_pid) is not None:
+                with suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+        yield message
+
+
+class TimedEngine:
+    """An engine of which is noted how late it answers."""
+
+    def __init__(self, engine: RealtimeEstimator) -> None:
+        self._engine = engine
+        self._late: list[tuple[int, Message]] = []
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._engine, name)
+
+    def process(self, message: Message) -> Output:
+        """Take in a message."""
+        queued_ns, began_ns = waited_for_processor_ns(), perf_counter_ns()
+        output = self._engine.process(message)
+        took_ns = perf_counter_ns() - began_ns
+        if took_ns > LATE_NS and (took_ns := took_ns - (waited_for_processor_ns() - queued_ns)) > LATE_NS:
+            self._late.append((took_ns, message))
+        return output
+
+    def complaints(self) -> list[str]:
+        """Return a line if an answer was late."""
+        if not self._late:
+            return []
+        took_ns, message = max(self._late, key=lambda one: one[0])
+        latest = f"{took_ns * 1e-6:.1f} ms to {message.sensor} at {(message.arrival_ns - START_NS) * 1e-9:.2f} s"
+        return [f"{len(self._late)} late answers, the latest after {latest}"]
+
+
+def waited_for_processor_ns() -> int:
+    """Return how long this thread was ready and did not run; 0 where the kernel does not say."""
+    try:
+        return int(SCHEDSTAT.read_bytes().split()[1])
+    except (OSError, IndexError):
+        return 0
+
+
+def run(seeds: Sequence[int], jobs: int, options: argparse.Namespace) -> Iterator[tuple[int, list[str]]]:
     """Yield every seed with its complaints, in order."""
+    rate = options.rate if options.realtime else None
+    found = partial(complaints, preset=options.preset, hostile=not options.mild, rate=rate)
     if jobs == 1:
-        yield from ((seed, complaints(seed, preset)) for seed in seeds)
+        yield from ((seed, found(seed)) for seed in seeds)
         return
     with ProcessPoolExecutor(jobs) as pool:
-        yield from zip(seeds, pool.map(complaints, seeds, [preset] * len(seeds), chunksize=4), strict=True)
+        yield from zip(seeds, pool.map(found, seeds, chunksize=4), strict=True)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--first", type=int, default=0, help="seed of the first schedule")
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--seeds", type=int, nargs="+", help="these instead")
-    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--preset", choices=["holdfast", "paper"], default="holdfast")
+    parser.add_argument("--mild", action="store_true", help="without steps of all clocks, floods, twins and garbage")
+    parser.add_argument("--realtime", action="store_true", help="the engine in two processes, which is killed at times")
+    parser.add_argument("--rate", type=float, default=8.0, help="how much faster than real time, with --realtime")
     options = parser.parse_args()
     seeds = options.seeds or range(options.first, options.first + options.count)
     failed = 0
-    for number, (seed, found) in enumerate(run(seeds, options.jobs, options.preset), start=1):
+    for number, (seed, found) in enumerate(run(seeds, options.jobs, options), start=1):
         for line in found:
             print(f"seed {seed}: {line}", flush=True)
         failed += bool(found)
-        if sys.stderr.isatty():
-            print(f"\r{number} of {len(seeds)}, {failed} failed", end="", file=sys.stderr, flush=True)
-    print(f"{len(seeds)} schedules, preset {options.preset}: {failed} failed")
+        if number % EVERY == 0:
+            print(f"{number} of {len(seeds)}, {failed} failed", flush=True)
+    kind = f"{'mild' if options.mild else 'hostile'} schedules, {'engine' if options.realtime else 'estimator'}"
+    print(f"{len(seeds)} {kind}, preset {options.preset}: {failed} failed")
     sys.exit(1 if failed else 0)
 
 

@@ -40,6 +40,18 @@ def test_no_schedule_breaks_the_estimator(seed):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2000, 2020))
+def test_no_hostile_schedule_breaks_the_estimator(seed):
+    assert complaints(seed, hostile=True) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2020, 2030))
+def test_no_hostile_schedule_breaks_the_engine_and_its_answers_are_in_time(seed):
+    assert complaints(seed, hostile=True, rate=8.0) == []
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", ONCE_FAILED)
 def test_a_schedule_that_broke_the_estimator_once_does_so_no_more(seed):
     assert complaints(seed) == []

@@ -140,3 +140,25 @@ def test_the_example_runs():
     done = subprocess.run([sys.executable, EXAMPLE, "60"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "batch  against" in done.stdout
+
+
+def test_a_folder_of_an_earlier_run_is_replaced_and_one_of_somebody_else_refused(drive, tmp_path):
+    out = tmp_path / "out"
+    holdfast.replay(*drive, output=out, duration_s=8.0)
+    (out / "notes.txt").write_text("of somebody else\n")
+    with pytest.raises(holdfast.ConfigError, match=r"notes\.txt"):
+        holdfast.replay(*drive, output=out, duration_s=8.0)
+    (out / "notes.txt").unlink()
+    holdfast.smooth(*drive, output=out, duration_s=8.0)
+    assert (out / "causal").is_dir() and not (out / "estimates.mcap").exists()
+
+
+def test_a_sensor_that_the_recording_lacks_is_named_and_strictly_refused(drive):
+    from ruamel.yaml import YAML
+
+    data = YAML(typ="safe").load(Path(drive[1]).read_text())
+    data["sensors"]["wheels"] = {"kind": "twist", "topic": "/wheels", "frame": "imu"}
+    result = holdfast.replay(drive[0], data, duration_s=8.0)
+    assert "/wheels" in result.summary["missing"]["wheels"]
+    with pytest.raises(holdfast.RecordingError, match="/wheels"):
+        holdfast.replay(drive[0], data, duration_s=8.0, strict=True)

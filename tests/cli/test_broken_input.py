@@ -21,16 +21,20 @@ LONGEST_LINE = 1000  # an error quotes no more of the input than that
 POSE = "1700000000.5 1 2 3 0 0 0 1\n"
 
 
-@pytest.fixture(scope="module")
-def sound(tmp_path_factory):
-    """A folder with a CSV drive, a bag, a configuration, and two trajectories."""
-    folder = tmp_path_factory.mktemp("sound")
+def make_sound(folder):
+    """Make a folder with a CSV drive, a bag, a configuration, and a trajectory."""
+    folder.mkdir()
     write_csv(folder / "csv", ROWS)
     write_bag(folder / "bag", "mcap", bag_messages(ROWS))
     shutil.copy(next((folder / "bag").glob("*.mcap")), folder / "drive.mcap")
     write_config(folder / "machine.yaml")
     (folder / "a.tum").write_text("".join(f"{k}.5 {k} 0 0 0 0 0 1\n" for k in range(5)))
     return folder
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    return make_sound(tmp_path_factory.mktemp("place") / "sound")
 
 
 @pytest.fixture
@@ -196,6 +200,12 @@ CASES = {
     "an interval without end": (nothing, f"{VERDICT} --interval a=0:inf", 2, "before its end inf s"),
     "intervals of rubbish": (
         content("i.yaml", b"\xff\xfe"), f"{VERDICT} --intervals i.yaml", 2, "--intervals i.yaml: ",
+    ),
+    "intervals that are nested deeply": (
+        content("i.yaml", "a: " + "[" * 4000), f"{VERDICT} --intervals i.yaml", 2, "--intervals i.yaml:1 is nested too",
+    ),
+    "a variation that is nested deeply": (
+        nothing, f"batch csv -c machine.yaml -o out --vary graph.lag_s={'[' * 4000}", 2, "is no YAML value",
     ),
     # --- results
     "a report about nothing": (folder("out"), "report out", 2, "out/summary.json: no such file"),

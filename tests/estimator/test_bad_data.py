@@ -253,3 +253,14 @@ def test_a_message_of_a_sensor_that_is_not_configured_is_refused_by_its_name():
     stranger = replace(next(iter(fixes(Drive(), 0.0, 1.0))), sensor="third")
     with pytest.raises(ConfigError, match=r"sensors\.third: not in the configuration"):
         estimator.process(stranger)
+
+
+@pytest.mark.parametrize("name", ["gnss", "lidar"])
+def test_a_flood_is_thinned_out_and_the_window_stays_small(name):
+    drive, streams = recorded()
+    make = {"gnss": fixes, "lidar": scans}[name]
+    flood = make(drive, 4.0, 5.0, 4000.0, np.random.default_rng(2))
+    streams[name] = sorted([*streams[name], *flood], key=lambda message: message.stamp_ns)
+    estimator = survives(streams, drive)
+    assert 3700 < estimator.counts[name, Outcome.OVERLOAD] < 3850  # 200 a second are taken in
+    assert estimator.event_counts[EventKind.OVERLOAD] <= 2

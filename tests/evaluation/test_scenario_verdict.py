@@ -278,3 +278,25 @@ def test_stamps_that_go_back_are_found():
     published, _ = evidence()
     published.world.poses.stamps_ns[500:] -= 10_000_000
     assert list(violations(published, START)) == ["the stamps do not increase at 4.99 s"]
+
+
+@pytest.mark.parametrize(("size_deg", "found"), [(0.0249, 0), (0.026, 1)])
+def test_over_lost_samples_corrections_may_flow_as_fast_as_at_any_time(size_deg, found):
+    """Half a degree a second: 0.025 deg in the 50 ms without samples, and no step at its rate."""
+    published, _ = evidence()
+    q = published.odometry.poses.quaternions
+    q[3000:] = (Rotation.from_euler("z", size_deg, degrees=True) * Rotation.from_quat(q[3000:])).as_quat()
+    kept = np.delete(np.arange(len(TIMES)), np.arange(2996, 3000))
+    assert len(list(violations(rows(published, kept), START))) == found
+
+
+def rows(published, kept):
+    """Return some of the estimates."""
+    states = [
+        States(Trajectory(*(getattr(one.poses, name)[kept] for name in ("stamps_ns", "positions", "quaternions"))), v)
+        for one in (published.world, published.odometry)
+        for v in [one.velocities[kept]]
+    ]
+    one = published.inertial
+    inertial = Inertial(one.angular_velocity[kept], one.acceleration[kept], one.received[kept])
+    return Published(*states, published.covariances[kept], inertial, published.trusted[kept])

@@ -131,3 +131,14 @@ def test_a_file_that_holds_no_control_points_is_refused(tmp_path: Path, file: st
         read_control_points(tmp_path / file)
     assert file in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
+
+
+def test_control_points_that_are_nested_deeply_or_hold_control_characters_are_one_printable_line(tmp_path):
+    (tmp_path / "deep.yaml").write_text("points: " + "[" * 4000)
+    with pytest.raises(ConfigError, match=r"deep\.yaml:1 is nested too deeply"):
+        read_control_points(tmp_path / "deep.yaml")
+    head = "name,latitude_deg,longitude_deg,altitude_m,east_m,north_m,height_m\n"
+    (tmp_path / "odd.csv").write_text(head + "a,47.0,8\x1b[31m,400,1,2,3\n")
+    with pytest.raises(ConfigError) as caught:
+        read_control_points(tmp_path / "odd.csv")
+    assert str(caught.value).isprintable()

@@ -14,7 +14,9 @@ import time
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 
 HERE = Path(__file__).parent
 WORK = HERE.parents[1] / ".fuzz"
@@ -35,9 +37,13 @@ def main() -> None:
         return
     try:
         import atheris
+
+        from holdfast import kernel
     except ModuleNotFoundError:
         fuzz_at_random(options.target, options.seconds, options.seed or random.SystemRandom().randrange(1, 1 << 30))
         return
+    for module in iter_modules(kernel.__path__, "holdfast.kernel."):  # numba cannot compile what is instrumented
+        import_module(module.name)
     with atheris.instrument_imports(include=["holdfast", "rosbags", "ruamel"]):
         from seeds import seeds
         from targets import TARGETS, check

@@ -21,14 +21,23 @@ from rosbags.typesys import Stores, get_typestore
 from holdfast.config.load import parse_config, resolved_yaml
 from holdfast.config.upgrade import upgraded
 from holdfast.errors import HoldfastError
+from holdfast.export.site_grid import localise, read_control_points
+from holdfast.lidar_odometry.sweep import sweep_of
 from holdfast.live.dds import Sample
 from holdfast.live.inputs import Inputs
 from holdfast.recording.bag_file import Channel, Codec
-from holdfast.recording.decode import FieldDecoder
+from holdfast.recording.covariance_csv import read_covariances
+from holdfast.recording.decode import FieldDecoder, UndecodableError
 from holdfast.recording.kinds import KINDS
+from holdfast.recording.kinds.scans import POINT_CLOUD
+from holdfast.recording.recorded_frames import read_frames
 from holdfast.recording.rosbag import DirectDecoder
 from holdfast.recording.source import Subscription, open_recording
 from holdfast.recording.tum import read_tum
+from holdfast.replay.measurements import read_measurements
+from holdfast.replay.results import read_events
+from holdfast.replay.summary_file import read_summary
+from holdfast.sim.scenario import load_scenario
 
 MEMORY_RATIO = 10
 MEMORY_BYTES = 96 << 20
@@ -108,13 +117,56 @@ def config(data: bytes) -> None:
         raise OutOfBoundsError("what was resolved is another configuration")
 
 
+def cloud(data: bytes) -> None:
+    """A PointCloud2 of the network, down to its points and their times."""
+    for message in _inputs("scans", POINT_CLOUD).decode(Sample("/topic", POINT_CLOUD, data), ARRIVAL_NS):
+        with suppress(UndecodableError):
+            sweep_of(message)
+
+
+def frames(data: bytes) -> None:
+    """A bag with transforms and joints, from which a configuration is proposed."""
+    with _file("", "drive.mcap", data) as path, open_recording(path) as recording:
+        read_frames(recording, 10.0)
+
+
+def scenario(data: bytes) -> None:
+    """A scenario of the simulator, with its machine and site."""
+    with _file("", "scenario.yaml", data) as path:
+        load_scenario(str(path))
+
+
+def points(data: bytes) -> None:
+    """Control points of a site grid: the first byte chooses CSV or YAML."""
+    with _file("", "points.csv" if data[:1] == b"," else "points.yaml", data[1:]) as path:
+        localise(read_control_points(path), "grid")
+
+
+def results(data: bytes) -> None:
+    """What a replay has written, read again: the first byte chooses the file."""
+    readers = ("summary.json", read_summary), ("events.jsonl", read_events), ("measurements.csv", read_measurements)
+    name, read = readers[data[0] % len(readers)] if data else readers[0]
+    with _file("out", name, data[1:]) as path:
+        read(path if name.endswith(".csv") else path.parent)
+
+
+def covariances(data: bytes) -> None:
+    """The covariances beside a smoothed track."""
+    with _file("", "imu_in_world.covariance.csv", data) as path:
+        read_covariances(path)
+
+
 def upgrade(data: bytes) -> None:
     """A configuration of an old form."""
     upgraded(data.decode("utf-8", "replace"), "machine.yaml")
 
 
 TARGETS: dict[str, Callable[[bytes], None]] = {
-    one.__name__: one for one in (cdr, csv, mcap, db3, bag, metadata, tum, config, upgrade)
+    one.__name__: one
+    for one in (
+        *(cdr, cloud, csv, mcap, db3, bag, metadata, frames, tum, covariances, results),
+        *(config, upgrade, scenario, points),
+    )
 }
 
 

@@ -105,7 +105,7 @@ def test_the_page_names_the_command_the_seed_and_the_versions_that_made_it(page,
     made = page[1]["provenance"]
     replayed, reported = made["command"].split("; ")
     assert replayed == f"holdfast replay {simulated} -c {simulated}/config.yaml -o {simulated}/out"
-    assert reported == f"holdfast report {simulated}/out --reference {simulated}/truth/imu_in_world.tum"
+    assert reported == f"holdfast report {simulated}/out --reference {simulated}/truth"
     assert made["seed"] == "5"
     assert made["versions"]["holdfast"] == version("holdfast")
     assert f"seed 5 · config {made['config_digest']} · holdfast" in page[0]
@@ -378,3 +378,22 @@ def test_plots_over_time_follow_each_other_and_a_click_on_an_event(page, simulat
 def test_a_browser_draws_the_whole_report(page, simulated: Path, tmp_path: Path, size):
     assert len(page[1]["figures"]) >= 8
     check_page(simulated / "out" / "report.html", tmp_path, size, len(page[1]["figures"]))
+
+
+def test_a_reference_about_another_datum_is_judged_by_in_the_world_of_the_run(simulated: Path, tmp_path: Path):
+    as_given = read_run(simulated / "out", simulated / "truth")
+    assert as_given.errors is not None
+    lines = (simulated / "config.yaml").read_text(encoding="utf-8")
+    without = re.sub(r"\n  datum:\n(    .*\n)+", "\n", lines)
+    assert without != lines
+    (tmp_path / "config.yaml").write_text(without, encoding="utf-8")
+    call("replay", simulated, "-c", tmp_path / "config.yaml", "-o", tmp_path / "out")
+    run = read_run(tmp_path / "out", simulated / "truth")
+    assert run.summary["datum"] != as_given.summary["datum"]
+    assert any("datum" in note and "m from that of the run" in note for note in run.notes)
+    assert run.errors is not None
+    for name in ("horizontal [m]", "vertical [m]"):
+        ours, given = (np.sqrt(np.mean(one.errors.values[name] ** 2)) for one in (run, as_given))
+        assert ours < given + 0.05  # the machine is metres from where the first fix put the origin
+    judged = call("evaluate", tmp_path / "out" / "imu_in_world.tum", simulated / "truth" / "imu_in_world.tum")
+    assert "m from that of the run" in judged

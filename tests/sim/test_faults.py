@@ -16,7 +16,8 @@ from holdfast.sim.readings import generator
 from holdfast.sim.sensors import KINDS
 from holdfast.sim.sensors.gnss import Quality
 
-STRIKING = sorted({*FAULTS} - {"clock_step"})  # that one is the work of the transport
+LATER = "clock_step", "twin", "garbage"  # the work of the transport, or of who makes the messages
+STRIKING = sorted({*FAULTS} - {*LATER, "flood"})  # a flood has a test of its own: test_broken_software.py
 
 # --- of all faults ----------------------------------------------------------------------------------------------------
 
@@ -85,8 +86,9 @@ def test_every_fault_can_happen_to_a_kind_of_sensor_and_no_kind_has_another():
     assert {fault for kind in KINDS.values() for fault in (*kind.faults, *kind.side_effects)} <= set(FAULTS)
 
 
-def test_a_clock_step_leaves_the_readings_to_the_transport():
-    after = strike("clock_step", step_s=0.5)
+@pytest.mark.parametrize("kind", LATER)
+def test_what_happens_later_leaves_the_readings_alone(kind):
+    after = strike(kind, step_s=0.5)
     assert all(same(after[name], HEALTHY[name]) for name in HEALTHY)
 
 

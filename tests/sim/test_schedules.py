@@ -6,7 +6,7 @@ import pytest
 
 from holdfast.sim.configuration import configuration
 from holdfast.sim.faults import FAULTS, can_happen
-from holdfast.sim.schedules import MACHINES, SITES, random_schedule
+from holdfast.sim.schedules import DRAWN, HOSTILE, MACHINES, SITES, hostile_schedule, random_schedule
 from holdfast.sim.sensors import AnySheet
 from holdfast.sim.simulation import simulate
 
@@ -14,6 +14,9 @@ from holdfast.sim.simulation import simulate
 @pytest.fixture(scope="module")
 def schedules():
     return [random_schedule(seed) for seed in range(100)]
+
+
+FIRST = {7: ("jump", 5.931), 320: ("swap", 10.531), 1015: ("degraded", 17.921)}
 
 
 def test_a_seed_names_one_schedule():
@@ -24,7 +27,7 @@ def test_a_seed_names_one_schedule():
 @pytest.mark.slow
 def test_every_fault_sensor_machine_and_site_has_its_turn(schedules):
     kinds = Counter(fault.kind for schedule in schedules for fault in schedule.faults)
-    assert set(kinds) == set(FAULTS)
+    assert set(kinds) == set(DRAWN)
     suffering = {
         (fault.kind, schedule.sensors[name].kind)
         for schedule in schedules
@@ -32,12 +35,33 @@ def test_every_fault_sensor_machine_and_site_has_its_turn(schedules):
         for name in fault.sensors
     }
     silent = {"scanner", "nonholonomic"}
-    able = {(fault, kind) for fault in FAULTS for kind in AnySheet.kinds.keys() - silent if can_happen(fault, kind)}
+    able = {(fault, kind) for fault in DRAWN for kind in AnySheet.kinds.keys() - silent if can_happen(fault, kind)}
     assert suffering <= able
     assert len(suffering) > 0.8 * len(able)
     assert {schedule.machine for schedule in schedules} == set(MACHINES)
     assert {schedule.site for schedule in schedules} == set(SITES)
     assert {schedule.duration_s for schedule in schedules} == {20.0}
+
+
+def test_a_hostile_schedule_is_the_random_one_of_its_seed_with_more(schedules):
+    added = []
+    for seed, schedule in enumerate(schedules[:40]):
+        hostile = hostile_schedule(seed)
+        mild = len(schedule.faults)
+        assert hostile.faults[:mild] == schedule.faults
+        assert hostile.model_copy(update={"faults": schedule.faults}) == schedule
+        added += hostile.faults[mild:]
+    assert {fault.kind for fault in added} == set(HOSTILE)
+    assert set(HOSTILE) | set(DRAWN) == set(FAULTS)
+    steps = [fault for fault in added if fault.kind == "clock_step"]
+    assert max(abs(fault.step_s) for fault in steps) > 1e6
+    assert {len(fault.sensors) == 1 for fault in steps} == {True, False}
+
+
+def test_the_schedules_of_seeds_to_which_tests_refer_stay_as_they_are():
+    """The first fault of some seeds, as it was before there were other kinds."""
+    found = {seed: random_schedule(seed).faults[0] for seed in (7, 320, 1015)}
+    assert {seed: (fault.kind, round(fault.start_s, 3)) for seed, fault in found.items()} == FIRST
 
 
 def test_faults_are_short_and_long_and_may_overlap(schedules):

@@ -1,8 +1,7 @@
 """`holdfast.replay` and `holdfast.smooth`: a recording in, arrays out."""
 
-import json
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import nullcontext
 from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,21 +10,16 @@ from typing import Any
 from holdfast.api.kept import Kept
 from holdfast.api.progress import shown
 from holdfast.api.result import Result
+from holdfast.api.session import Session, run
 from holdfast.config.load import config_of, load_config
 from holdfast.config.model import Config
-from holdfast.errors import ConfigError, EstimatorError
-from holdfast.lidar_odometry.replayed import ReplayedScans
-from holdfast.loops.opening import loop_closer
+from holdfast.errors import ConfigError
+from holdfast.output_folder import replaced
 from holdfast.recording.source import open_recording
-from holdfast.recording.subscriptions import subscriptions
-from holdfast.replay.batch_outputs import CAUSAL, BatchOutputs
+from holdfast.recording.subscriptions import available, subscriptions
 from holdfast.replay.held_out import HoldOut, check_sensors
-from holdfast.replay.never_started import never_started
-from holdfast.replay.outputs import SUMMARY, Outputs
 from holdfast.replay.results import read_events
-from holdfast.replay.runner import Replay
-from holdfast.replay.summary import summarise_replay
-from holdfast.smoothing.batch_smoother import OVERLAP_S, WINDOW_S, BatchSmoother
+from holdfast.smoothing.batch_smoother import OVERLAP_S, WINDOW_S
 from holdfast.state import Event, EventKind
 
 AnyPath = str | PathLike[str]
@@ -41,6 +35,7 @@ def replay(
     start_s: float = 0.0,
     duration_s: float | None = None,
     output: AnyPath | None = None,
+    strict: bool = False,
     progress: bool = False,
 ) -> Result:
     """Run the estimator over a recording, as it would have run on the machine.
@@ -52,7 +47,9 @@ def replay(
         outage: `{"gnss": (120.0, 180.0)}` keeps all of this time [s since the first message].
         start_s: skips the beginning of the recording [s].
         duration_s: takes only so much of it [s].
-        output: folder for the files that `holdfast replay` writes; without it they go with the result.
+        output: folder for the files that `holdfast replay` writes; it is replaced as a whole, and one that holds
+            anything else is refused. Without it they go with the result.
+        strict: refuse a recording that lacks a sensor; else `summary["missing"]` names those that are done without.
         progress: show how far it is.
 
     Raises:
@@ -60,7 +57,7 @@ def replay(
         RecordingError: the recording cannot be read.
         EstimatorError: the estimator never started; says why.
     """
-    return _run(recording, config, hold_out, outage, (start_s, duration_s), output, progress, None)
+    return _run(recording, config, hold_out, outage, (start_s, duration_s), output, strict, progress, None)
 
 
 def smooth(
@@ -72,6 +69,7 @@ def smooth(
     start_s: float = 0.0,
     duration_s: float | None = None,
     output: AnyPath | None = None,
+    strict: bool = False,
     progress: bool = False,
     window_s: float = WINDOW_S,
     overlap_s: float = OVERLAP_S,
@@ -82,7 +80,9 @@ def smooth(
     follows it [s]; memory grows with both. `Result.smoothed` is the optimum, the rest that of the causal run from which
     it starts.
     """
-    return _run(recording, config, hold_out, outage, (start_s, duration_s), output, progress, (window_s, overlap_s))
+    return _run(
+        recording, config, hold_out, outage, (start_s, duration_s), output, strict, progress, (window_s, overlap_s)
+    )
 
 
 def _run(  # noqa: PLR0917 (of the two above)
@@ -92,44 +92,34 @@ def _run(  # noqa: PLR0917 (of the two above)
     outage: Mapping[str, tuple[float, float]] | None,
     span_s: tuple[float, float | None],
     output: AnyPath | None,
+    strict: bool,
     progress: bool,
     batch_s: tuple[float, float] | None,
 ) -> Result:
     loaded, kept = resolved(config), Kept()
     rules = _rules(hold_out or {}, outage or {}, loaded)
     temporary = TemporaryDirectory(prefix="holdfast-") if output is None else None
-
-    def stamp(time_ns: int) -> int:
-        return run.stamp(time_ns)
-
-    folder = Path(temporary.name if output is None and temporary is not None else output or "")
-    with open_recording(Path(recording)) as opened, ExitStack() as stack:
-        scanned = stack.enter_context(ReplayedScans(loaded, opened.read(subscriptions(loaded), *span_s)))
-        batch = None
-        if batch_s is not None:
-            closer = stack.enter_context(loop_closer(Path(recording), opened, loaded, stamp))
-            batch = BatchSmoother(loaded, *batch_s, closer)
-        causal = folder if batch is None else folder / CAUSAL
-        outputs = stack.enter_context(Outputs(causal, loaded))
-        files = None if batch is None else stack.enter_context(BatchOutputs(folder, loaded))
-        takers = [kept.add_block] + ([] if files is None else [files.write])
-        run = Replay(
-            loaded, outputs, rules, batch=batch, on_output=kept.add, on_block=lambda block: [f(block) for f in takers]
+    folder = Path(output if temporary is None else temporary.name)  # type: ignore[arg-type]
+    name = "replay" if batch_s is None else "smooth"
+    with open_recording(Path(recording)) as opened:
+        wanted, missing = (subscriptions(loaded), {}) if strict else available(opened, loaded)
+        session = Session(
+            path=str(recording),
+            config=loaded,
+            folder=folder,
+            messages=opened.read(wanted, *span_s),
+            missing=missing,
+            rules=rules,
+            batch_s=batch_s,
+            on_output=kept.add,
+            on_block=kept.add_block,
         )
-        with shown(opened.start_ns, opened.end_ns, progress) as show:
-            run.run(scanned, None, show)
-        run.write_events()
-        warnings = [*opened.warnings, *scanned.warnings(), *run.warnings, *([] if batch is None else batch.warnings())]
-    summary = summarise_replay(run, str(recording), warnings, True)
-    _write_summary(causal, summary)
-    if files is not None and batch is not None:
-        summary["smooth"] = files.summary(batch)
-        _write_summary(folder, summary)
-    if not run.estimator.initialised:
-        why = never_started(run.estimator.waiting_for, run.estimator.counts, loaded)
-        raise EstimatorError(f"{recording}: the estimator never started: {why}")
-    events = [_event(one) for one in read_events(causal)]
-    return Result(kept.world(), kept.odometry(), kept.base(), kept.smoothed(), events, summary, folder, temporary)
+        with nullcontext() if temporary is not None else replaced(folder, name, [str(recording)]):
+            done = run(session, opened, shown(opened.start_ns, opened.end_ns, progress))
+            done.check_end()
+    done.check_start(session)
+    events = [_event(one) for one in read_events(done.causal)]
+    return Result(kept.world(), kept.odometry(), kept.base(), kept.smoothed(), events, done.summary, folder, temporary)
 
 
 def resolved(config: AnyConfig) -> Config:
@@ -164,7 +154,3 @@ def _rules(hold_out: Mapping[str, int], outage: Mapping[str, tuple[float, float]
 
 def _event(one: Mapping[str, Any]) -> Event:
     return Event(one["stamp_ns"], EventKind(one["kind"]), one["sensor"], one["reason"], one.get("data", {}))
-
-
-def _write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
-    (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")

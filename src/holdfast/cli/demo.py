@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 import click
 
 from holdfast.cli.progress import progress_bar
-from holdfast.cli.replay import write_summary
 from holdfast.cli.terminal import guarded_console
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import HoldfastError
@@ -40,12 +39,12 @@ def demo(output: str) -> None:
 
     Every second GNSS fix is held back to judge the estimate by it, and GNSS is cut for a minute.
     """
+    from holdfast.api.session import Session, run
+    from holdfast.cli.command_line import command_line
     from holdfast.config.load import parse_config
     from holdfast.recording.source import open_recording
     from holdfast.recording.subscriptions import subscriptions
     from holdfast.replay.held_out import HoldOut
-    from holdfast.replay.outputs import Outputs
-    from holdfast.replay.runner import Replay
 
     folder = Path(output)
     config = parse_config(CONFIG, "demo configuration")
@@ -57,16 +56,24 @@ def demo(output: str) -> None:
     )
     rules = [HoldOut("gnss", every=2), HoldOut("gnss", None, *OUTAGE_S)]
     with naming_the_output(output), replaced(output, "demo"):
-        with open_recording("kitti") as recording, Outputs(folder, config) as outputs:
-            run = Replay(config, outputs, rules, keep_track=True)
-            with progress_bar("driving", recording.start_ns, recording.end_ns) as progress:
-                run.run(recording.read(subscriptions(config)), None, progress)
-        summary = write_summary(run, "kitti", recording.warnings, folder, True)
+        with open_recording("kitti") as recording:
+            session = Session(
+                path="kitti",
+                config=config,
+                folder=folder,
+                messages=recording.read(subscriptions(config)),
+                rules=rules,
+                keep_track=True,
+                command=command_line(),
+            )
+            done = run(session, recording, progress_bar("driving", recording.start_ns, recording.end_ns))
+            done.check_end()
+        summary = done.summary
         (folder / "config.yaml").write_text(CONFIG, encoding="utf-8")
         timing = summary["timing"]
         click.echo(f"\n{timing['recorded_s']:.0f} s of driving took {timing['wall_s']:.1f} s.")
-        _print_table(run)
-        _draw(run, folder / "track.png")
+        _print_table(done.run)
+        _draw(done.run, folder / "track.png")
     click.echo(f"written to {folder}: trajectories (TUM), estimates.mcap, events.jsonl, summary.json, config.yaml")
 
 

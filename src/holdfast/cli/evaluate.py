@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from holdfast.evaluation.accuracy import Accuracy, Interval, Metrics
     from holdfast.evaluation.alignment import AlignmentName
     from holdfast.evaluation.association import Pairs
+    from holdfast.geometry.earth import Geodetic
+    from holdfast.state import Trajectory
 
 _FILE = click.Path(path_type=Path, dir_okay=False)
 _STATISTICS = ("mean", "std", "rms", "median", "p95", "max", "count")
@@ -135,10 +137,11 @@ def _evaluate_one(
     from holdfast.evaluation.association import associate
     from holdfast.evaluation.plot import plot_accuracy
     from holdfast.recording.tum import read_tum
+    from holdfast.replay.reference import datum_of
 
     json_file, plot_file = files
     try:
-        pairs = associate(read_tum(estimate), read_tum(reference), metrics.association)
+        pairs = associate(read_tum(estimate), reference_in(reference, datum_of(estimate)), metrics.association)
         verdicts = _verdicts(pairs, alignment, metrics)
     except RecordingError as error:
         named = str(error) if str(estimate) in str(error) or str(reference) in str(error) else None
@@ -151,6 +154,20 @@ def _evaluate_one(
     if plot_file is not None:
         first = verdicts[0]
         plot_accuracy(first, plot_file, f"{estimate.name} against {reference.name}, alignment {first.alignment.name}")
+
+
+def reference_in(file: Path, datum: "Geodetic | None") -> "Trajectory":
+    """Return the poses of a reference in the world about a datum, with a note if they had to be moved there.
+
+    Raises:
+        RecordingError: it cannot be read.
+    """
+    from holdfast.replay.reference import read_reference
+
+    reference = read_reference(file, datum)
+    if reference.note:
+        click.echo(f"note: {reference.note}", err=True)
+    return reference.poses
 
 
 def _metrics(
@@ -203,18 +220,18 @@ def _interval(text: str) -> "Interval":
 
 
 def _intervals_of(path: Path) -> "list[Interval]":
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
+    from holdfast.config.document import plain
+    from holdfast.config.load import read_yaml
     from holdfast.evaluation.accuracy import Interval
 
+    expected = "expected one `name: [start, end]` in seconds per line"
     try:
-        content = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
-        return [Interval(str(name), float(start), float(end)) for name, (start, end) in content.items()]
-    except OSError as error:
-        raise ConfigError(f"--intervals {path}: {error.strerror}") from None
-    except (YAMLError, AttributeError, TypeError, ValueError):
-        raise ConfigError(f"--intervals {path}: expected one `name: [start, end]` in seconds per line") from None
+        content = plain(read_yaml(path, "to be given with --intervals"), str(path))
+        return [Interval(name, float(start), float(end)) for name, (start, end) in content.items()]
+    except ConfigError as error:
+        raise ConfigError(f"--intervals {error} ({expected})") from None
+    except (TypeError, ValueError):
+        raise ConfigError(f"--intervals {path}: {expected}") from None
 
 
 def _verdicts(pairs: "Pairs", alignment: str, metrics: "Metrics") -> "list[Accuracy]":

@@ -28,14 +28,22 @@ def judge_systems(
         ConfigError: several alignments are asked for, or as `side_by_side`.
         RecordingError: a file cannot be read, or as `side_by_side`.
     """
+    from holdfast.cli.evaluate import reference_in
     from holdfast.evaluation.side_by_side import side_by_side
     from holdfast.recording.tum import read_tum
+    from holdfast.replay.reference import datum_of, in_other_world
 
     if alignment == "all":
         raise ConfigError("--align all: is for one estimate; of several, choose none, yaw or se3")
     estimates = {name: read_tum(file) for name, file in files.items()}
+    datums = {name: datum for name, file in files.items() if (datum := datum_of(file)) is not None}
+    world = next(iter(datums.values()), None)
+    for name, datum in datums.items():
+        if world is not None and datum != world:
+            estimates[name] = in_other_world(estimates[name], datum, world)
+    poses = reference_in(reference, world)
     try:
-        return side_by_side(estimates, read_tum(reference), cast("AlignmentName", alignment), metrics, lengths_m)
+        return side_by_side(estimates, poses, cast("AlignmentName", alignment), metrics, lengths_m)
     except RecordingError as error:
         raise RecordingError(f"{error} (reference: {reference})") from None
 

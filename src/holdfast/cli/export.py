@@ -69,13 +69,12 @@ def export(  # noqa: PLR0917 (click passes the options by name)
 
 
 def _datum(folder: Path) -> "Geodetic":
-    from holdfast.geometry.earth import Geodetic
-    from holdfast.replay.results import read_summary
+    from holdfast.replay.summary_file import datum_in, read_summary
 
-    datum = read_summary(folder).get("datum")
+    datum = datum_in(read_summary(folder))
     if datum is None:
         raise ConfigError(f"{folder}: its world is nowhere on the earth (needed: GNSS, or frames.datum)")
-    return Geodetic(**datum)
+    return datum
 
 
 def _poses(folder: Path, track: str, interval_s: float | None) -> "Trajectory":

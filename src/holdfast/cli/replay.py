@@ -1,24 +1,22 @@
 """`holdfast replay`: a recording in, trajectories, ROS messages, events and a summary out."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from holdfast.cli.progress import reading_bar
-from holdfast.cli.writing import naming_the_output, write_json
-from holdfast.errors import ConfigError, EstimatorError, HoldfastError
+from holdfast.cli.writing import naming_the_output
+from holdfast.errors import ConfigError
 from holdfast.output_folder import replaced
 from holdfast.parent import end_with_parent
 
 if TYPE_CHECKING:
     from holdfast.config.model import Config
-    from holdfast.realtime.engine import RealtimeEstimator
     from holdfast.recording.source import Recording, Subscription
     from holdfast.replay.held_out import HoldOut
-    from holdfast.replay.runner import Replay
 
 SLOWEST_RATE = 1e-6
 
@@ -67,13 +65,11 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     Without -c the configuration is what `holdfast config init` can tell of the recording, less the sensors whose mounts
     it does not hold. What was assumed is told, and guessed_config.yaml in the output folder is a file to go on from.
     """
+    from holdfast.api.session import Session, run
+    from holdfast.cli.command_line import command_line
     from holdfast.cli.guessed import FILE, guessed_config
     from holdfast.config.load import load_config
-    from holdfast.lidar_odometry.replayed import ReplayedScans
     from holdfast.recording.source import open_recording
-    from holdfast.replay.never_started import never_started
-    from holdfast.replay.outputs import Outputs
-    from holdfast.replay.runner import Replay
 
     if child:
         end_with_parent()
@@ -88,35 +84,26 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
             config = guess.config
         rules = rules_of(hold_out, outage, config)  # before the results of an earlier replay are overwritten
         wanted, missing = wanted_of(opened, config, strict)
-        messages = opened.read(wanted, start_s, duration_s)
+        session = Session(
+            path=recording,
+            config=config,
+            folder=Path(output),
+            messages=opened.read(wanted, start_s, duration_s),
+            missing=missing,
+            rules=rules,
+            rate=rate,
+            realtime=realtime,
+            command=command_line(),
+        )
         with folder:
-            with (
-                Outputs(Path(output), config) as outputs,
-                ReplayedScans(config, messages) as scanned,
-                _engine(config, realtime) as engine,
-            ):
-                if guess is not None:
-                    (outputs.folder / FILE).write_text(guess.text, encoding="utf-8")
-                run = Replay(config, outputs, rules, realtime=engine)
-                failure: BaseException | None = None
-                try:
-                    with reading_bar("replaying", opened, start_s, duration_s) as progress:
-                        run.run(scanned, rate or (1.0 if realtime else None), progress)
-                except (HoldfastError, KeyboardInterrupt) as error:
-                    failure = error
-                run.write_events()
-            found = [*opened.warnings, *scanned.warnings(), *run.warnings, *_stopped(run)]
-            warnings = [*(f"{sensor}: {reason}" for sensor, reason in missing.items()), *found]
-            summary = write_summary(run, recording, warnings, Path(output), failure is None, missing)
-            for warning in found:
+            if guess is not None:
+                (session.folder / FILE).write_text(guess.text, encoding="utf-8")
+            done = run(session, opened, reading_bar("replaying", opened, start_s, duration_s))
+            for warning in done.warnings:
                 click.echo(f"warning: {warning}", err=True)
-            if failure is not None:
-                raise failure
-    if not run.has_started:
-        estimator = run.estimator
-        why = never_started(estimator.waiting_for, estimator.counts, config)
-        raise EstimatorError(f"{recording}: the estimator never started: {why}")
-    print_summary(summary, output)
+            done.check_end()
+    done.check_start(session)
+    print_summary(done.summary, output)
 
 
 def wanted_of(opened: "Recording", config: "Config", strict: bool) -> "tuple[list[Subscription], dict[str, str]]":
@@ -135,13 +122,6 @@ def wanted_of(opened: "Recording", config: "Config", strict: bool) -> "tuple[lis
     return wanted, missing
 
 
-def _stopped(run: "Replay") -> list[str]:
-    """Return the warning that the estimator was beginning anew when the recording ended, if it was."""
-    if run.estimator.initialised or not run.has_started:
-        return []
-    return [f"the estimator had begun anew, and was not running at the end: {run.estimator.waiting_for}"]
-
-
 def rules_of(hold_out: Sequence[str], outage: Sequence[str], config: "Config") -> "list[HoldOut]":
     """Return what is to be held back, as the options say.
 
@@ -153,17 +133,6 @@ def rules_of(hold_out: Sequence[str], outage: Sequence[str], config: "Config") -
     rules = [HoldOut.parse_every(text) for text in hold_out] + [HoldOut.parse_outage(text) for text in outage]
     check_sensors(rules, config)
     return rules
-
-
-@contextmanager
-def _engine(config: "Config", wanted: bool) -> "Iterator[RealtimeEstimator | None]":
-    if not wanted:
-        yield None
-        return
-    from holdfast.realtime.engine import RealtimeEstimator
-
-    with RealtimeEstimator(config) as engine:
-        yield engine
 
 
 def check_window(start_s: float, duration_s: float | None, rate: float | None = None) -> None:
@@ -180,24 +149,6 @@ def check_window(start_s: float, duration_s: float | None, rate: float | None = 
         raise ConfigError(f"--duration {duration_s:g}: must be > 0 and <= {LONGEST_S:g}")
     if rate is not None and not rate >= SLOWEST_RATE:
         raise ConfigError(f"--rate {rate:g}: must be > 0, at least {SLOWEST_RATE:g}")
-
-
-def write_summary(  # noqa: PLR0917
-    run: "Replay",
-    recording: str,
-    warnings: list[str],
-    folder: Path,
-    finished: bool,
-    missing: "Mapping[str, str] | None" = None,
-) -> dict[str, Any]:
-    """Write summary.json and return its content."""
-    from holdfast.cli.command_line import command_line
-    from holdfast.replay.outputs import SUMMARY
-    from holdfast.replay.summary import summarise_replay
-
-    summary = summarise_replay(run, recording, warnings, finished, command_line(), missing or {})
-    write_json(folder / SUMMARY, summary)
-    return summary
 
 
 def print_summary(summary: dict[str, Any], output: str) -> None:

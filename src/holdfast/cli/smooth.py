@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from holdfast.cli.progress import reading_bar
-from holdfast.cli.replay import check_window, print_summary, rules_of, wanted_of, write_summary
-from holdfast.cli.writing import naming_the_output, write_json
-from holdfast.errors import ConfigError, EstimatorError, HoldfastError
+from holdfast.cli.replay import check_window, print_summary, rules_of, wanted_of
+from holdfast.cli.writing import naming_the_output
+from holdfast.errors import ConfigError
 from holdfast.output_folder import replaced
 
 if TYPE_CHECKING:
@@ -47,58 +47,35 @@ def smooth(  # noqa: PLR0917 (click passes the options by name)
     A window and what follows it are solved together, then the next window begins with all that is known: memory does
     not grow with the recording.
     """
+    from holdfast.api.session import Session, run
+    from holdfast.cli.command_line import command_line
     from holdfast.config.load import load_config
-    from holdfast.lidar_odometry.replayed import ReplayedScans
-    from holdfast.loops.opening import loop_closer
     from holdfast.recording.source import open_recording
-    from holdfast.replay.batch_outputs import CAUSAL, BatchOutputs
-    from holdfast.replay.never_started import never_started
-    from holdfast.replay.outputs import SUMMARY, Outputs
-    from holdfast.replay.runner import Replay
-    from holdfast.smoothing.batch_smoother import BatchSmoother
 
     check_window(start_s, duration_s)
     _check_lengths(window_s, overlap_s)
-    config, folder = load_config(config_path), Path(output)
-
-    def stamp(time_ns: int) -> int:
-        return run.stamp(time_ns)
-
+    config = load_config(config_path)
     rules = rules_of(hold_out, outage, config)
     with open_recording(recording) as opened, naming_the_output(output):
         wanted, missing = wanted_of(opened, config, strict)
-        messages = opened.read(wanted, start_s, duration_s)
-        with (
-            replaced(output, "smooth", (recording, config_path)),
-            loop_closer(recording, opened, config, stamp) as closer,
-        ):
-            batch = BatchSmoother(config, window_s, overlap_s, closer)
-            with (
-                Outputs(folder / CAUSAL, config) as outputs,
-                BatchOutputs(folder, config) as files,
-                ReplayedScans(config, messages) as scanned,
-            ):
-                run = Replay(config, outputs, rules, batch=batch, on_block=files.write)
-                failure: BaseException | None = None
-                try:
-                    with reading_bar("smoothing", opened, start_s, duration_s) as progress:
-                        run.run(scanned, None, progress)
-                except (HoldfastError, KeyboardInterrupt) as error:
-                    failure = error
-                run.write_events()
-            warnings = [*opened.warnings, *scanned.warnings(), *run.warnings, *batch.warnings()]
-            summary = write_summary(run, recording, warnings, folder / CAUSAL, failure is None, missing)
-            summary["smooth"] = files.summary(batch)
-            write_json(folder / SUMMARY, summary)
-            for warning in warnings:
+        session = Session(
+            path=recording,
+            config=config,
+            folder=Path(output),
+            messages=opened.read(wanted, start_s, duration_s),
+            missing=missing,
+            rules=rules,
+            batch_s=(window_s, overlap_s),
+            command=command_line(),
+        )
+        with replaced(output, "smooth", (recording, config_path)):
+            done = run(session, opened, reading_bar("smoothing", opened, start_s, duration_s))
+            for warning in done.warnings:
                 click.echo(f"warning: {warning}", err=True)
-            if failure is not None:
-                raise failure
-    if not run.has_started:
-        why = never_started(run.estimator.waiting_for, run.estimator.counts, config)
-        raise EstimatorError(f"{recording}: the estimator never started: {why}")
-    print_summary(summary, output)
-    _print_smooth(summary["smooth"], run)
+            done.check_end()
+    done.check_start(session)
+    print_summary(done.summary, output)
+    _print_smooth(done.summary["smooth"], done.run)
 
 
 def _check_lengths(window_s: float, overlap_s: float) -> None:

@@ -156,6 +156,18 @@ def read_document(text: str, name: str) -> Document:
     return document
 
 
+def plain(text: str, name: str) -> dict[str, Any]:
+    """Return the data of YAML text that is no configuration, but is as little to be trusted.
+
+    Raises:
+        ConfigError: as `read_document`; and for duplicate keys, odd keys, tags and broken characters, one line each.
+    """
+    document = read_document(text, name)
+    raise_faults(name, document.faults)
+    data: dict[str, Any] = document.data
+    return data
+
+
 def compose(text: str, name: str) -> Node | None:
     """Return the root node of the only YAML document in the text; every failure becomes a ConfigError of one line."""
     if len(text) > MAX_CHARACTERS:

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
+from holdfast.estimator.density import Density
 from holdfast.estimator.imu_path import ImuPath
 from holdfast.estimator.intake import Intake
 from holdfast.estimator.listener import Listener
@@ -35,7 +36,7 @@ class Estimator(Intake):
         self._log = EventLog(self._imu)
         self._buffer = ImuBuffer(config.imu)
         self._path = ImuPath(config, self._buffer, self._log)
-        self._optimiser = Optimiser(config, self._buffer, self._log, listener)
+        self._optimiser = Optimiser(config, self._buffer, self._log, listener, Density(config, self._log))
 
     @property
     def datum(self) -> Geodetic | None:

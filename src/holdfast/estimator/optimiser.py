@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from holdfast.chassis.encoder import JointModel
 from holdfast.chassis.joint_track import JointTrack
 from holdfast.config.model import Config
+from holdfast.estimator.density import Density
 from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import Received
 from holdfast.estimator.initialisation import Initialising
@@ -43,10 +44,18 @@ class Optimiser:
         buffer: of the IMU's samples.
         log: where counts and events go.
         listener: who is told of all that comes in and goes out.
+        density: of the measurements that are taken in; None where who calls has thinned them out by their arrival.
     """
 
-    def __init__(self, config: Config, buffer: ImuBuffer, log: EventLog, listener: "Listener | None" = None) -> None:
-        self._config, self._buffer, self._log = config, buffer, log
+    def __init__(
+        self,
+        config: Config,
+        buffer: ImuBuffer,
+        log: EventLog,
+        listener: "Listener | None" = None,
+        density: Density | None = None,
+    ) -> None:
+        self._config, self._buffer, self._log, self._density = config, buffer, log, density
         self._listener = listener
         self._start_window_ns = round(config.initialisation.window_s * 1e9) + LATE_NS
         self._sensors = sensors_of(config)
@@ -161,6 +170,9 @@ class Optimiser:
             self._record(message, measurement, outcome)
             if self._astray[name] <= 1 or outcome not in (Outcome.CLOCK_JUMP, Outcome.LATE):
                 self._log.report(EventKind.REJECTED, message.stamp_ns, name, outcome)
+            return None
+        if self._density is not None and not self._density.admits(name, measurement.stamp_ns, message.arrival_ns):
+            self._record(message, measurement, Outcome.OVERLOAD)
             return None
         self._tell_assumption(message)
         if self._listener is not None:

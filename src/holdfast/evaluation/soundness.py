@@ -9,6 +9,9 @@ from holdfast.evaluation.smoothness import steps
 
 MAX_STEP_M = 0.002
 MAX_STEP_DEG = 0.02
+FLOW_M_S, FLOW_DEG_S = 0.05, 0.5
+"""At which corrections may flow into T_O_I: after lost samples of the IMU more of them than a step is allowed."""
+ROUNDING = 1.001  # of a step between two estimates, over which readings are taken for linear
 
 
 def violations(published: Published, start_ns: int) -> Iterator[str]:
@@ -40,10 +43,13 @@ def violations(published: Published, start_ns: int) -> Iterator[str]:
         worst = int(smallest.argmin())
         yield f"the covariance is not positive at {times_s[worst]:.2f} s: smallest eigenvalue {smallest[worst]:.1e}"
     moved, turned = steps(published.odometry, published.inertial)
-    for values, limit, unit in ((moved * 1e3, MAX_STEP_M * 1e3, "mm"), (turned, MAX_STEP_DEG, "deg")):
-        beyond = np.flatnonzero(values > limit)
+    lasted_s = np.diff(times_s, prepend=times_s[:1])
+    most_m = np.maximum(MAX_STEP_M, ROUNDING * FLOW_M_S * lasted_s)
+    most_deg = np.maximum(MAX_STEP_DEG, ROUNDING * FLOW_DEG_S * lasted_s)
+    for values, limits, unit in ((moved * 1e3, most_m * 1e3, "mm"), (turned, most_deg, "deg")):
+        beyond = np.flatnonzero(values > limits)
         if len(beyond):
-            worst = int(np.nanargmax(values))
+            worst = int(np.nanargmax(values / limits))
             change = float(np.linalg.norm(np.diff(published.odometry.velocities[worst - 1 : worst + 1], axis=0)))
             yield (
                 f"O steps by up to {values[worst]:.3g} {unit} at {times_s[worst]:.2f} s, where its velocity changes by "

@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 from pyproj import Transformer
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
+from holdfast.config.document import plain
 from holdfast.errors import ConfigError
 from holdfast.export.crs import ELLIPSOIDAL
 from holdfast.export.target import Heights
 from holdfast.messages import Array
+from holdfast.printable import quoted
 
 SMALLEST_SPREAD_M = 5.0  # between the two points that are furthest apart
 LARGEST_SCALE = 0.01  # off one: feet, or other points
@@ -93,13 +93,16 @@ def read_control_points(file: Path) -> ControlPoints:
     if file.suffix.lower() == ".csv":
         rows = list(csv.DictReader(text.splitlines()))
     else:
+        none = "holds no control points (allowed: `points:` a list, or a .csv file)"
         try:
-            content = YAML(typ="safe", pure=True).load(text)
+            content = plain(text, str(file))
             height, rows = content.get("height", "shift"), list(content["points"])
-        except (YAMLError, AttributeError, KeyError, TypeError):
-            raise ConfigError(f"{file}: holds no control points (allowed: `points:` a list, or a .csv file)") from None
+        except ConfigError as error:
+            raise ConfigError(f"{error}: {none}") from None
+        except (KeyError, TypeError):
+            raise ConfigError(f"{file}: {none}") from None
     if height not in ("shift", "plane"):
-        raise ConfigError(f"{file}: height: {str(height)[:40]} (allowed: shift, plane)")
+        raise ConfigError(f"{file}: height: {quoted(height)} (allowed: shift, plane)")
     values = [_values(row, f"{file}: point {k}") for k, row in enumerate(rows, start=1)]
     names = [str(row.get("name") or k) for k, row in enumerate(rows, start=1)]
     table = np.array(values).reshape(-1, 6)
@@ -121,7 +124,7 @@ def _values(row: Any, where: str) -> list[float]:
             value = np.nan
         limit = {"latitude_deg": 90.0, "longitude_deg": 360.0, "altitude_m": 1e5}.get(key, 1e8)
         if not abs(value) <= limit:
-            raise ConfigError(f"{where}: {key} {str(given)[:40]}: must be a number within +-{limit:g}")
+            raise ConfigError(f"{where}: {key} {quoted(given)}: must be a number within +-{limit:g}")
         values.append(value)
     return values
 

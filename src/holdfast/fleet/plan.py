@@ -4,13 +4,12 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha256
-from io import StringIO
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 from holdfast import __version__
-from holdfast.config.document import read_document
+from holdfast.config.document import plain, read_document
 from holdfast.config.legacy import modernised
 from holdfast.config.load import read_yaml, resolved_yaml, validate
 from holdfast.config.model import Config
@@ -122,13 +121,10 @@ def _varied(path: Path, changes: tuple[tuple[str, str], ...]) -> tuple[tuple[tup
 
 
 def _scalar(text: str) -> Any:
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
     try:
-        return YAML(typ="safe", pure=True).load(StringIO(text))
-    except YAMLError:
-        raise ConfigError(f"--vary: {text!r} is no YAML value") from None
+        return plain(f"value: {text}", "")["value"]
+    except ConfigError:
+        raise ConfigError(f"--vary: {text!r:.80} is no YAML value") from None
 
 
 def _names(recordings: Sequence[Path]) -> list[str]:

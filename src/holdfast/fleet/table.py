@@ -7,7 +7,7 @@ from pathlib import Path
 from holdfast.errors import HoldfastError
 from holdfast.fleet.plan import Job
 from holdfast.fleet.run import Outcome
-from holdfast.replay.results import read_summary
+from holdfast.replay.summary_file import read_summary
 
 TABLE = "results.csv"
 TIMES = ("median", "p99")

@@ -16,7 +16,7 @@ from holdfast.mapping.claims import PoseCovariances, read_pose_covariances
 from holdfast.messages import Array
 from holdfast.recording.raw import RawBag
 from holdfast.recording.tum import read_tum
-from holdfast.replay.results import read_summary
+from holdfast.replay.summary_file import datum_in, read_summary
 from holdfast.state import Trajectory
 
 TRACK = "imu_in_world.tum"
@@ -62,13 +62,12 @@ def read_run(folder: Path) -> Run:
     """
     summary = read_summary(folder)
     trajectory = read_tum(folder / TRACK)
-    datum = summary.get("datum")
     return Run(
         folder,
         trajectory,
         read_pose_covariances(folder, trajectory),
         config_of(summary["config"], f"{folder}/summary.json"),
-        None if datum is None else Geodetic(**datum),
+        datum_in(summary),
     )
 
 

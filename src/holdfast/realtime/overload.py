@@ -8,12 +8,11 @@ from dataclasses import dataclass
 
 from holdfast.config.model import Config
 from holdfast.config.sensors import InertialConfig, JointConfig
+from holdfast.estimator.density import Shedding
 from holdfast.event_log import EventLog
-from holdfast.state import EventKind, Outcome
 
 BURST_S = 0.1  # of measurements may come at once, after the network was held up
 ENCODER = 5  # times as many angles of an encoder, which only the IMU path takes
-TELL_NS = 1_000_000_000
 
 
 @dataclass(slots=True)
@@ -22,15 +21,12 @@ class Budget:
 
     Attributes:
         room: fills up with the time of arrival.
-        told_ns: arrival at which the last event was reported.
-        untold: measurements that were left out since.
+        arrival_ns: at which it was filled last.
     """
 
     rate_hz: float
     room: float
     arrival_ns: int | None = None
-    told_ns: int | None = None
-    untold: int = 0
 
     def fill(self, arrival_ns: int) -> int:
         """Return how many may be taken in at an arrival."""
@@ -50,7 +46,6 @@ class Overload:
     """
 
     def __init__(self, config: Config, log: EventLog) -> None:
-        self._log = log
         rate_hz = config.realtime.max_rate_hz
         rates = {
             name: rate_hz * (ENCODER if isinstance(sensor, JointConfig) else 1)
@@ -58,6 +53,7 @@ class Overload:
             if not isinstance(sensor, InertialConfig)
         }
         self._budgets = {name: Budget(rate, max(1.0, BURST_S * rate)) for name, rate in rates.items()}
+        self._shedding = {name: Shedding(name, rate, log) for name, rate in rates.items()}
 
     def room(self, sensor: str, arrival_ns: int) -> int | None:
         """Return how many measurements of a sensor may be taken in now; None if there is no limit."""
@@ -83,10 +79,4 @@ class Overload:
 
     def shed(self, sensor: str, number: int, arrival_ns: int, stamp_ns: int) -> None:
         """Count measurements that are left out, and report it, once a second at most; see `admits`."""
-        budget = self._budgets[sensor]
-        self._log.count(sensor, Outcome.OVERLOAD, number)
-        budget.untold += number
-        if budget.told_ns is None or not 0 <= arrival_ns - budget.told_ns < TELL_NS:
-            reason = f"{budget.untold} measurements left out: more than {budget.rate_hz:g} a second come"
-            self._log.report(EventKind.OVERLOAD, stamp_ns, sensor, reason)
-            budget.told_ns, budget.untold = arrival_ns, 0
+        self._shedding[sensor].add(number, arrival_ns, stamp_ns)

@@ -11,6 +11,7 @@ from holdfast.recording.source import Closing
 
 AXES = ("rx", "ry", "rz", "px", "py", "pz", "vx", "vy", "vz")
 HEADER = ["stamp_ns", *(f"{AXES[i]}_{AXES[j]}" for i, j in zip(*UPPER, strict=True))]
+LIMIT_NS = 1 << 63  # of a stamp
 
 
 def beside(track: Path) -> Path:
@@ -39,6 +40,8 @@ def read_covariances(path: Path) -> Covariances:
             rows.append([float(cell) for cell in cells[1:]])
         except ValueError:
             raise RecordingError(f"{path}:{number}: is not made of numbers") from None
+        if abs(stamps[-1]) >= LIMIT_NS:
+            raise RecordingError(f"{path}:{number}: has a stamp beyond 292 years")
         if len(cells) != len(HEADER):
             raise RecordingError(f"{path}:{number}: has {len(cells)} columns (allowed: {len(HEADER)})")
     if not rows:

@@ -5,6 +5,7 @@ kept as it is where that joint reads zero.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any
@@ -63,10 +64,13 @@ def read_frames(recording: Recording, duration_s: float) -> RecordedFrames:
         angles: dict[str, dict[str, list[tuple[int, float]]]] = {}
         broken: dict[str, str] = {}
         for channel, message in (*_decoded(bag, static, None), *_decoded(bag, moving, end_ns)):
-            if channel.type == JOINT_STATE:
-                _note_joints(angles.setdefault(channel.topic, {}), message)
-            else:
-                broken |= _note_transforms(seen, message, channel.topic, channel.topic in static)
+            try:
+                if channel.type == JOINT_STATE:
+                    _note_joints(angles.setdefault(channel.topic, {}), message)
+                else:
+                    broken |= _note_transforms(seen, message, channel.topic, channel.topic in static)
+            except (AttributeError, TypeError, ValueError):
+                broken[channel.topic] = f"{channel.topic}: the file defines {channel.type} otherwise than ROS does"
         framed = {topic for topic, name in types.items() if name in (*IN_HEADER, ODOMETRY)}
         of_topic = {topic: frame for topic, frame in _frames_of(bag, framed) if not is_fixed_to_earth(frame)}
     rigid, turning = _sorted(seen, angles)
@@ -98,9 +102,10 @@ def _frames_of(bag: RawBag, topics: set[str]) -> Iterator[tuple[str, str]]:
     """Yield the frame in which each topic's first message measures, if it names one."""
     for topic in sorted(topics):
         for channel, message in _decoded(bag, {topic}, None):
-            frame = message.child_frame_id if channel.type == ODOMETRY else message.header.frame_id
-            if frame.strip("/"):
-                yield topic, frame.strip("/")
+            with suppress(AttributeError, TypeError):  # the file defines the type otherwise than ROS does
+                frame = message.child_frame_id if channel.type == ODOMETRY else message.header.frame_id
+                if frame.strip("/"):
+                    yield topic, frame.strip("/")
             break
 
 

@@ -56,8 +56,10 @@ class DirectDecoder:
             return
         self._has_learnt = True
         layout = self._codec.layout(self._decoder.fields, raw)
+        if layout is None:  # what the file defines may lack the fields at all
+            return
         expected = [one if np.isscalar(one) else tuple(one) for one in self._decoder.values_of(message)]
-        if layout is not None and layout.read(raw) == tuple(expected):
+        if layout.read(raw) == tuple(expected):
             self._layout = layout
 
 

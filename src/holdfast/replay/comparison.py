@@ -1,21 +1,18 @@
 """Two folders that replays have written, read for a comparison."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import gtsam
 import numpy as np
-from gtsam import SO3
 
 from holdfast.errors import ConfigError, RecordingError
-from holdfast.evaluation import quaternions
 from holdfast.evaluation.absolute import ape
 from holdfast.evaluation.association import associate
-from holdfast.geometry.earth import Geodetic, LocalFrame
+from holdfast.geometry.earth import Geodetic
 from holdfast.recording.tum import read_tum
-from holdfast.replay.results import SHOWN, TRUTH, errors_against, read_run, read_summary
+from holdfast.replay.reference import TRUTH, in_other_world, read_reference
+from holdfast.replay.results import SHOWN, errors_against, read_run
+from holdfast.replay.summary_file import datum_in, read_summary
 from holdfast.report.comparison import Comparison
 from holdfast.report.run_record import RunRecord
 from holdfast.state import Trajectory
@@ -45,14 +42,15 @@ def read_comparison(
     one, other = (read_run(folder, judge) for folder, judge in zip(folders, judges, strict=True))
     tracks = [read_tum(folder / WORLD) for folder in folders]
     notes = [f"{name}: {note}" for name, run in zip(names, (one, other), strict=True) for note in run.notes]
-    datums = [run.summary.get("datum") or {} for run in (one, other)]
-    if datums[0] and datums[1] and datums[0] != datums[1]:
+    datums = [datum for run in (one, other) if (datum := datum_in(run.summary)) is not None]
+    if len(set(datums)) > 1:
         # a datum that somebody gave, and not the first fix, is that of the reference
         kept = 1 if _has_datum(other) and not _has_datum(one) else 0
-        moved = 1 - kept
-        tracks[moved] = in_other_world(tracks[moved], datums[moved], datums[kept])
+        moved, world = 1 - kept, datums[kept]
+        tracks[moved] = in_other_world(tracks[moved], datums[moved], world)
         one, other = (
-            _judged_anew(run, track, judge) for run, track, judge in zip((one, other), tracks, judges, strict=True)
+            _judged_anew(run, track, judge, world)
+            for run, track, judge in zip((one, other), tracks, judges, strict=True)
         )
         notes.append(f"The datums differ: {names[moved]} is shown, and judged, in the world frame of {names[kept]}.")
     times_s, apart = np.zeros(0), {}
@@ -67,32 +65,15 @@ def read_comparison(
     return Comparison(names, (one, other), times_s, apart, command, notes)
 
 
-def in_other_world(track: Trajectory, datum: Mapping[str, float], other: Mapping[str, float]) -> Trajectory:
-    """Return a track that is given in the W of a datum in the W of another one.
-
-    Args:
-        track: poses in W.
-        datum: latitude_deg, longitude_deg, altitude_m of the origin of W.
-        other: the same of the wanted one.
-    """
-    here, there = LocalFrame(Geodetic(**datum)), LocalFrame(Geodetic(**other))
-    origin = there.to_enu(here.to_geodetic(np.zeros(3)))
-    axes = [there.to_enu(here.to_geodetic(axis)) - origin for axis in 1000.0 * np.eye(3)]
-    turn: Any = gtsam.Rot3(SO3.ClosestTo(np.column_stack(axes) / 1000.0).matrix()).toQuaternion()
-    q = np.tile(turn.coeffs(), (len(track.stamps_ns), 1))
-    positions = origin + quaternions.rotate(q, track.positions)
-    return replace(track, positions=positions, quaternions=quaternions.multiply(q, track.quaternions))
-
-
 def _has_datum(run: RunRecord) -> bool:
     return bool(run.summary["config"].get("frames", {}).get("datum"))
 
 
-def _judged_anew(run: RunRecord, track: Trajectory, judge: Path | None) -> RunRecord:
+def _judged_anew(run: RunRecord, track: Trajectory, judge: Path | None, world: Geodetic) -> RunRecord:
     if judge is None:
         return replace(run, world=track.positions)
-    file = judge / TRUTH if judge.is_dir() else judge
-    return replace(run, world=track.positions, errors=errors_against(track, read_tum(file), file, run.start_ns))
+    errors = errors_against(track, read_reference(judge, world), run.start_ns)
+    return replace(run, world=track.positions, errors=errors)
 
 
 def truth_of(folder: Path) -> Path | None:

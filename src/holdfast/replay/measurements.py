@@ -21,6 +21,7 @@ MEASUREMENTS = "measurements.csv"
 COLUMNS = ("stamp_ns", "sensor", "outcome", "nis", "dof", "limit", "east_m", "north_m", "up_m")
 HELD_OUT = "held_out"
 PROBABILITY = 0.95  # of the bounds on an NIS
+LIMIT_NS = 1 << 63  # of a stamp
 MAX_ROWS_PER_S = 50  # of one sensor and one outcome: a minute of a flood is no larger than a minute of a fast sensor
 
 
@@ -80,7 +81,7 @@ def read_measurements(file: Path) -> dict[str, Measurements]:
             stamp_ns, values = int(row[0]), [float(cell or "nan") for cell in row[3:]]
         except (IndexError, ValueError):
             values, stamp_ns = [], 0
-        if len(values) != len(COLUMNS) - 3:
+        if len(values) != len(COLUMNS) - 3 or abs(stamp_ns) >= LIMIT_NS:
             if number == len(rows):
                 break
             raise RecordingError(f"{file}:{number}: is no measurement")

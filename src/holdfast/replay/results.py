@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from holdfast.errors import ConfigError, RecordingError
+from holdfast.errors import RecordingError
 from holdfast.evaluation import quaternions
 from holdfast.evaluation.absolute import ape
 from holdfast.evaluation.association import associate
@@ -17,13 +17,15 @@ from holdfast.recording.raw import RawBag
 from holdfast.recording.tum import read_tum
 from holdfast.replay.batch_outputs import CAUSAL
 from holdfast.replay.measurements import MEASUREMENTS, innovation_scores, read_measurements
-from holdfast.replay.outputs import ESTIMATES, EVENTS, SUMMARY
+from holdfast.replay.outputs import ESTIMATES, EVENTS
+from holdfast.replay.reference import Reference, read_reference
+from holdfast.replay.summary_file import datum_in, read_summary
 from holdfast.report.run_record import Errors, Measurements, RunRecord
 from holdfast.ros.messages import BIAS_KEYS
 from holdfast.state import Trajectory
 
 SMOOTHED = "smoothed_in_world.tum"
-TRUTH, TRUE_BIASES = "imu_in_world.tum", "imu_bias.csv"
+TRUE_BIASES = "imu_bias.csv"
 TRUE_SENSORS = (("gyroscope", "rad_s"), ("accelerometer", "m_s2"))
 DECIMATION = 10  # one in so many estimates of estimates.mcap is decoded: covariances change slowly
 SHOWN = {
@@ -63,10 +65,10 @@ def read_run(folder: Path, reference: Path | None) -> RunRecord:
     truth, errors, true_bias_ns, true_biases = None, None, None, None
     if reference is not None and reference.is_dir():
         true_bias_ns, true_biases = _read_true_biases(reference / TRUE_BIASES)
-        reference /= TRUTH
     if reference is not None:
-        truth = read_tum(reference)
-        errors = errors_against(world, truth, reference, start_ns)
+        truth = read_reference(reference, datum_in(summary))
+        errors = errors_against(world, truth, start_ns)
+        missing += [truth.note] if truth.note else _in_doubt(truth, summary)
     judged = "" if reference is None else f" --reference {reference}"
     made = summary.get("command") or f"holdfast replay {summary['recording']} -c CONFIG -o {folder}"
     return RunRecord(
@@ -88,7 +90,7 @@ def read_run(folder: Path, reference: Path | None) -> RunRecord:
         true_bias_times_s=None if true_bias_ns is None else (true_bias_ns - start_ns) * np.float64(1e-9),
         true_biases=true_biases,
         optimum=np.zeros((0, 3)) if causal is folder else read_tum(folder / "imu_in_world.tum").positions,
-        reference=None if truth is None else _of_the_time(truth, world),
+        reference=None if truth is None else _of_the_time(truth.poses, world),
         smoothed_times_s=np.zeros(0) if smoothed is None else (smoothed.stamps_ns - start_ns) * np.float64(1e-9),
         smoothed=np.zeros((0, 3)) if smoothed is None else smoothed.positions,
         measurements=measurements,
@@ -97,29 +99,6 @@ def read_run(folder: Path, reference: Path | None) -> RunRecord:
         seed=summary.get("simulation", {}).get("seed", ""),
         notes=[*notes, *missing, *summary["warnings"]],
     )
-
-
-def read_summary(folder: Path) -> dict[str, Any]:
-    """Read summary.json.
-
-    Raises:
-        ConfigError: there is none.
-        RecordingError: it is none.
-    """
-    file = folder / SUMMARY
-    try:
-        summary: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        missing = [
-            key for key in ("recording", "counts", "timing", "held_out", "versions", "config") if key not in summary
-        ]
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise ConfigError(f"{file}: {reason} (allowed: a folder that `holdfast replay` has written)") from None
-    except (json.JSONDecodeError, TypeError, UnicodeDecodeError):
-        raise RecordingError(f"{file}: is no summary of a replay") from None
-    if missing:
-        raise RecordingError(f"{file}: is no summary of a replay: it has no {missing[0]!r}")
-    return summary
 
 
 def read_events(folder: Path) -> list[dict[str, Any]]:
@@ -134,6 +113,8 @@ def read_events(folder: Path) -> list[dict[str, Any]]:
         lines = file.read_text(encoding="utf-8").splitlines()
     except OSError as error:
         raise RecordingError(f"{file}: {(error.strerror or str(error)).lower()}") from None
+    except UnicodeDecodeError:
+        raise RecordingError(f"{file}: is not UTF-8 text") from None
     for number, line in enumerate(lines, start=1):
         try:
             event = json.loads(line)
@@ -219,19 +200,30 @@ def _read_true_biases(file: Path) -> tuple[NDArray[np.int64], Array]:
         raise RecordingError(f"{file}: is no table of biases (allowed: that of `holdfast simulate`)") from None
 
 
-def errors_against(world: Trajectory, truth: Trajectory, source: Path, start_ns: int) -> Errors:
+def _in_doubt(reference: Reference, summary: dict[str, Any]) -> list[str]:
+    """Return a note if nothing says that the world of a reference is the one that began at the first fix."""
+    is_given = bool(summary["config"].get("frames", {}).get("datum"))
+    if reference.is_placed or is_given or datum_in(summary) is None:
+        return []
+    return [
+        f"{reference.file} does not say where its world is, and that of the run began at its first fix: "
+        "where they differ, so do the errors. With frames.datum the run has the world of the reference."
+    ]
+
+
+def errors_against(world: Trajectory, truth: Reference, start_ns: int) -> Errors:
     """Return the errors of an estimate against a reference, by the names of `SHOWN`.
 
     Raises:
-        RecordingError: they do not overlap in time; the text names the `source` of the reference.
+        RecordingError: they do not overlap in time; the text names the file of the reference.
     """
     try:
-        pairs = associate(world, truth)
+        pairs = associate(world, truth.poses)
     except RecordingError as error:
-        raise RecordingError(f"{source}: {error}") from None
+        raise RecordingError(f"{truth.file}: {error}") from None
     values = ape(pairs)
     shown = {label: values[name] for name, label in SHOWN.items() if name in values}
-    return Errors(str(source), (pairs.reference.stamps_ns - start_ns) * np.float64(1e-9), shown)
+    return Errors(str(truth.file), (pairs.reference.stamps_ns - start_ns) * np.float64(1e-9), shown)
 
 
 def _attitude_deg(world: Trajectory) -> Array:

@@ -78,6 +78,9 @@ def _fault(fault: Fault) -> str:
         "freeze": "repeats itself",
         "slip": f"velocity off by {fault.slip_ratio:g} of itself and {fault.slip_m_s:g} m/s",
         "clock_step": f"clock is off by {fault.step_s:g} s",
+        "flood": f"every message is repeated at {fault.flood_hz:g} Hz",
+        "twin": f"a second publisher, off by {fault.step_s:g} s and {fault.behind} messages behind",
+        "garbage": f"{fault.garbage_ratio:g} of the messages mean nothing",
     }
     when = f"{fault.start_s:g} to {fault.end_s:g} s"
     return f"{when}: {fault.kind} of {', '.join(fault.sensors)} ({details[fault.kind]})"

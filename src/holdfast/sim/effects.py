@@ -5,7 +5,7 @@ to it), except after a jump, which is for good.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -45,13 +45,26 @@ Effect = Callable[[Event, str], Readings]
 
 
 def unchanged(event: Event, name: str) -> Readings:
-    """Leave the readings as they are: the fault strikes later, in transport."""
+    """Leave the readings as they are: the fault strikes later, in transport or in the message."""
     return event.readings[name]
 
 
 def silence(event: Event, name: str) -> Readings:
     """Remove the rows."""
     return event.readings[name].taken(~event.inside(name))
+
+
+def flood(event: Event, name: str) -> Readings:
+    """Repeat every row until the next one is due, at the rate of the flood and as if it were measured then."""
+    before, inside = event.readings[name], event.inside(name)
+    periods_s = np.diff(before.times_s, append=np.inf)
+    finite = periods_s[np.isfinite(periods_s)]
+    periods_s[-1:] = np.median(finite) if len(finite) else 0.0
+    counts = np.where(inside, np.maximum(1, np.ceil(periods_s * event.fault.flood_hz - 1e-6)), 1).astype(np.int64)
+    rows = np.repeat(np.arange(len(counts)), counts)
+    number = np.arange(len(rows)) - np.repeat(np.cumsum(counts) - counts, counts)
+    repeated = before.taken(rows)
+    return replace(repeated, times_s=repeated.times_s + number / event.fault.flood_hz)
 
 
 def walk(event: Event, name: str) -> Readings:
@@ -126,5 +139,12 @@ def overwritten(before: Readings, rows: NDArray[np.bool_], fresh: Mapping[str, N
     return before.replaced(**columns)
 
 
-COMMON: Mapping[str, Effect] = {"outage": silence, "silence": silence, "clock_step": unchanged}
+COMMON: Mapping[str, Effect] = {
+    "outage": silence,
+    "silence": silence,
+    "flood": flood,
+    "clock_step": unchanged,
+    "twin": unchanged,
+    "garbage": unchanged,
+}
 """Effects of the faults that can happen to any sensor."""

@@ -19,6 +19,9 @@ FaultKind = Literal[
     "freeze",
     "slip",
     "clock_step",
+    "flood",
+    "twin",
+    "garbage",
 ]
 
 
@@ -35,6 +38,9 @@ class Fault(Section):
     jump: the frame of the poses jumps by `offset_m` and `yaw_deg` for good. freeze: the sensor repeats itself.
     slip: the wheels spin, the velocity is `slip_ratio` of itself and `slip_m_s` too much.
     clock_step: stamps step by `step_s`, until the end of the interval.
+    flood: every reading is repeated at `flood_hz` until the next one, with fresh stamps.
+    twin: a second publisher sends every message too, with a stamp off by `step_s` and content `behind` messages old.
+    garbage: in a fraction `garbage_ratio` of the messages numbers, covariances or the stamp mean nothing.
     """
 
     kind: FaultKind
@@ -51,7 +57,10 @@ class Fault(Section):
     claim_growth_m_s: float | None = quantity("m/s", None, gt=0, doc="for outage: sigma grows so fast; else silence")
     slip_ratio: float = quantity("1", 0.0, ge=-1, le=10, doc="for slip: of the velocity along x")
     slip_m_s: float = quantity("m/s", 0.0, ge=-10, le=10, doc="for slip: along x")
-    step_s: float = quantity("s", 0.0, ge=-10, le=10, doc="for clock_step")
+    step_s: float = quantity("s", 0.0, ge=-1.6e9, le=5e8, doc="for clock_step and twin: from 1970 to 2036")
+    flood_hz: float = quantity("Hz", 1000.0, gt=0, le=10_000, doc="for flood")
+    behind: int = Field(0, ge=0, le=100, description="for twin: messages")
+    garbage_ratio: float = quantity("1", 1.0, ge=0, le=1, doc="for garbage: of the messages")
 
     @model_validator(mode="after")
     def _check(self) -> Self:

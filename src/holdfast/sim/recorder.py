@@ -15,6 +15,7 @@ from holdfast.recording.mcap_writer import McapWriter
 from holdfast.recording.origin import SIMULATION
 from holdfast.recording.tum import write_tum
 from holdfast.sim.datasheets import SimulatedSensor
+from holdfast.sim.garbage import Garbage
 from holdfast.sim.ros import Encode, RosMessages
 from holdfast.sim.scenario import BASE, CABIN
 from holdfast.sim.sensors import KINDS
@@ -51,7 +52,8 @@ def write_recording(simulation: Simulation, path: Path, scans: bool, progress: P
             sheet = sensors[name]
             kind = KINDS[sheet.kind]
             if kind.encode is not None:
-                encode = kind.encode(messages, sheet, delivered.readings)
+                garbage = Garbage(simulation.scenario.faults, name, delivered.readings.times_s, simulation.seed)
+                encode = garbage.in_place_of(kind.encode(messages, sheet, delivered.readings))
                 streams.append(_rows(delivered, number, sheet.topic, kind.message_type, encode))
                 if isinstance(sheet, SimulatedJoint) and simulation.scenario.turn_joint is not None:
                     streams.append(_turning(simulation, delivered, number, messages))

@@ -8,6 +8,7 @@ import numpy as np
 from holdfast.geometry.earth import LocalFrame
 
 NS_PER_S = 1_000_000_000
+WRAP_S = 1 << 32
 ABSENT = np.array([-1.0, *[0.0] * 8])
 """Covariance of what a sensor_msgs/Imu does not contain (REP-145)."""
 NOTHING = (0.0, 0.0, 0.0)
@@ -30,8 +31,9 @@ class RosMessages:
         return self._types[type_name](**fields)
 
     def header(self, stamp_ns: int, frame_id: str) -> Any:
-        """Return a std_msgs/Header."""
-        time = self.make("builtin_interfaces/msg/Time", sec=stamp_ns // NS_PER_S, nanosec=stamp_ns % NS_PER_S)
+        """Return a std_msgs/Header; its seconds wrap around in 2038, as 32 bits do."""
+        seconds = (stamp_ns // NS_PER_S + WRAP_S // 2) % WRAP_S - WRAP_S // 2
+        time = self.make("builtin_interfaces/msg/Time", sec=seconds, nanosec=stamp_ns % NS_PER_S)
         return self.make("std_msgs/msg/Header", stamp=time, frame_id=frame_id)
 
     def vector(self, values: Any) -> Any:

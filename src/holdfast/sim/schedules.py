@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 
 from holdfast.sim.datasheets import SimulatedSensor
-from holdfast.sim.faults import FAULTS, can_happen
+from holdfast.sim.fault import Fault
+from holdfast.sim.faults import can_happen
 from holdfast.sim.readings import generator
 from holdfast.sim.scenario import BASE, Scenario, load_scenario
 from holdfast.sim.sensors import KINDS
@@ -22,6 +23,13 @@ ADDED_RATIO = 0.2  # of the schedules have one of them or another
 ABSENT_RATIO = 0.1  # of the schedules lack one sensor or another
 HASTY_RATIO = 0.3  # of the schedules have late, lost and doubled messages
 DURATION_S = 20.0
+DRAWN = (
+    *("outage", "degraded", "walk", "offset", "spikes", "swap"),
+    *("silence", "line", "jump", "freeze", "slip", "clock_step"),
+)
+"""The faults that a schedule draws; their order is part of what a seed means."""
+HOSTILE = ("clock_step", "flood", "twin", "garbage")
+"""The faults that a hostile schedule has in addition."""
 FIRST_S = 0.3  # faults begin later: a line needs a sample to start from, a swap a fix of each antenna
 DURATIONS_S = ((0.02, 1.0), (1.0, 6.0), (6.0, 20.0))
 
@@ -47,6 +55,38 @@ def random_schedule(seed: int) -> Scenario:
     return load_scenario("quick", overrides)
 
 
+def hostile_schedule(seed: int) -> Scenario:
+    """Return the random schedule of a seed with one to four faults more, of what broken software does to any topic.
+
+    Clocks of all sensors or of one step by up to fifty years, a sensor floods, has a twin, or sends garbage. They are
+    drawn from random numbers of their own: what else happens is what happens in `random_schedule`.
+    """
+    schedule, rng = random_schedule(seed), generator(seed, "schedule", "hostile")
+    names = [name for name in schedule.sensors_of(SimulatedSensor) if schedule.sensors[name].kind != "scanner"]
+    faults = tuple(_hostile_fault(rng, names) for _ in range(int(rng.integers(1, 5))))
+    return schedule.model_copy(update={"faults": (*schedule.faults, *faults)})
+
+
+def _hostile_fault(rng: np.random.Generator, names: list[str]) -> Fault:
+    kind = str(rng.choice(HOSTILE))
+    is_clock = kind == "clock_step"
+    of_all = is_clock and rng.random() < 0.5
+    several = [name for name in names if rng.random() < 0.4] if kind in ("twin", "garbage") else []
+    start_s = float(rng.uniform(FIRST_S, DURATION_S))
+    shortest_s, longest_s = DURATIONS_S[int(rng.integers(2 if kind == "flood" else len(DURATIONS_S)))]
+    values: dict[str, Any] = {
+        "kind": kind,
+        "sensors": names if of_all else several or [str(rng.choice(names))],
+        "start_s": start_s,
+        "end_s": start_s + float(rng.uniform(shortest_s, longest_s)),
+        "flood_hz": _log_uniform(rng, 200.0, 4000.0),
+        "behind": int(rng.integers(3)),
+        "garbage_ratio": _log_uniform(rng, 0.01, 1.0),
+    }
+    step_s = _log_uniform(rng, 1e-3, 4e8) if is_clock else _log_uniform(rng, 1e-3, 1.0) * int(rng.integers(2))
+    return Fault(**values, step_s=float(rng.choice([-1.0, 1.0])) * step_s)
+
+
 def _sensors(rng: np.random.Generator, whole: Scenario) -> dict[str, Any]:
     """Return what differs from the sensors of a machine: some are absent, some added, some late."""
     kept = [name for name in whole.sensors if name == whole.imu_name or rng.random() >= ABSENT_RATIO]
@@ -67,7 +107,7 @@ def _sensors(rng: np.random.Generator, whole: Scenario) -> dict[str, Any]:
 
 def _fault(rng: np.random.Generator, kinds: dict[str, str]) -> dict[str, Any] | None:
     """Return a random fault of sensors, given by their kinds; None where it can happen to none of them."""
-    kind = str(rng.choice(FAULTS))
+    kind = str(rng.choice(DRAWN))
     able = [name for name in kinds if can_happen(kind, kinds[name])]
     if kind == "swap" and list(kinds.values()).count("gnss") < 2:
         able = [name for name in able if kinds[name] != "gnss"]

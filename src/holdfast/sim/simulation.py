@@ -71,7 +71,7 @@ def simulate(scenario: Scenario, seed: int) -> Simulation:
 
 
 def _deliver(scenario: Scenario, scene: Scene, name: str, readings: Readings) -> Delivered:
-    steps = [fault for fault in scenario.faults if fault.kind == "clock_step" and name in fault.sensors]
+    faults = [fault for fault in scenario.faults if name in fault.sensors]
     return deliver(
-        readings, scenario.sensors_of(SimulatedSensor)[name], steps, START_NS, scene.generator(name, "transport")
+        readings, scenario.sensors_of(SimulatedSensor)[name], faults, START_NS, scene.generator(name, "transport")
     )

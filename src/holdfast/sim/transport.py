@@ -42,19 +42,20 @@ def sample_times_s(rate_hz: float, duration_s: float, phase_s: float = 0.0) -> A
 def deliver(
     readings: Readings,
     sensor: SimulatedSensor,
-    clock_steps: Sequence[Fault],
+    faults: Sequence[Fault],
     start_ns: int,
     rng: np.random.Generator,
 ) -> Delivered:
     """Return the messages of a sensor that arrive, with their stamps and log times.
 
     stamp = start + t + offset + drift t + jitter + steps of the clock at t; arrival = start + t + ready + latency +
-    exponential jitter. A copy of a message sets off when the original arrives, with a fresh delay.
+    exponential jitter. A copy of a message sets off when the original arrives, with a fresh delay; so does the message
+    of a twin, whose stamp and content are its own.
 
     Args:
         readings: one row per message.
         sensor: its clock and transport.
-        clock_steps: the `clock_step` faults of this sensor; active from their start until before their end.
+        faults: of this sensor; a `clock_step` and a `twin` are active from their start until before their end.
         start_ns: time of the scenario's start since the epoch.
         rng: random numbers of this sensor's transport alone.
     """
@@ -65,20 +66,39 @@ def deliver(
     jitters_s = transport.jitter_s * rng.standard_exponential((2, count))
     lost, twice = rng.random((2, count)) < [[transport.loss_ratio], [transport.duplicate_ratio]]
 
-    stamps_s = _clock_s(sensor.clock, clock_steps, times_s) + sensor.clock.jitter_s * stamp_noise
+    is_twin, twin_step_s, behind = _twins(faults, times_s)
+    stamps_s = _clock_s(sensor.clock, faults, times_s) + sensor.clock.jitter_s * stamp_noise
     first_s = times_s + sensor.ready_s + transport.latency_s + jitters_s[0]
     copy_s = first_s + transport.latency_s + jitters_s[1]
-    rows = np.repeat(np.arange(count), np.where(lost, 0, 1 + twice))
+    rows = np.repeat(np.arange(count), np.where(lost, 0, 1 + (twice | is_twin)))
     is_copy = np.diff(rows, prepend=-1) == 0
     arrivals_s = np.where(is_copy, copy_s[rows], first_s[rows])
-    return Delivered(readings.taken(rows), _since_epoch(start_ns, stamps_s[rows]), _since_epoch(start_ns, arrivals_s))
+    of_twin = is_copy & is_twin[rows]
+    stamps_s = stamps_s[rows] + np.where(of_twin, twin_step_s[rows], 0.0)
+    content = readings.taken(np.maximum(rows - np.where(of_twin, behind[rows], 0), 0))
+    return Delivered(content, _since_epoch(start_ns, stamps_s), _since_epoch(start_ns, arrivals_s))
 
 
-def _clock_s(clock: Clock, steps: Sequence[Fault], times_s: Array) -> Array:
+def _active(fault: Fault, times_s: Array) -> NDArray[np.bool_]:
+    return (fault.start_s <= times_s) & (times_s < fault.end_s)
+
+
+def _twins(faults: Sequence[Fault], times_s: Array) -> tuple[NDArray[np.bool_], Array, NDArray[np.int64]]:
+    """Return (N,) whether a twin sends a message too, how far its stamp is off [s], and how many it is behind."""
+    is_twin, step_s, behind = np.zeros(len(times_s), np.bool_), np.zeros(len(times_s)), np.zeros(len(times_s), np.int64)
+    for fault in faults:
+        if fault.kind == "twin":
+            rows = _active(fault, times_s)
+            is_twin[rows], step_s[rows], behind[rows] = True, fault.step_s, fault.behind
+    return is_twin, step_s, behind
+
+
+def _clock_s(clock: Clock, faults: Sequence[Fault], times_s: Array) -> Array:
     """Return what the sensor's clock shows at true times (N,), both since the start of the scenario."""
     shown_s = times_s + clock.offset_s + clock.drift_ppm * 1e-6 * times_s
-    for step in steps:
-        shown_s = shown_s + step.step_s * ((step.start_s <= times_s) & (times_s < step.end_s))
+    for step in faults:
+        if step.kind == "clock_step":
+            shown_s = shown_s + step.step_s * _active(step, times_s)
     return shown_s
 
 

@@ -13,7 +13,8 @@ from holdfast.geometry.earth import Geodetic
 from holdfast.recording.bag_file import Codec
 from holdfast.recording.raw import RawBag, RawChannel
 from holdfast.replay.outputs import ESTIMATES, EVENTS, SUMMARY
-from holdfast.replay.results import read_events, read_summary
+from holdfast.replay.results import read_events
+from holdfast.replay.summary_file import datum_in, read_summary
 from holdfast.viz.scene import DATUM, FIX, Scene
 from holdfast.viz.viewer import open_viewer
 
@@ -79,8 +80,7 @@ def draw_recording(path: Path, recording: rr.RecordingStream, progress: Callable
 
 
 def _datum_of_replay(folder: Path) -> Geodetic | None:
-    datum = read_summary(folder).get("datum") if (folder / SUMMARY).is_file() else None
-    return Geodetic(datum["latitude_deg"], datum["longitude_deg"], datum["altitude_m"]) if datum else None
+    return datum_in(read_summary(folder)) if (folder / SUMMARY).is_file() else None
 
 
 def _first_datum(bag: RawBag, codecs: Mapping[RawChannel, Codec]) -> Geodetic | None:

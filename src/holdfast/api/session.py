@@ -1,0 +1,180 @@
+"""One run over a recording with all its files: what the commands `replay` and `smooth` and the functions share."""
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, nullcontext
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from holdfast.config.model import Config
+from holdfast.errors import EstimatorError, HoldfastError
+from holdfast.lidar_odometry.replayed import ReplayedScans
+from holdfast.loops.opening import loop_closer
+from holdfast.messages import Message
+from holdfast.recording.source import Recording
+from holdfast.replay.batch_outputs import CAUSAL, BatchOutputs
+from holdfast.replay.held_out import HoldOut
+from holdfast.replay.never_started import never_started
+from holdfast.replay.outputs import SUMMARY, Outputs
+from holdfast.replay.runner import Replay
+from holdfast.replay.summary import summarise_replay
+from holdfast.smoothing.batch_smoother import BatchSmoother
+from holdfast.smoothing.block import Block
+from holdfast.state import Output
+
+if TYPE_CHECKING:  # starting processes is left to whoever wants them
+    from holdfast.realtime.engine import RealtimeEstimator
+
+ShowProgress = AbstractContextManager[Callable[[int], None] | None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Session:
+    """What is to be run.
+
+    Attributes:
+        path: of the recording, as it was given.
+        config: of the estimator.
+        folder: for the results; it may hold none of an earlier run.
+        messages: of the recording, in the order of arrival.
+        missing: why the recording holds nothing of other sensors, by name.
+        rules: what is held back.
+        batch_s: window and overlap of the optimum over the recording; None for the causal run alone.
+        rate: how many times faster than the recording; None is as fast as possible.
+        realtime: run the engine of two processes.
+        command: that asked for it; empty for a program that did.
+        keep_track: keep the causal track in memory for a figure.
+        on_output: takes the output of each message.
+        on_block: takes each stretch of the optimum.
+    """
+
+    path: str
+    config: Config
+    folder: Path
+    messages: Iterable[Message]
+    missing: Mapping[str, str] = field(default_factory=dict)
+    rules: Sequence[HoldOut] = ()
+    batch_s: tuple[float, float] | None = None
+    rate: float | None = None
+    realtime: bool = False
+    command: str = ""
+    keep_track: bool = False
+    on_output: Callable[[Output], None] = lambda _: None
+    on_block: Callable[[Block], None] = lambda _: None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finished:
+    """What has run.
+
+    Attributes:
+        causal: folder of the causal run.
+        summary: as it was written.
+        warnings: one line each; those about missing sensors stand in `summary` alone.
+        failure: what ended it early.
+    """
+
+    run: Replay
+    causal: Path
+    summary: dict[str, Any]
+    warnings: list[str]
+    failure: BaseException | None
+
+    def check_end(self) -> None:
+        """Raise what ended it early, if something did: a `HoldfastError` or a `KeyboardInterrupt`, as it came."""
+        if self.failure is not None:
+            raise self.failure
+
+    def check_start(self, session: Session) -> None:
+        """See that there are estimates.
+
+        Raises:
+            EstimatorError: the estimator never started; says why.
+        """
+        if not self.run.has_started:
+            estimator = self.run.estimator
+            why = never_started(estimator.waiting_for, estimator.counts, session.config)
+            raise EstimatorError(f"{session.path}: the estimator never started: {why}")
+
+
+def run(session: Session, opened: Recording, show: ShowProgress) -> Finished:
+    """Run the estimator, and write all files; what could be done until a failure is written as well.
+
+    Raises:
+        ConfigError: a file cannot be written, or something is not installed.
+        RecordingError: the recording cannot be opened for its scans.
+    """
+    config, folder = session.config, session.folder
+    causal = folder if session.batch_s is None else folder / CAUSAL
+    batch: BatchSmoother | None = None
+    failure: BaseException | None = None
+    takers = [session.on_block]
+
+    def stamp(time_ns: int) -> int:
+        return replay.stamp(time_ns)
+
+    with ExitStack() as stack:
+        outputs, files = stack.enter_context(Outputs(causal, config)), None
+        if session.batch_s is not None:
+            closer = stack.enter_context(loop_closer(session.path, opened, config, stamp))
+            batch = BatchSmoother(config, *session.batch_s, closer)
+            files = stack.enter_context(BatchOutputs(folder, config))
+            takers.append(files.write)
+        scanned = stack.enter_context(ReplayedScans(config, session.messages))
+        replay = Replay(
+            config,
+            outputs,
+            session.rules,
+            session.keep_track,
+            realtime=stack.enter_context(_engine(config, session.realtime)),
+            batch=batch,
+            on_output=session.on_output,
+            on_block=lambda block: [take(block) for take in takers],
+        )
+        try:
+            with show as progress:
+                replay.run(scanned, session.rate or (1.0 if session.realtime else None), progress)
+        except (HoldfastError, KeyboardInterrupt) as error:
+            failure = error
+        replay.write_events()
+    warnings = [*opened.warnings, *scanned.warnings(), *replay.warnings, *_stopped(replay)]
+    warnings += [] if batch is None else batch.warnings()
+    summary = _summarise(session, replay, warnings, causal, failure is None)
+    if batch is not None and files is not None:
+        summary["smooth"] = files.summary(batch)
+        write_summary(folder, summary)
+    return Finished(replay, causal, summary, warnings, failure)
+
+
+def _summarise(
+    session: Session, replay: Replay, warnings: list[str], causal: Path, is_finished: bool
+) -> dict[str, Any]:
+    told = [*(f"{sensor}: {reason}" for sensor, reason in session.missing.items()), *warnings]
+    summary = summarise_replay(replay, session.path, told, is_finished, session.command, session.missing)
+    write_summary(causal, summary)
+    return summary
+
+
+def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
+    """Write summary.json.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+
+
+def _engine(config: Config, wanted: bool) -> "AbstractContextManager[RealtimeEstimator | None]":
+    if not wanted:
+        return nullcontext()
+    from holdfast.realtime.engine import RealtimeEstimator
+
+    return RealtimeEstimator(config)
+
+
+def _stopped(replay: Replay) -> list[str]:
+    """Return the warning that the estimator was beginning anew when the recording ended, if it was."""
+    if replay.estimator.initialised or not replay.has_started:
+        return []
+    return [f"the estimator had begun anew, and was not running at the end: {replay.estimator.waiting_for}"]
