@@ -16,11 +16,11 @@ LIMIT_RAD = np.radians(5.0)
 STRAIGHT = Drive(start_s=-10.0, radius_m=1e5, speed=1e-5, tilt=0.0, heave_m=0.0)  # 1 m/s, never turning
 
 
-def aligned(motion, times, *, offset=lambda _: (0.0, 0.0, 0.0), limit_rad=LIMIT_RAD, motions=()):
+def aligned(motion, times, *, offset=lambda _: (0.0, 0.0, 0.0), limit_rad=LIMIT_RAD, motions=(), claim_m=0.01):
     sensors = {"gnss": sensors_of(CONFIG)["gnss"]}
     noise = ImuNoise(CONFIG.imu, CONFIG.graph.position_integration_sigma, G)
     aligner = BatchAligner(buffered(motion, times[-1] + 0.1), noise, sensors, {})
-    fixes = [position(motion, t, ARM, offset(t)) for t in times]
+    fixes = [position(motion, t, ARM, offset(t), sigma_m=claim_m) for t in times]
     return aligner.solve(Evidence(fixes, [], motions), PRIOR, limit_rad)
 
 
@@ -70,6 +70,28 @@ def test_fixes_that_no_motion_of_the_imu_explains_are_refused():
     found = aligned(Drive(start_s=-3.0), np.arange(0.1, 4.0, 0.2), offset=lambda t: (3.0 * np.sin(9.0 * t), 0.0, 0.0))
     assert found.state is None
     assert "GNSS and IMU disagree" in found.reason
+
+
+@pytest.mark.parametrize("claimed", [0.1, 10.0])
+def test_the_heading_is_known_as_well_as_residuals_show_whatever_is_claimed(claimed):
+    """A claim that is ten times too large must not keep the machine from starting, nor one too small make it sure."""
+    drive, times = Drive(start_s=-10.0), np.arange(0.1, 20.0, 0.5)
+    for seed in range(5):
+        errors = np.random.default_rng(seed).normal(0.0, 0.05, (len(times), 3))
+        honest, found = (
+            aligned(drive, times, offset=lambda t: errors[np.searchsorted(times, t)], claim_m=0.05 * factor)  # noqa: B023
+            for factor in (1.0, claimed)
+        )
+        assert found.state is not None, found.reason
+        assert 0.5 < found.heading_sigma_rad / honest.heading_sigma_rad < 2.0
+        turned = found.state.nav.attitude().compose(drive.nav(times[-1]).attitude().inverse())
+        assert abs(turned.rpy()[2]) < 3.0 * found.heading_sigma_rad
+
+
+def test_a_claim_that_is_too_large_still_bounds_the_position():
+    """What all fixes are off by, no residual shows."""
+    found = aligned(Drive(start_s=-10.0), np.arange(0.1, 20.0, 0.5), claim_m=1.0)
+    assert np.sqrt(np.diag(found.state.covariance)[3:6]).min() > 0.9
 
 
 @pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.3, -0.2), (-1.2, 0.7)])

@@ -37,7 +37,7 @@ from holdfast.sensors.standstill import (
 from holdfast.state import OptimisedState, Outcome
 
 PLAUSIBLE_FORCE_M_S2 = (7.0, 13.0)  # mean specific force of a machine on the ground
-MIN_TRAVEL_M = 2.0
+MIN_TRAVEL_M, MIN_TRAVEL_SIGMAS = 2.0, 5.0
 RETRY_NS = 1_000_000_000
 POSE_CORRELATION_S = 1.0
 MIN_POSITIONS = 3
@@ -272,7 +272,7 @@ class Initialising:
             )
             return None
         travel = max(_travel_m([fix for fix in fixes if fix.sensor == name]) for name in self._points)
-        needed = max(MIN_TRAVEL_M, 20.0 * float(np.sqrt(fixes[-1].covariance[:2, :2].max())))
+        needed = max(MIN_TRAVEL_M, MIN_TRAVEL_SIGMAS * float(np.sqrt(fixes[-1].covariance[:2, :2].max())))
         if travel < needed:
             self.reason = f"moved {travel:.1f} m; a heading from motion needs {needed:.1f} m"
             return None

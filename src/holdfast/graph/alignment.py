@@ -7,7 +7,7 @@ Heading may have other minima, so the batch is solved from other headings as wel
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import inf
+from math import inf, sqrt
 from typing import NamedTuple, TypeVar
 
 import gtsam
@@ -25,7 +25,10 @@ HEADINGS = 3  # the first guess, and others evenly beside it
 ITERATIONS = 15
 DISTINCT = 9.0  # difference of the objective (half a chi-square) by which the best heading must win
 VELOCITY_SIGMA_M_S = 30.0  # no machine is faster
-MAX_EXCESS = 25.0  # of the squared residuals over their expectation; below it the covariance grows by it
+MAX_EXCESS = 400.0  # of the squared residuals over their expectation: claims that are twenty times too small
+LEAST_NOISE = 0.01  # of the variance that is claimed, where residuals show less
+CLAIMED_DEGREES = 30.0  # of freedom, that residuals must have to count as much as a claim: neighbours err alike
+REWEIGHTED = 2  # times: how residuals fall to positions and velocities depends on what they weigh
 BUCKET_NS = 1_000_000_000  # of each sensor one measurement in so long: errors of neighbours are alike
 FREE = 1e6
 Point = TypeVar("Point", Position, Velocity)
@@ -79,6 +82,40 @@ class Evidence(NamedTuple):
         return 3 * (len(self.positions) + len(self.velocities)) + 6 * len(self.motions) - 9
 
 
+class Noise(NamedTuple):
+    """Factors on the variances that positions and velocities claim.
+
+    A receiver may be better than it claims, for a slow error moves a whole stretch and turns nothing; or worse.
+    """
+
+    of_positions: float = 1.0
+    of_velocities: float = 1.0
+
+
+class Batch(NamedTuple):
+    """A graph, and which of its factors are those of positions and velocities."""
+
+    graph: gtsam.NonlinearFactorGraph
+    positions: range
+    velocities: range
+
+    def noise(self, values: gtsam.Values, used: Noise, freedom: int) -> Noise:
+        """Return what residuals say of the noise, given that with which the values were found: (71) in docs/math.md."""
+        measured = max(len(self.positions) + len(self.velocities), 1)
+        share = max(freedom, 1) / (3 * measured)  # of the residuals, what is not used up by unknowns
+
+        def factor(indices: range, before: float) -> float:
+            if not indices:
+                return 1.0
+            degrees = max(3 * len(indices) * share, 1.0)
+            found = before * sum(2.0 * self.graph.at(k).error(values) for k in indices) / degrees
+            if found < 1.0:
+                found **= degrees / (degrees + CLAIMED_DEGREES)
+            return float(np.clip(found, LEAST_NOISE, MAX_EXCESS))
+
+        return Noise(factor(self.positions, used.of_positions), factor(self.velocities, used.of_velocities))
+
+
 class BatchAligner:
     """Solves the batch again and again while its window moves on; one instance per start.
 
@@ -111,25 +148,24 @@ class BatchAligner:
             prior: of the biases.
             max_heading_sigma_rad: what is wanted.
         """
-        deltas = self._preintegrate(evidence.stamps, prior.bias)
-        graph = self._graph(evidence, deltas)
-        b0 = gtsam.symbol("b", 0)
-        graph.add(gtsam.PriorFactorConstantBias(b0, prior.bias, gtsam.noiseModel.Diagonal.Sigmas(prior.sigmas)))
-        solutions = sorted(self._solutions(graph, evidence, deltas, prior.bias), key=lambda one: one[0])
+        deltas, noise = self._preintegrate(evidence.stamps, prior.bias), Noise()
+        batch = self._batch(evidence, deltas, prior, noise)
+        solutions = _solved(batch.graph, list(self._starts(evidence, deltas, prior.bias)))
+        for _ in range(REWEIGHTED if solutions else 0):
+            noise = batch.noise(solutions[0][1], noise, evidence.freedom)
+            batch = self._batch(evidence, deltas, prior, noise)
+            solutions = _solved(batch.graph, [values for _, values in solutions])
         if not solutions:
             return Alignment(None, "the batch of GNSS and IMU has no solution")
-        return self._judge(graph, evidence, solutions, max_heading_sigma_rad)
+        return self._judge(batch.graph, evidence, solutions, noise, max_heading_sigma_rad)
 
-    def _solutions(
+    def _starts(
         self,
-        graph: gtsam.NonlinearFactorGraph,
         evidence: Evidence,
         deltas: Sequence[gtsam.PreintegratedImuMeasurements],
         bias: gtsam.imuBias.ConstantBias,
-    ) -> Iterator[tuple[float, gtsam.Values]]:
-        """Yield the objective and the values that are found from each heading."""
-        parameters = gtsam.LevenbergMarquardtParams()
-        parameters.setMaxIterations(ITERATIONS)
+    ) -> Iterator[gtsam.Values]:
+        """Yield where the search begins: the first guess of the heading, and others evenly beside it."""
         track, speeds = _course(evidence)
         first, attitudes = _first_attitude(evidence.stamps, deltas, speeds, self._noise.gravity)
         arm = self._positions[evidence.positions[0].sensor].p_I_P
@@ -142,17 +178,14 @@ class BatchAligner:
                 values.insert(gtsam.symbol("x", i), gtsam.NavState(R_W_I, track[i] - R_W_I.rotate(arm), speeds[i]))
             for key, prior in self._arms.values():
                 values.insert(key, prior.mean)
-            try:
-                solved = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
-            except RuntimeError:
-                continue
-            yield graph.error(solved), solved
+            yield values
 
     def _judge(
         self,
         graph: gtsam.NonlinearFactorGraph,
         evidence: Evidence,
         solutions: Sequence[tuple[float, gtsam.Values]],
+        noise: Noise,
         max_heading_sigma_rad: float,
     ) -> Alignment:
         stamps = evidence.stamps
@@ -161,8 +194,9 @@ class BatchAligner:
         nav = best.atNavState(last)
         excess = 2.0 * error / max(evidence.freedom, 1)
         scale = max(1.0, excess)
-        if excess > MAX_EXCESS:
-            return Alignment(None, f"GNSS and IMU disagree: squared residuals are {excess:.0f} times what they claim")
+        if max(excess, *noise) >= MAX_EXCESS:
+            times = sqrt(max(excess, *noise))
+            return Alignment(None, f"GNSS and IMU disagree: the residuals are {times:.0f} times what they claim")
         for other_error, other in solutions[1:]:
             apart = abs(nav.attitude().between(other.atNavState(last).attitude()).rpy()[2])
             if apart > 3.0 * max_heading_sigma_rad and other_error - error < DISTINCT * scale:
@@ -178,6 +212,8 @@ class BatchAligner:
             known, needed = np.degrees(sigma), np.degrees(max_heading_sigma_rad)
             reason = f"heading is known to {known:.1f} deg, {needed:.1f} deg are needed"
             return Alignment(None, reason, sigma, excess)
+        # a slow error of the positions is still that of the newest
+        covariance[3:6, 3:6] += R.T @ evidence.positions[-1].covariance @ R * max(0.0, 1.0 - noise.of_positions)
         bias = best.atConstantBias(gtsam.symbol("b", 0))
         rate = self._buffer.angular_velocity(stamps[-1]) - bias.gyroscope()
         state = OptimisedState(stamps[-1], nav, bias, covariance, rate)
@@ -196,38 +232,61 @@ class BatchAligner:
             self._deltas[start, end] = pim
         return list(self._deltas.values())
 
-    def _graph(
-        self, evidence: Evidence, deltas: Sequence[gtsam.PreintegratedImuMeasurements]
-    ) -> gtsam.NonlinearFactorGraph:
+    def _batch(
+        self,
+        evidence: Evidence,
+        deltas: Sequence[gtsam.PreintegratedImuMeasurements],
+        prior: BiasPrior,
+        noise: Noise,
+    ) -> Batch:
         graph, stamps = gtsam.NonlinearFactorGraph(), evidence.stamps
         keys = {stamp: gtsam.symbol("x", k) for k, stamp in enumerate(stamps)}
         for (start, end), pim in zip(pairwise(stamps), deltas, strict=True):
             graph.add(gtsam.ImuFactor2(keys[start], keys[end], gtsam.symbol("b", 0), pim))
+        first = graph.size()
         for name, sensor in self._positions.items():
             own = [one for one in evidence.positions if one.sensor == name]
             arm_keys = [self._arms[name][0]] if name in self._arms else []
             gaps_s = [(b.stamp_ns - a.stamp_ns) * 1e-9 for a, b in pairwise(own)]
             for one in own:
-                inflation = shared_inflation(max(p.correlation_s for p in own), [inf, *gaps_s])
+                inflation = shared_inflation(max(p.correlation_s for p in own), [inf, *gaps_s]) * noise.of_positions
                 graph.add(sensor.factor([keys[to_grid(one.stamp_ns)], *arm_keys], one, inflation))
-        for key, prior in self._arms.values():
-            graph.add(gtsam.PriorFactorVector(key, prior.mean, gtsam.noiseModel.Diagonal.Sigmas(prior.sigmas)))
+        of_positions = range(first, graph.size())
         for velocity in evidence.velocities:
-            graph.add(self._velocity_factor(keys[to_grid(velocity.stamp_ns)], velocity))
+            graph.add(self._velocity_factor(keys[to_grid(velocity.stamp_ns)], velocity, noise.of_velocities))
+        of_velocities = range(of_positions.stop, graph.size())
+        for key, of_arm in self._arms.values():
+            graph.add(gtsam.PriorFactorVector(key, of_arm.mean, gtsam.noiseModel.Diagonal.Sigmas(of_arm.sigmas)))
         for motion in evidence.motions:
             graph.add(motion)
         weak = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([10.0, FREE, VELOCITY_SIGMA_M_S], 3))
         graph.add(gtsam.PriorFactorNavState(keys[stamps[0]], gtsam.NavState(), weak))
-        return graph
+        of_biases = gtsam.noiseModel.Diagonal.Sigmas(prior.sigmas)
+        graph.add(gtsam.PriorFactorConstantBias(gtsam.symbol("b", 0), prior.bias, of_biases))
+        return Batch(graph, of_positions, of_velocities)
 
-    def _velocity_factor(self, key: int, velocity: Velocity) -> gtsam.NonlinearFactor:
+    def _velocity_factor(self, key: int, velocity: Velocity, noise: float) -> gtsam.NonlinearFactor:
         """Return a prior on the velocity of I; while the heading is unknown, the lever arm adds to the noise."""
         sensor = self._velocities[velocity.sensor]
         turning = np.cross(self._buffer.angular_velocity(velocity.stamp_ns), sensor.p_I_P)
-        variance = np.diag(velocity.covariance) * correlation_inflation(sensor.settings.correlation_s, BUCKET_NS * 1e-9)
+        correlated = correlation_inflation(sensor.settings.correlation_s, BUCKET_NS * 1e-9)
+        variance = np.diag(velocity.covariance) * correlated * noise
         sigmas = np.sqrt(np.minimum(variance + turning @ turning, FREE**2))
         model = gtsam.noiseModel.Diagonal.Sigmas(np.concatenate([np.full(6, FREE), sigmas]))
         return gtsam.PriorFactorNavState(key, gtsam.NavState(gtsam.Pose3(), velocity.v_W_P), model)
+
+
+def _solved(graph: gtsam.NonlinearFactorGraph, starts: Sequence[gtsam.Values]) -> list[tuple[float, gtsam.Values]]:
+    """Return the objective and the values that are found from each start, the best first."""
+    parameters, found = gtsam.LevenbergMarquardtParams(), []
+    parameters.setMaxIterations(ITERATIONS)
+    for values in starts:
+        try:
+            solved = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+        except RuntimeError:
+            continue
+        found.append((graph.error(solved), solved))
+    return sorted(found, key=lambda one: one[0])
 
 
 def thin(measurements: Sequence[Point]) -> list[Point]:
