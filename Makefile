@@ -51,7 +51,7 @@ lint: $(READY) ## Check format, style, types and the direction of imports
 	@$(BIN)/lint-imports
 
 docs: $(READY) ## Build the documentation site: site/index.html
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --clean
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --clean
 	@echo "written to site/index.html"
 
 bench: $(READY) ## Measure speed on this machine

@@ -20,7 +20,8 @@ from holdfast.config.load import config_of
 from holdfast.errors import ConfigError
 from holdfast.sim.configuration import configuration_data
 from holdfast.sim.scenario import load_scenario
-from holdfast.trial.run import trials_of
+from holdfast.sim.simulation import Simulation
+from holdfast.trial.run import estimate, judged, write_simulation
 
 IS_BELIEF = re.compile(r"density|random_walk|_ratio|sigma|drift|correlation|time_constant")
 IS_THRESHOLD = re.compile(r"^(gate|jump|max|min)_")
@@ -66,13 +67,9 @@ def changes(data: dict[str, Any], factors: Sequence[float]) -> Iterator[Change]:
                 yield change
 
 
-def scores(scenario: str, seed: int, change: Change | None) -> dict[str, float]:
+def scores(folder: Path, simulation: Simulation, data: dict[str, Any]) -> dict[str, float]:
     """Return the measures of one run."""
-    loaded = load_scenario(scenario)
-    data = configuration_data(loaded, seed)
-    with TemporaryDirectory() as folder:
-        config = config_of(data if change is None else change.of(data), scenario)
-        trial = trials_of(loaded, seed, Path(folder), [config])[0]
+    trial = judged(simulation, estimate(folder, config_of(data, "changed")))
     return {title: trial.verdict.scores.get(key, nan) for title, key in MEASURES.items()}
 
 
@@ -85,11 +82,14 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--worst", type=float, default=0.0, help="print only rows with a ratio beyond this")
     given = parser.parse_args()
-    found = list(changes(configuration_data(load_scenario(given.scenario), given.seed), given.factors))
-    base = scores(given.scenario, given.seed, None)
-    print("as it is: " + ", ".join(f"{title} {value:.3f}" for title, value in base.items()), flush=True)
-    with ProcessPoolExecutor(given.jobs) as pool:
-        rows = pool.map(partial(scores, given.scenario, given.seed), found)
+    scenario = load_scenario(given.scenario)
+    data = configuration_data(scenario, given.seed)
+    found = list(changes(data, given.factors))
+    with TemporaryDirectory() as folder, ProcessPoolExecutor(given.jobs) as pool:
+        score = partial(scores, Path(folder), write_simulation(scenario, given.seed, Path(folder)))
+        base = score(data)
+        print("as it is: " + ", ".join(f"{title} {value:.3f}" for title, value in base.items()), flush=True)
+        rows = pool.map(score, [change.of(data) for change in found])
         for change, row in zip(found, rows, strict=True):
             ratios = {title: row[title] / base[title] for title in base}
             if max(ratios.values()) >= given.worst:

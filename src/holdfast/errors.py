@@ -3,11 +3,17 @@
 A rejected or late measurement is no error: it is a counted, typed outcome (see `holdfast.state.Event`).
 """
 
+from holdfast.printable import one_line
+
 
 class HoldfastError(Exception):
     """Base of all errors; its text says what, where and what is allowed, in one line per fault."""
 
     exit_code = 1
+
+    def __str__(self) -> str:
+        """Return the text, fit to be printed, whatever an input of which it tells was called."""
+        return "\n".join(map(one_line, super().__str__().split("\n")))
 
 
 class ConfigError(HoldfastError):

@@ -162,3 +162,22 @@ def test_a_sensor_that_the_recording_lacks_is_named_and_strictly_refused(drive):
     assert "/wheels" in result.summary["missing"]["wheels"]
     with pytest.raises(holdfast.RecordingError, match="/wheels"):
         holdfast.replay(drive[0], data, duration_s=8.0, strict=True)
+
+
+@pytest.mark.parametrize(("call", "words"), [
+    (lambda _, config: holdfast.replay(None, config), "recording: must be a path, not NoneType"),
+    (lambda bag, config: holdfast.replay(bag, config, hold_out="gnss=2"), "hold_out: must be a dict by sensor"),
+    (lambda bag, config: holdfast.replay(bag, config, outage={"gnss": 5}), "outage.*must be .start, end. .s., got 5"),
+    (lambda bag, config: holdfast.smooth(bag, config, window_s=float("nan")), "window_s nan: must be from 10 to"),
+    (lambda bag, config: holdfast.smooth(bag, config, overlap_s="x"), "overlap_s x: must be from 5 to 3600 s"),
+    (lambda *_: holdfast.load_config(None), "the file of a configuration: must be a path, not NoneType"),
+    (lambda _, config: holdfast.Estimator(holdfast.load_config(config)).process(3), "message: must be one of"),
+])  # fmt: skip
+def test_an_argument_of_another_type_is_named(drive, call, words):
+    with pytest.raises(holdfast.HoldfastError, match=words):
+        call(*drive)
+
+
+def test_a_result_is_shown_on_a_few_lines(smoothed):
+    assert len(repr(smoothed).splitlines()) < 10
+    assert f"world: {smoothed.world!r}" in repr(smoothed)

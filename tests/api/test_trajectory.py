@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import holdfast
-from holdfast.evaluation import quaternions
 from holdfast.evaluation.states import from_rotation_vector
 
 
@@ -80,9 +79,11 @@ def test_a_figure_shows_track_and_errors():
     assert len(turning().plot(turning()).axes) == 4
 
 
-def test_quaternions_of_matrices_are_those_of_the_rotations():
-    rng = np.random.default_rng(0)
-    q = from_rotation_vector(rng.normal(size=(200, 3)) * 2.0)
-    q[:3] = np.eye(4)[:3]  # half turns
-    R = np.stack([quaternions.rotate(q, np.tile(axis, (200, 1))) for axis in np.eye(3)], axis=2)
-    assert np.allclose(abs((quaternions.of_matrices(R) * q).sum(axis=1)), 1.0)
+def test_a_trajectory_is_shown_on_one_line():
+    assert repr(turning()) == "Trajectory(50 poses, 4.9 s, 9.8 m, velocities)"
+
+
+@pytest.mark.parametrize("reference", ["truth.tum", 3, None])
+def test_a_reference_that_is_no_trajectory_is_named(reference):
+    with pytest.raises(holdfast.ConfigError, match="reference: must be a Trajectory"):
+        turning().errors(reference)

@@ -11,6 +11,7 @@ from slewing import (
     TIMES,
     Chassis,
     Machine,
+    calibrated,
     estimates,
     machine,
     ns,
@@ -20,6 +21,7 @@ from slewing import (
     simulated,
 )
 
+from holdfast.config.model import Config
 from holdfast.messages import JointAngle
 from holdfast.state import EncoderState
 
@@ -73,6 +75,18 @@ def test_stamps_that_are_off_by_a_time_that_nobody_knows_are_learnt_in_one_slew(
     assert again.slew_rad_s.max() > 0.5
     assert np.degrees(rms(again.attitude_rad)) <= MAX_ATTITUDE_DEG
     assert abs(np.diff(found.angle_rad)).max() < np.radians(0.02)
+
+
+@pytest.mark.parametrize("offset_s", [0.0, 0.03])
+def test_a_base_gyroscope_that_is_believed_to_be_ten_times_noisier_than_it_is_does_no_harm(offset_s):
+    simulation = simulated(1, (), offset_s)
+    data = calibrated(simulation).model_dump(exclude_unset=True)
+    data["sensors"]["base_imu"]["gyroscope_noise_density"] = 2e-3
+    errors_rad = [
+        rms(run_simulated(simulation, config)[1].between(25.0, 40.0).attitude_rad)
+        for config in (None, Config.model_validate(data))
+    ]
+    assert errors_rad[1] < 2.0 * errors_rad[0]
 
 
 @pytest.mark.parametrize("step_rad", [1e-6, 6e-3, 0.02])

@@ -177,6 +177,14 @@ CASES = {
     "lidar odometry of a CSV folder": (nothing, "lidar-odometry csv -o out.mcap", 3, "csv"),
     "lidar odometry without clouds": (nothing, "lidar-odometry drive.mcap -o out.mcap", 3, "PointCloud2"),
     "lidar odometry over its input": (nothing, "lidar-odometry drive.mcap -o drive.mcap --force", 2, "which is read"),
+    "a variable of the shell that is not set": (nothing, "replay '' -o out", 2, "an argument is empty: is a variable"),
+    "a latency that is no number": (
+        nothing, "lidar-odometry drive.mcap -o out.mcap --latency-s nan", 2, "nan is not a finite number",
+    ),
+    "a range that is no number": (nothing, "map out drive.mcap --min-range nan", 2, "nan is not a finite number"),
+    "a calibration from one recording twice": (
+        nothing, "calibrate csv ./csv -c machine.yaml -o out.yaml", 2, "csv: is given twice, and would count twice",
+    ),
     "a view of a text": (nothing, "view a.tum -o out.rrd", 3, "a.tum: "),
     "an upgrade of rubbish": (nothing, "config upgrade drive.mcap", 2, "drive.mcap: is not UTF-8"),
     "a check of a folder": (nothing, "config check csv", 2, "csv: is a folder"),
@@ -200,6 +208,9 @@ CASES = {
     "an interval without end": (nothing, f"{VERDICT} --interval a=0:inf", 2, "before its end inf s"),
     "intervals of rubbish": (
         content("i.yaml", b"\xff\xfe"), f"{VERDICT} --intervals i.yaml", 2, "--intervals i.yaml: ",
+    ),
+    "no intervals": (
+        content("i.yaml", ""), f"{VERDICT} --intervals i.yaml", 2, "i.yaml:1 is empty: must be `key: value` lines",
     ),
     "intervals that are nested deeply": (
         content("i.yaml", "a: " + "[" * 4000), f"{VERDICT} --intervals i.yaml", 2, "--intervals i.yaml:1 is nested too",

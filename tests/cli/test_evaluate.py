@@ -169,6 +169,14 @@ def test_several_systems_stand_side_by_side(holdfast, second):
     assert "\x1b" not in output
 
 
+def test_segments_longer_than_the_track_are_named_with_several_systems_too(holdfast, second):
+    command = ("estimate.tum", "second.tum", "reference.tum", "--kitti", "--rpe-distance", "5", "--rpe-distance", "9e6")
+    code, output, _ = holdfast(*command)
+    assert code == 0
+    assert "over 9e+06 m: the track is too short" in output
+    assert "KITTI, 100 to 800 m" in output
+
+
 def test_several_systems_are_written_and_drawn(holdfast, tracks, second):
     pytest.importorskip("matplotlib")
     code, *_ = holdfast("estimate.tum", "second.tum", "reference.tum", "--json", "out.json", "--plot", "out.png")

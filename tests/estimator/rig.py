@@ -61,7 +61,7 @@ class Rig:
             config.gate, of(Role.POSITION), scales, self.lever_arms, self.log, believe_after_s=after_s
         )
         self.headings = Headings(of(Role.HEADING), scales, self.log)
-        self.odometries = Odometries(config, of(Role.ODOMETRY), self.log)
+        self.odometries = Odometries(config, of(Role.ODOMETRY), self.log, self.headings.witness)
         self.states = States(of(Role.STATE, Role.VELOCITY, Role.POSE), scales, lambda _: None, self.log)
         self.recovery = Recovery(config.gate, self.positions, self.headings, self.odometries, after_s, self.log)
         self.buffer = buffered(motion, end_s, config, start_s=start_s, samples=samples)

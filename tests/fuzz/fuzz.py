@@ -21,7 +21,8 @@ from pkgutil import iter_modules
 HERE = Path(__file__).parent
 WORK = HERE.parents[1] / ".fuzz"
 MAX_BYTES = 65_536
-TIMEOUT_S = 30
+TIMEOUT_S = 300
+"""On the wall, of an input that never ends; the targets bound what an input takes of the processor."""
 KEPT_BYTES = 20_000
 
 

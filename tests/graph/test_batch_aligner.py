@@ -78,10 +78,8 @@ def test_the_heading_is_known_as_well_as_residuals_show_whatever_is_claimed(clai
     drive, times = Drive(start_s=-10.0), np.arange(0.1, 20.0, 0.5)
     for seed in range(5):
         errors = np.random.default_rng(seed).normal(0.0, 0.05, (len(times), 3))
-        honest, found = (
-            aligned(drive, times, offset=lambda t: errors[np.searchsorted(times, t)], claim_m=0.05 * factor)  # noqa: B023
-            for factor in (1.0, claimed)
-        )
+        at = dict(zip(times, errors, strict=True))
+        honest, found = (aligned(drive, times, offset=at.get, claim_m=0.05 * factor) for factor in (1.0, claimed))
         assert found.state is not None, found.reason
         assert 0.5 < found.heading_sigma_rad / honest.heading_sigma_rad < 2.0
         turned = found.state.nav.attitude().compose(drive.nav(times[-1]).attitude().inverse())

@@ -267,6 +267,26 @@ def test_a_covariance_that_is_not_positive_is_a_failure(monkeypatch):
         smoother.optimise()
 
 
+@pytest.mark.parametrize("entry", [1e200, np.nan])
+def test_a_covariance_beyond_all_bounds_is_a_failure_whatever_part_it_is_of(monkeypatch, entry):
+    """Its squares are no numbers any more: overflows in matmul were seen where a machine had no time to optimise."""
+    smoother = smoother_of(DRIVE, 8.0)
+    smoother.node(ns(0.5))
+    covariance = np.eye(18)
+    covariance[17, 17] = entry  # of a slow error
+    monkeypatch.setattr(Window, "covariance", lambda *_: covariance)
+    with pytest.raises(OptimiserError, match="covariance of the optimised state is beyond all bounds"):
+        smoother.optimise()
+
+
+def test_a_bias_that_no_imu_has_is_a_failure(monkeypatch):
+    smoother = smoother_of(DRIVE, 8.0)
+    smoother.node(ns(0.5))
+    monkeypatch.setattr(Window, "bias", lambda *_: gtsam.imuBias.ConstantBias(np.full(3, 1e9), np.zeros(3)))
+    with pytest.raises(OptimiserError, match="a bias is beyond the range of the IMU"):
+        smoother.optimise()
+
+
 def test_a_sensor_that_raises_in_a_factor_does_not_end_the_estimator():
     smoother = smoother_of(DRIVE, 8.0)
 

@@ -1,12 +1,16 @@
 """What is learnt of the noise and the drift of an odometry, rotation and translation apart."""
 
+from dataclasses import replace
+from math import atan2
+
 import gtsam
 import numpy as np
 import pytest
-from motion import ARM, Drive, machine, ns
+from motion import ARM, Drive, imu, machine, ns, seconds
 from rig import Rig, position
 
-from holdfast.integrity.odometry_learning import LOWEST_ROTATION
+from holdfast.integrity.odometry_learning import LOWEST_TILT
+from holdfast.sensors.heading import AxisYaw
 from holdfast.sensors.odometry import LearntNoise, TrackPose
 
 END_S = 60.0
@@ -15,10 +19,10 @@ JITTER = 0.002, 0.02  # as configured, between two poses: rotation [rad], transl
 DRIFT = 0.005, 0.04  # per root of rad, of m
 
 
-def poses(noise, drift, seed=3, worse_from_s=np.inf):
+def poses(noise, drift, seed=3, worse_from_s=np.inf, end_s=END_S):
     """Poses of a lidar, its noise and its drift so many times that configured; ten times more from a time on."""
     rng, track, last = np.random.default_rng(seed), gtsam.Pose3(), DRIVE.pose(0.1)
-    for t in np.arange(0.1, END_S, 0.2):
+    for t in np.arange(0.1, end_s, 0.2):
         worse = 10.0 if t > worse_from_s else 1.0
         motion, last = last.between(DRIVE.pose(t)), DRIVE.pose(t)
         rotation = np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation()))
@@ -54,8 +58,8 @@ def test_noise_and_drift_are_found_in_both_directions(noise, drift):
 
 
 def test_a_rotation_that_drifts_faster_is_found_and_one_that_agrees_is_hardly_trusted_more():
-    assert learnt(1.0, 4.0, end_s=40.0).rotation_drift == pytest.approx(4.0, rel=0.35)
-    assert learnt(0.3, 0.1, end_s=40.0).rotation_drift == LOWEST_ROTATION
+    assert learnt(1.0, 4.0, end_s=40.0).tilt_drift == pytest.approx(4.0, rel=0.35)
+    assert learnt(0.3, 0.1, end_s=40.0).tilt_drift == LOWEST_TILT
 
 
 def test_an_odometry_that_gets_bad_is_trusted_less_again():
@@ -75,3 +79,49 @@ def test_without_fixes_nothing_is_learnt_of_distances():
             rig.odometries.add(rig.graph, pose, ns(t))
     found = rig.odometries.noise("lidar").learnt
     assert found.translation_drift == pytest.approx(1.0, rel=0.01) and found.translation_noise < 0.8
+
+
+def yaw_learnt(*, gyroscope_wrong=1.0, odometry_wrong=1.0, headings=True, wrong_file=(1.0, 1.0), end_s=90.0):
+    """How wrong gyroscope and odometry are told to be about the vertical, in units of what they are.
+
+    The gyroscope has the error of the default times a factor, as has the odometry; `wrong_file` is what the file makes
+    of both. The gyroscope errs in proportion to the rate, otherwise in each second.
+    """
+    ratio, drift = 0.003, DRIFT[0]
+    imu_section = {"gyroscope_error_ratio": ratio * wrong_file[0], "gyroscope_noise_density": 1e-4 * wrong_file[0]}
+    lidar = {"drift_rad_per_sqrt_rad": drift * wrong_file[1]}
+    config = machine(heading=headings, imu_=imu_section, lidar_=lidar)
+    rng = np.random.default_rng(0)
+    errors = 1.0 + gyroscope_wrong * ratio * rng.standard_normal(int(end_s) + 1)
+    samples = [
+        replace(one, angular_velocity=one.angular_velocity * errors[int(seconds(one.stamp_ns))])
+        for one in imu(DRIVE, 0.0, end_s)
+    ]
+    rig, due_s = Rig(DRIVE, config, end_s, samples=samples), 0.0
+    for t, pose in poses(1.0, odometry_wrong, end_s=end_s):
+        rig.odometries.add(rig.graph, pose, pose.stamp_ns)
+        if headings:
+            x, y, _ = DRIVE.nav(t).attitude().rotate(np.array([1.0, 0.0, 0.0]))
+            rig.headings.add(rig.graph, AxisYaw(ns(t), "heading", atan2(y, x) + rng.normal(0.0, 0.003), 0.003), ns(t))
+        if t >= due_s:
+            rig.positions.add(rig.graph, position(DRIVE, t, ARM), ns(t))
+            rig.update()
+            due_s += 1.0
+    gyroscope = rig.graph.main.imu_noise.yaw_scale * wrong_file[0] / gyroscope_wrong
+    return gyroscope, rig.odometries.noise("lidar").learnt.yaw_drift * wrong_file[1] / odometry_wrong
+
+
+@pytest.mark.parametrize("wrong_file", [(10.0, 1.0), (1.0, 0.1), (1.0, 10.0)])
+def test_headings_tell_whether_gyroscope_or_odometry_is_wrong_whatever_the_file_says(wrong_file):
+    gyroscope, odometry = yaw_learnt(wrong_file=wrong_file)
+    assert 0.3 < gyroscope < 3.0 and 0.3 < odometry < 3.0
+
+
+def test_a_gyroscope_that_is_far_worse_than_the_file_says_is_found():
+    gyroscope, odometry = yaw_learnt(gyroscope_wrong=10.0)
+    assert 0.4 < gyroscope < 2.5 and 0.3 < odometry < 3.0
+
+
+def test_without_headings_both_keep_the_ratio_of_the_file():
+    gyroscope, odometry = yaw_learnt(headings=False)
+    assert gyroscope == pytest.approx(odometry, rel=0.5)

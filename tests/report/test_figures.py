@@ -8,6 +8,7 @@ from holdfast.report.figures import (
     Line,
     Panel,
     Span,
+    counts_over_time,
     decimated,
     over_time,
     picture_map,
@@ -102,10 +103,31 @@ def test_a_map_shows_the_whole_of_every_track_and_the_names_of_its_marks_stay_in
     assert south < 0.0
     assert north > 1.0
     sides = {trace.name: trace.textposition for trace in figure.data if trace.mode == "markers+text"}
-    assert sides == {"start": "top right", "end": "top left"}
+    assert sides == {"start": "top right", "end": "bottom left"}
 
 
 def test_a_line_on_top_is_hidden_by_no_other():
     lines = [Line("ours", np.arange(9.0), np.arange(9.0), is_on_top=True), Line("theirs", np.arange(9.0), np.ones(9))]
     ours, theirs = over_time([Panel("a [m]", lines)]).data
     assert ours.zorder > (theirs.zorder or 0)
+
+
+def test_ticks_of_a_logarithmic_axis_are_whole_numbers_not_digits_without_their_power_of_ten():
+    time_s = np.arange(1.0, 10.0)
+    figure = over_time(
+        [Panel("sigma [m]", [Line("a", time_s, 0.01 / time_s)], "log"), Panel("x", [Line("a", time_s, time_s)])]
+    )
+    assert (figure.layout.yaxis.type, figure.layout.yaxis.tickformat) == ("log", "~g")
+    assert figure.layout.yaxis2.type is None
+
+
+def test_more_counts_than_colours_are_told_apart_by_hatching():
+    figure = counts_over_time({f"sensor {k}: late": np.arange(10.0) for k in range(20)}, 10.0, "measurements")
+    looks = {(bar.marker.color, bar.marker.pattern.shape) for bar in figure.data}
+    assert len(looks) == 20
+
+
+def test_the_names_of_start_and_end_do_not_cover_each_other_on_a_closed_track():
+    track = Line("a", np.array([0.0, 10.0, 0.1]), np.array([0.0, 5.0, 0.1]))
+    figure = track_map([track], {"start": (0.0, 0.0), "end": (0.1, 0.1)})
+    assert len({trace.textposition for trace in figure.data if trace.text}) == 2

@@ -159,6 +159,16 @@ def test_a_wide_table_scrolls_on_a_phone_and_keeps_its_first_column(tmp_path: Pa
 
 
 @needs_chromium
+def test_long_names_beside_a_plot_leave_it_its_room_on_a_phone(tmp_path: Path):
+    file = tmp_path / "report.html"
+    named = {f"antenna {k}, along x of the IMU (translation_m)": 0.01 * (k + 1) for k in range(9)}
+    write_page(Page("", "", MADE, [Section("", [Figure("named", "", quantiles({"ratio": named}, "[1]"))])]), file)
+    with BrowserPage(file, tmp_path, PHONE) as opened:
+        opened.wait_until_drawn(1)
+        assert opened.value_of("document.querySelector('.plot')._fullLayout._size.w") > PHONE[0] / 2
+
+
+@needs_chromium
 def test_what_a_page_asks_for_outside_and_its_errors_would_be_seen(tmp_path: Path):
     file = tmp_path / "bad.html"
     file.write_text("<img src='http://127.0.0.1:9/x.png'><script>nothing.there</script>", encoding="utf-8")

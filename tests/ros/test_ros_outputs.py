@@ -4,8 +4,9 @@ import gtsam
 import numpy as np
 import pytest
 
+from holdfast.geometry.rotations import quaternions_xyzw
 from holdfast.ros.outputs import odometry, pose_covariances
-from holdfast.ros.rows import Poses, Rows, quaternion_xyzw, quaternions_xyzw
+from holdfast.ros.rows import Poses, Rows, quaternion_xyzw
 from holdfast.state import BaseState, Estimate
 
 SAMPLES = 20_000

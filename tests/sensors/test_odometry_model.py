@@ -14,7 +14,7 @@ from holdfast.config.sensors import OdometryConfig
 from holdfast.errors import EstimatorError
 from holdfast.messages import SensorPose
 from holdfast.point_cloud import Layout, PointCloud
-from holdfast.sensors.odometry import MAX_SCALE, OdometryModel, OdometryNoise, is_possible
+from holdfast.sensors.odometry import CONFIGURED, MAX_SCALE, OdometryModel, OdometryNoise, is_possible
 from holdfast.state import Outcome
 
 XI, XJ = gtsam.symbol("x", 0), gtsam.symbol("x", 1)
@@ -22,6 +22,7 @@ CONFIG = OdometryConfig(kind="odometry", topic="/lidar", robust_loss={"kind": "n
 DRIFTLESS = {"drift_m_per_sqrt_m": 0.0, "drift_rad_per_sqrt_m": 0.0, "drift_rad_per_sqrt_rad": 0.0}
 MODEL = OdometryModel("lidar", CONFIG, T_I_L)
 NOISE = OdometryNoise(MODEL)
+UP = np.array([0.0, 0.0, 1.0])
 
 
 def noise_of(T_I_L=NOT_TURNED, **settings):
@@ -149,7 +150,7 @@ def test_an_anchored_scan_has_half_the_variance_of_a_motion_between_two():
 
 def test_the_drift_between_two_poses_on_the_track_has_the_configured_size():
     motion = gtsam.Pose3(gtsam.Rot3.Yaw(0.3), np.array([1.5, 0.2, 0.0]))
-    factor = NOISE.drift_factor(XI, XJ, motion, 1.0)
+    factor = NOISE.drift_factor(XI, XJ, motion, 1.0, UP)
     here = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.1, -0.2, 1.0), np.array([100.0, 5.0, 1.0]))
     sigma = NOISE.drift(motion, 1.0)
     for index in (2, 4):
@@ -158,6 +159,18 @@ def test_the_drift_between_two_poses_on_the_track_has_the_configured_size():
         moved = here * motion * T_I_L * gtsam.Pose3.Expmap(off) * T_I_L.inverse()  # the sensor drifts, not the IMU
         values = pair(gtsam.NavState(here, np.zeros(3)), gtsam.NavState(moved, np.zeros(3)))
         assert factor.error(values) == pytest.approx(2.0, rel=1e-3)
+
+
+def test_a_track_whose_yaw_drifts_less_than_its_tilt_is_stiff_about_the_vertical_alone():
+    noise, up = noise_of(T_I_L), np.array([0.6, 0.0, 0.8])
+    noise.learnt = CONFIGURED._replace(tilt_drift=2.0, yaw_drift=0.5)
+    motion = gtsam.Pose3(gtsam.Rot3.Yaw(0.3), np.array([1.5, 0.2, 0.0]))
+    factor, sigma = noise.drift_factor(XI, XJ, motion, 1.0, up), noise.drift(motion, 1.0)[0]
+    for axis, times in ((up, 0.5), (np.array([0.0, 1.0, 0.0]), 2.0), (np.array([0.8, 0.0, -0.6]), 2.0)):
+        turn = gtsam.Pose3(gtsam.Rot3.Expmap(times * sigma * T_I_L.rotation().unrotate(axis)), np.zeros(3))
+        moved = motion * T_I_L * turn * T_I_L.inverse()
+        values = pair(gtsam.NavState(), gtsam.NavState(moved, np.zeros(3)))
+        assert factor.error(values) == pytest.approx(0.5, rel=1e-3)
 
 
 def test_a_pseudo_global_pose_leaves_roll_and_pitch_to_the_imu():

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from holdfast.api.trajectory import Trajectory
 from holdfast.evaluation import quaternions
+from holdfast.geometry.rotations import quaternions_xyzw
 from holdfast.messages import Array
 from holdfast.ros.rows import Poses
 from holdfast.smoothing.block import Block
@@ -55,7 +56,7 @@ class Kept:
         back = np.swapaxes(frame["R"], 1, 2)
         positions = np.einsum("nij,nj->ni", back, nav["p"] - frame["p"])
         velocities = np.einsum("nij,nj->ni", back, nav["v"])
-        q = quaternions.multiply(quaternions.conjugate(quaternions.of_matrices(frame["R"])), rows["quaternion"])
+        q = quaternions.multiply(quaternions.conjugate(quaternions_xyzw(frame["R"])), rows["quaternion"])
         return Trajectory(later, positions, q, velocities, rows["covariance"])
 
     def base(self) -> Trajectory | None:
@@ -65,7 +66,7 @@ class Kept:
         stamps = np.frombuffer(self._base_stamps, dtype=np.int64)
         later = _later(stamps)
         poses = np.frombuffer(self._bases, dtype=CHASSIS)[later]["T_W_B"]
-        return Trajectory(stamps[later], poses["p"].copy(), quaternions.of_matrices(poses["R"]))
+        return Trajectory(stamps[later], poses["p"].copy(), quaternions_xyzw(poses["R"]))
 
     def smoothed(self) -> Trajectory | None:
         """Return the optimum if there is one, else the nodes as they left the window; None if there are none."""

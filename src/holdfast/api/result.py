@@ -36,6 +36,12 @@ class Result:
     folder: Path
     _kept: TemporaryDirectory[str] | None = field(default=None, repr=False)  # as long as someone has the result
 
+    def __repr__(self) -> str:
+        """Return what it is on a few lines: a notebook shows it."""
+        tracks = {name: getattr(self, name) for name in ("world", "odometry", "base", "smoothed")}
+        shown = "".join(f"  {name}: {track}\n" for name, track in tracks.items())
+        return f"Result(\n{shown}  events: {len(self.events)}\n  folder: {self.folder}\n)"
+
     def report(self, path: str | PathLike[str]) -> Path:
         """Write an HTML page about it, which needs no network; return its path.
 

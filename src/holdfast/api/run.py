@@ -14,12 +14,13 @@ from holdfast.api.session import Session, run
 from holdfast.config.load import config_of, load_config
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
+from holdfast.measured_fields import got
 from holdfast.output_folder import replaced
 from holdfast.recording.source import open_recording
 from holdfast.recording.subscriptions import available, subscriptions
 from holdfast.replay.held_out import HoldOut, check_sensors
 from holdfast.replay.results import read_events
-from holdfast.smoothing.batch_smoother import OVERLAP_S, WINDOW_S
+from holdfast.smoothing.batch_smoother import OVERLAP_S, WINDOW_S, check_lengths
 from holdfast.state import Event, EventKind
 
 AnyPath = str | PathLike[str]
@@ -80,6 +81,7 @@ def smooth(
     follows it [s]; memory grows with both. `Result.smoothed` is the optimum, the rest that of the causal run from which
     it starts.
     """
+    check_lengths(window_s, overlap_s)
     return _run(
         recording, config, hold_out, outage, (start_s, duration_s), output, strict, progress, (window_s, overlap_s)
     )
@@ -96,10 +98,15 @@ def _run(  # noqa: PLR0917 (of the two above)
     progress: bool,
     batch_s: tuple[float, float] | None,
 ) -> Result:
+    if not isinstance(recording, str | PathLike):
+        raise ConfigError(f"recording: must be a path, not {type(recording).__name__}")
     loaded, kept = resolved(config), Kept()
     rules = _rules(hold_out or {}, outage or {}, loaded)
-    temporary = TemporaryDirectory(prefix="holdfast-") if output is None else None
-    folder = Path(output if temporary is None else temporary.name)  # type: ignore[arg-type]
+    temporary: TemporaryDirectory[str] | None = None
+    if output is None:
+        temporary = TemporaryDirectory(prefix="holdfast-")
+        output = temporary.name
+    folder = Path(output)
     name = "replay" if batch_s is None else "smooth"
     with open_recording(Path(recording)) as opened:
         wanted, missing = (subscriptions(loaded), {}) if strict else available(opened, loaded)
@@ -139,12 +146,18 @@ def resolved(config: AnyConfig) -> Config:
 
 def _rules(hold_out: Mapping[str, int], outage: Mapping[str, tuple[float, float]], config: Config) -> list[HoldOut]:
     rules = []
+    for name, given in (("hold_out", hold_out), ("outage", outage)):
+        if not isinstance(given, Mapping):
+            raise ConfigError(f"{name}: must be a dict by sensor, not {type(given).__name__}")
     for sensor, every in hold_out.items():
         if not isinstance(every, int) or every < 2:
             raise ConfigError(f"hold_out[{sensor!r}]: must be an integer >= 2, not {every!r}")
         rules.append(HoldOut(sensor, every))
     for sensor, span in outage.items():
-        start_s, end_s = span
+        try:
+            start_s, end_s = map(float, span)
+        except (TypeError, ValueError):
+            raise ConfigError(f"outage[{sensor!r}]: must be (start, end) [s], {got(span)}") from None
         if not start_s < end_s:
             raise ConfigError(f"outage[{sensor!r}]: must end after it starts [s], not {span!r}")
         rules.append(HoldOut(sensor, None, start_s, end_s))

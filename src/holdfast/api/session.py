@@ -143,7 +143,7 @@ def run(session: Session, opened: Recording, show: ShowProgress) -> Finished:
     summary = _summarise(session, replay, warnings, causal, failure is None)
     if batch is not None and files is not None:
         summary["smooth"] = files.summary(batch)
-        write_summary(folder, summary)
+        _write_summary(folder, summary)
     return Finished(replay, causal, summary, warnings, failure)
 
 
@@ -152,11 +152,11 @@ def _summarise(
 ) -> dict[str, Any]:
     told = [*(f"{sensor}: {reason}" for sensor, reason in session.missing.items()), *warnings]
     summary = summarise_replay(replay, session.path, told, is_finished, session.command, session.missing)
-    write_summary(causal, summary)
+    _write_summary(causal, summary)
     return summary
 
 
-def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
+def _write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
     """Write summary.json.
 
     Raises:

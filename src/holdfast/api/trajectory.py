@@ -91,6 +91,14 @@ class Trajectory:
         """Return the number of stamps."""
         return len(self.stamps_ns)
 
+    def __repr__(self) -> str:
+        """Return what it is on one line: a notebook shows it."""
+        names = ("velocities", self.velocities), ("covariances", self.covariances)
+        known = "".join(f", {name}" for name, of in names if of is not None)
+        seconds = self.times_s[-1] if len(self) else 0.0
+        driven_m = float(np.linalg.norm(np.diff(self.positions, axis=0), axis=1).sum())
+        return f"Trajectory({len(self)} poses, {seconds:.1f} s, {driven_m:.1f} m{known})"
+
     @property
     def times_s(self) -> Array:
         """The stamps (N,) in seconds since the first."""
@@ -154,7 +162,9 @@ class Trajectory:
 
         Raises:
             RecordingError: the two do not overlap in time, or cannot be aligned.
+            ConfigError: the reference is no trajectory.
         """
+        _check(reference)
         pairs = associate(self.poses, reference.poses, Association(max_gap_s=max_gap_s))
         pairs = align(pairs, alignment).apply(pairs)
         return Errors(pairs.reference.stamps_ns, ape(pairs))
@@ -183,8 +193,10 @@ class Trajectory:
         """Return a figure: the track from above, and the errors over time if there is a reference.
 
         Raises:
-            ConfigError: matplotlib is not installed.
+            ConfigError: matplotlib is not installed, or the reference is no trajectory.
         """
+        if reference is not None:
+            _check(reference)
         with needing("a figure", "plot"):
             from matplotlib.figure import Figure
         figure = Figure(figsize=(10.0, 4.0), layout="constrained")
@@ -209,3 +221,9 @@ class Trajectory:
         above.set_ylabel("north [m]")
         above.legend()
         return figure
+
+
+def _check(reference: object) -> None:
+    if not isinstance(reference, Trajectory):
+        given = type(reference).__name__
+        raise ConfigError(f"reference: must be a Trajectory, such as Trajectory.read(FILE), not {given}")

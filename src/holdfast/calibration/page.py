@@ -72,7 +72,7 @@ def _numbers(of: Calibration) -> list[Block]:
             marks: dict[tuple[int, int], Mark] = {
                 (k, len(COLUMNS) - 1): "reached" for k, one in enumerate(rows) if one.is_written
             }
-            blocks.append(Table(family.name.lower(), family.capitalize(), COLUMNS, cells, marks=marks))
+            blocks.append(Table(family.name.lower(), family[0].upper() + family[1:], COLUMNS, cells, marks=marks))
     return blocks
 
 
@@ -85,7 +85,7 @@ def _observable(estimates: Sequence[Estimated]) -> list[Block]:
     if not ratios:
         return [Text("Nothing was to be estimated.")]
     plot = quantiles({"sigma / prior": ratios}, "sigma after over sigma before [1]")
-    plot.update_layout(height=140 + 22 * len(ratios), margin={"l": 320})
+    plot.update_layout(height=140 + 22 * len(ratios))
     caption = "At one the recording says nothing that the file does not; above a half nothing is written."
     return [Figure("observable", "How much the recordings say", plot, caption)]
 
@@ -117,7 +117,6 @@ def _held_out(verdicts: Sequence[HeldOut]) -> list[Block]:
         if all(isfinite(one.rms(in_outage=lost)) for one in verdicts)
     }
     plot = quantiles(values, "horizontal RMS [mm]")
-    plot.update_layout(margin={"l": 220})
     return [table, Figure("held_out_figure", "Before and after", plot)]
 
 

@@ -23,6 +23,7 @@ TILT_SIGMA_RAD = 0.05  # of either inertial measurement unit
 CLOCK_SIGMA_S = 0.01  # of one against the other
 GAIN_WALK, TILT_WALK, CLOCK_WALK = 1e-5, 1e-5, 1e-5  # per square root of a second: half an hour is forgotten
 FIRST_NOISE = 10.0  # over that of the datasheet, as variance, until it is known
+LEAST_NOISE = 0.01  # the same, whatever residuals show
 
 
 def fill_zero(zero: Any, encoder: JointModel, gyro: BaseGyro | None, imu: InertialConfig) -> None:
@@ -50,7 +51,7 @@ def fill_zero(zero: Any, encoder: JointModel, gyro: BaseGyro | None, imu: Inerti
         walks = [GAIN_WALK, walk, TILT_WALK, TILT_WALK, CLOCK_WALK]
         zero["P"][k] = np.diag(np.square(np.repeat(sigmas, [2, 2, 2, 2, 1])))
         zero["walk"][k] = np.square(np.repeat(walks, [2, 2, 2, 2, 1]))
-        zero["floor"][k], zero["variance"][k] = noise**2, FIRST_NOISE * noise**2
+        zero["floor"][k], zero["variance"][k] = LEAST_NOISE * noise**2, FIRST_NOISE * noise**2
 
 
 class _Finding(NamedTuple):

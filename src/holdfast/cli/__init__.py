@@ -43,6 +43,12 @@ COMMANDS = {
 class LazyGroup(click.Group):
     """A click group whose commands are imported only when they run."""
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Refuse an empty argument, which would mean the folder in which the command runs."""
+        if "" in args:
+            raise click.UsageError("an argument is empty: is a variable of the shell not set?", ctx)
+        return super().parse_args(ctx, args)
+
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         """Return the commands in the order in which a newcomer meets them."""
         return list(COMMANDS)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from holdfast.cli.finite import FiniteRange
 from holdfast.cli.progress import progress_bar
 from holdfast.cli.replay import check_window
 from holdfast.cli.terminal import guarded_console
@@ -36,7 +37,7 @@ TITLES = {
 @click.option("-c", "--config", "config_path", type=click.Path(), help="Configuration, with --recording.")
 @click.option("--duration", "duration_s", type=float, default=60.0, show_default=True, metavar="SECONDS")
 @click.option("--nodes", type=click.Choice(["measurement", "imu"]), help="[default: as configured]")
-@click.option("--imu-hz", type=click.FloatRange(50.0, 2000.0), help="Rate of the IMU. [default: 100; simulated only]")
+@click.option("--imu-hz", type=FiniteRange(50.0, 2000.0), help="Rate of the IMU. [default: 100; simulated only]")
 @click.option("--spin", is_flag=True, help="Spin for the last 2 ms before a sample instead of sleeping.")
 @click.option("--gate", is_flag=True, help="Exit 1 if slower than the floor, at the median or at p99.")
 @click.option("--json", "json_path", type=click.Path(), help="Write the result for machines.")

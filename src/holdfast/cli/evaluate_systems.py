@@ -82,9 +82,31 @@ def print_systems(systems: "Sequence[System]", reference: Path, console: "Consol
             cells = [f"{found[name].rms:.4f}" if name in found else "-" for name in lengths]
             relative.add_row(escape(system.name), *cells)
         console.print(relative)
+    if absent := [name for length_m in systems[0].segments if (name := f"{length_m:g} m") not in lengths]:
+        console.print(f"over {', '.join(absent)}: the track is too short")
+    if "KITTI" in systems[0].accuracy.scores["all"].rpe:
+        console.print()
+        _print_kitti(systems, console)
     for name in list(systems[0].accuracy.scores)[1:]:
         console.print()
         _print_interval(systems, name, console)
+
+
+def _print_kitti(systems: "Sequence[System]", console: "Console") -> None:
+    from rich.markup import escape
+
+    from holdfast.cli.evaluate import empty_table
+
+    found = {system.name: system.accuracy.scores["all"].rpe["KITTI"] for system in systems}
+    if not any(found.values()):
+        console.print("segments of KITTI, 100 to 800 m: the track is too short")
+        return
+    columns = ("system", "translation \\[%]", "rotation \\[deg/m]")
+    means = empty_table("Segments of KITTI, 100 to 800 m, mean", columns, console)
+    for name, summary in found.items():
+        values = (summary.get(key) for key in ("translation_percent", "rotation_deg_per_m"))
+        means.add_row(escape(name), *("-" if value is None else f"{value.mean:.4f}" for value in values))
+    console.print(means)
 
 
 def _print_interval(systems: "Sequence[System]", name: str, console: "Console") -> None:

@@ -5,6 +5,7 @@ from time import perf_counter
 
 import click
 
+from holdfast.cli.finite import FiniteRange
 from holdfast.cli.progress import progress_bar
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
@@ -35,13 +36,13 @@ from holdfast.output_folder import add_results, check_output_file
 )
 @click.option(
     "--latency-s",
-    type=click.FloatRange(0, 10),
+    type=FiniteRange(0, 10),
     default=0.08,
     show_default=True,
     help="Poses arrive so long after their cloud.",
 )
 @click.option(
-    "--min-range-m", type=click.FloatRange(0), default=1.0, show_default=True, help="Nearer points are the machine."
+    "--min-range-m", type=FiniteRange(0), default=1.0, show_default=True, help="Nearer points are the machine."
 )
 @click.option(
     "--machine-box",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from holdfast.cli.finite import FiniteRange
 from holdfast.cli.progress import progress_bar
 from holdfast.cli.writing import check_folder_of, naming_the_output, write_json
 from holdfast.errors import ConfigError, HoldfastError, RecordingError
@@ -32,7 +33,7 @@ SUMMARY = "map.json"
 @click.option("--topic", help="Of the clouds. [default: the only PointCloud2]")
 @click.option("--frame", help="Of the lidar in the configuration. [default: the frame_id of the clouds]")
 @click.option("--voxel", "voxel_m", type=float, default=0.1, show_default=True, help="A point is kept of each [m].")
-@click.option("--min-range", "min_range_m", type=click.FloatRange(0), default=1.0, show_default=True, help="[m]")
+@click.option("--min-range", "min_range_m", type=FiniteRange(0), default=1.0, show_default=True, help="[m]")
 @click.option(
     "--max-range", "max_range_m", type=float, default=50.0, show_default=True, help="Farther is left out [m]."
 )

@@ -8,7 +8,6 @@ import click
 from holdfast.cli.progress import reading_bar
 from holdfast.cli.replay import check_window, print_summary, rules_of, wanted_of
 from holdfast.cli.writing import naming_the_output
-from holdfast.errors import ConfigError
 from holdfast.output_folder import replaced
 
 if TYPE_CHECKING:
@@ -53,7 +52,9 @@ def smooth(  # noqa: PLR0917 (click passes the options by name)
     from holdfast.recording.source import open_recording
 
     check_window(start_s, duration_s)
-    _check_lengths(window_s, overlap_s)
+    from holdfast.smoothing.batch_smoother import check_lengths
+
+    check_lengths(window_s, overlap_s, ("--window", "--overlap"))
     config = load_config(config_path)
     rules = rules_of(hold_out, outage, config)
     with open_recording(recording) as opened, naming_the_output(output):
@@ -78,17 +79,12 @@ def smooth(  # noqa: PLR0917 (click passes the options by name)
     _print_smooth(done.summary["smooth"], done.run)
 
 
-def _check_lengths(window_s: float, overlap_s: float) -> None:
-    if not 10.0 <= window_s <= 36_000.0:
-        raise ConfigError(f"--window {window_s:g}: must be from 10 to 36000 s")
-    if not 5.0 <= overlap_s <= 3600.0:
-        raise ConfigError(f"--overlap {overlap_s:g}: must be from 5 to 3600 s")
-
-
 def _print_smooth(found: dict[str, Any], run: "Replay") -> None:
     """Print what became of the measurements, and what the optimum cost."""
+    number = len(found["windows"])
+    windows = f"{number} window{'s' * (number > 1)}"
     click.echo(
-        f"optimum: cost {found['cost']:.4g} after {found['iterations']} iterations in {len(found['windows'])} windows, "
+        f"optimum: cost {found['cost']:.4g} after {found['iterations']} iterations in {windows}, "
         f"{found['wall_s']:.1f} s of {run.timing.wall_s:.1f} s"
     )
     if found["loop_closures"]:

@@ -147,7 +147,7 @@ def read_document(text: str, name: str) -> Document:
     """
     root = compose(text, name)
     if root is None:
-        raise ConfigError(f"{name}:1 is empty: at least a sensor with `kind: imu` is needed")
+        raise ConfigError(f"{name}:1 is empty: must be `key: value` lines")
     if not isinstance(root, MappingNode):
         kind = "a list" if isinstance(root, SequenceNode) else "a single value"
         raise ConfigError(f"{name}:{root.start_mark.line + 1} has {kind} at the top: must be `key: value` lines")

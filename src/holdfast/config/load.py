@@ -18,6 +18,7 @@ from holdfast.config.presets import with_preset
 from holdfast.config.schema import Place, is_optional
 from holdfast.config.units import conversion
 from holdfast.errors import ConfigError
+from holdfast.printable import quoted
 
 Model = TypeVar("Model", bound=BaseModel)
 STARTER = "`holdfast config init RECORDING` starts one"
@@ -75,6 +76,8 @@ def read_yaml(path: str | PathLike[str], remedy: str) -> str:
     Raises:
         ConfigError: it cannot be read.
     """
+    if not isinstance(path, str | PathLike):
+        raise ConfigError(f"the file of a configuration: must be a path, not {type(path).__name__}")
     try:
         with FilePath(path).open(encoding="utf-8-sig") as file:
             return file.read(MAX_CHARACTERS + 1)  # one more is refused where it is read
@@ -176,7 +179,7 @@ def _converted(document: Document, target: str, given: dict[str, Any], path: Pat
         document.refuse(path, f"must be a number [{target}] or {{value: number, unit: {target}}}")
         return None
     if not all(isinstance(number, int | float) and not isinstance(number, bool) for number in numbers):
-        document.refuse((*path, "value"), f"must be a number [{unit}], not {value_text(value)}")
+        document.refuse((*path, "value"), f"must be a number [{quoted(unit)}], not {value_text(value)}")
         document.refused.add(path)
         return None
     try:

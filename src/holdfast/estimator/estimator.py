@@ -8,7 +8,7 @@ from collections import Counter
 from dataclasses import replace
 
 from holdfast.config.model import Config
-from holdfast.errors import ConfigError
+from holdfast.errors import ConfigError, MessageError
 from holdfast.estimator.density import Density
 from holdfast.estimator.imu_path import ImuPath
 from holdfast.estimator.intake import Intake
@@ -16,6 +16,7 @@ from holdfast.estimator.listener import Listener
 from holdfast.estimator.optimiser import Optimiser
 from holdfast.event_log import EventLog, MeasurementRecord
 from holdfast.geometry.earth import Geodetic, LocalFrame
+from holdfast.measured_fields import got
 from holdfast.messages import ImuSample, JointAngle, Message
 from holdfast.sensors.constants import Constant
 from holdfast.sensors.imu import ImuBuffer
@@ -118,7 +119,10 @@ class Estimator(Intake):
 
         Raises:
             ConfigError: the sensor is not in the configuration.
+            MessageError: it is no message.
         """
+        if not hasattr(message, "sensor"):
+            raise MessageError(f"message: must be one of holdfast's messages, {got(message)}")
         if isinstance(message, ImuSample) and message.sensor == self._imu:
             output = self._process_imu(message)
         elif message.sensor in self.config.sensors:

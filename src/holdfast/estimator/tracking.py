@@ -92,7 +92,7 @@ class Tracking:
         receivers = of_role(sensors, Role.POSITION)
         self._positions = Positions(config.gate, receivers, scales, lever_arms, log, believe_after_s=believe_after_s)
         self._headings = Headings(of_role(sensors, Role.HEADING), scales, log)
-        self._odometries = Odometries(config, of_role(sensors, Role.ODOMETRY), log)
+        self._odometries = Odometries(config, of_role(sensors, Role.ODOMETRY), log, self._headings.witness)
         self._states = States(of_role(sensors, Role.STATE, Role.VELOCITY, Role.POSE), scales, joint_at, log)
         self._recovery = Recovery(config.gate, self._positions, self._headings, self._odometries, believe_after_s, log)
         self._channels: dict[Role, Channel] = {

@@ -66,25 +66,3 @@ def wrap_rad(angle: Array) -> Array:
     """Return the angles within [-pi, pi) [rad]."""
     wrapped: Array = (angle + np.pi) % (2.0 * np.pi) - np.pi
     return wrapped
-
-
-def of_matrices(R: Array) -> Array:
-    """Return the quaternions (N, 4), w >= 0, of rotation matrices (N, 3, 3), by the largest of their parts.
-
-    Source: Shepperd, "Quaternion from Rotation Matrix", J. Guidance and Control 1978.
-    """
-    trace = np.trace(R, axis1=1, axis2=2)
-    diagonal = np.diagonal(R, axis1=1, axis2=2)
-    # 4 q q^T, whose column of the largest diagonal element is proportional to the quaternion
-    outer = np.empty((len(R), 4, 4))
-    outer[:, :3, :3] = R + np.swapaxes(R, 1, 2)
-    for k in range(3):
-        outer[:, k, k] = 1.0 - trace + 2.0 * diagonal[:, k]
-        i, j = (k + 1) % 3, (k + 2) % 3
-        outer[:, k, 3] = outer[:, 3, k] = R[:, j, i] - R[:, i, j]
-    outer[:, 3, 3] = 1.0 + trace
-    largest = np.argmax(np.diagonal(outer, axis1=1, axis2=2), axis=1)
-    q = outer[np.arange(len(R)), :, largest]
-    q = q / np.linalg.norm(q, axis=1, keepdims=True)
-    positive: Array = np.where(q[:, 3:] < 0.0, -q, q)
-    return positive

@@ -1,4 +1,4 @@
-"""Matrices of many rotations and cross products at once."""
+"""Matrices of many rotations and cross products at once, and quaternions of them."""
 
 import numpy as np
 
@@ -23,3 +23,22 @@ def about_z(angles_rad: Array) -> Array:
     matrices[:, 0, 1] = -matrices[:, 1, 0]
     matrices[:, 2, 2] = 1.0
     return matrices
+
+
+def quaternions_xyzw(rotations: Array) -> Array:
+    """Return the quaternions (N, 4) x, y, z, w of rotations (N, 3, 3): by w, or by the largest where that is small.
+
+    Source: Shepperd, "Quaternion from Rotation Matrix", J. Guidance and Control 1978; each row of 4 q q^T is along q.
+    """
+    (a, d, g), (b, e, h), (c, f, i) = rotations.transpose(2, 1, 0)
+    rows = np.array([
+        [1.0 + a - e - i, b + d, c + g, h - f],
+        [b + d, 1.0 + e - a - i, f + h, c - g],
+        [c + g, f + h, 1.0 + i - a - e, d - b],
+        [h - f, c - g, d - b, 1.0 + a + e + i],
+    ])  # fmt: skip
+    number, largest = np.arange(len(rotations)), np.array([a, e, i]).argmax(axis=0)
+    largest[a + e + i > 0.0] = 3
+    chosen = rows[largest, :, number]
+    quaternions: Array = chosen / (2.0 * np.sqrt(chosen[number, largest]))[:, None]
+    return quaternions

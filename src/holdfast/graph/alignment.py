@@ -92,8 +92,8 @@ class Noise(NamedTuple):
     of_velocities: float = 1.0
 
 
-class Batch(NamedTuple):
-    """A graph, and which of its factors are those of positions and velocities."""
+class Problem(NamedTuple):
+    """The graph of a batch, and which of its factors are those of positions and velocities."""
 
     graph: gtsam.NonlinearFactorGraph
     positions: range
@@ -149,15 +149,15 @@ class BatchAligner:
             max_heading_sigma_rad: what is wanted.
         """
         deltas, noise = self._preintegrate(evidence.stamps, prior.bias), Noise()
-        batch = self._batch(evidence, deltas, prior, noise)
-        solutions = _solved(batch.graph, list(self._starts(evidence, deltas, prior.bias)))
+        problem = self._problem(evidence, deltas, prior, noise)
+        solutions = _solved(problem.graph, list(self._starts(evidence, deltas, prior.bias)))
         for _ in range(REWEIGHTED if solutions else 0):
-            noise = batch.noise(solutions[0][1], noise, evidence.freedom)
-            batch = self._batch(evidence, deltas, prior, noise)
-            solutions = _solved(batch.graph, [values for _, values in solutions])
+            noise = problem.noise(solutions[0][1], noise, evidence.freedom)
+            problem = self._problem(evidence, deltas, prior, noise)
+            solutions = _solved(problem.graph, [values for _, values in solutions])
         if not solutions:
             return Alignment(None, "the batch of GNSS and IMU has no solution")
-        return self._judge(batch.graph, evidence, solutions, noise, max_heading_sigma_rad)
+        return self._judge(problem.graph, evidence, solutions, noise, max_heading_sigma_rad)
 
     def _starts(
         self,
@@ -232,13 +232,13 @@ class BatchAligner:
             self._deltas[start, end] = pim
         return list(self._deltas.values())
 
-    def _batch(
+    def _problem(
         self,
         evidence: Evidence,
         deltas: Sequence[gtsam.PreintegratedImuMeasurements],
         prior: BiasPrior,
         noise: Noise,
-    ) -> Batch:
+    ) -> Problem:
         graph, stamps = gtsam.NonlinearFactorGraph(), evidence.stamps
         keys = {stamp: gtsam.symbol("x", k) for k, stamp in enumerate(stamps)}
         for (start, end), pim in zip(pairwise(stamps), deltas, strict=True):
@@ -248,8 +248,9 @@ class BatchAligner:
             own = [one for one in evidence.positions if one.sensor == name]
             arm_keys = [self._arms[name][0]] if name in self._arms else []
             gaps_s = [(b.stamp_ns - a.stamp_ns) * 1e-9 for a, b in pairwise(own)]
+            correlation_s = max((one.correlation_s for one in own), default=0.0)
+            inflation = shared_inflation(correlation_s, [inf, *gaps_s]) * noise.of_positions
             for one in own:
-                inflation = shared_inflation(max(p.correlation_s for p in own), [inf, *gaps_s]) * noise.of_positions
                 graph.add(sensor.factor([keys[to_grid(one.stamp_ns)], *arm_keys], one, inflation))
         of_positions = range(first, graph.size())
         for velocity in evidence.velocities:
@@ -263,7 +264,7 @@ class BatchAligner:
         graph.add(gtsam.PriorFactorNavState(keys[stamps[0]], gtsam.NavState(), weak))
         of_biases = gtsam.noiseModel.Diagonal.Sigmas(prior.sigmas)
         graph.add(gtsam.PriorFactorConstantBias(gtsam.symbol("b", 0), prior.bias, of_biases))
-        return Batch(graph, of_positions, of_velocities)
+        return Problem(graph, of_positions, of_velocities)
 
     def _velocity_factor(self, key: int, velocity: Velocity, noise: float) -> gtsam.NonlinearFactor:
         """Return a prior on the velocity of I; while the heading is unknown, the lever arm adds to the noise."""

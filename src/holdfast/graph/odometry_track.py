@@ -143,7 +143,8 @@ class OdometryTrack:
             motion = before.first.T_I0_I.between(pose.T_I0_I)
             duration_s = (pose.stamp_ns - before.first.stamp_ns) * 1e-9
             calibration_key = self._calibration_key(smoother, pose)
-            drift = self._noise.drift_factor(before.key, key, motion, duration_s, calibration_key, pose.excess)
+            up = here.rotation().unrotate(np.array([0.0, 0.0, 1.0]))
+            drift = self._noise.drift_factor(before.key, key, motion, duration_s, up, calibration_key, pose.excess)
             smoother.add(drift)
         self._epochs.append(_Epoch(pose, key))
         return self._epochs[-1]

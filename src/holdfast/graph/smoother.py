@@ -35,6 +35,7 @@ FREE = FREE_VARIANCE**0.5  # sigma of what a factor says nothing about
 PARAMETER_THRESHOLD = 0.01  # 1 cm, 0.6 deg, 1 %: a sensor's parameter is relinearised when it has moved by more
 FORGET_NS = 1_000_000_000  # measurements that left the window are dropped this often
 MAX_VARIANCE = 1e6  # beyond it a covariance says no more, whatever its unit
+GREATEST_VARIANCE = 1e16  # no solution: no position on the Earth is as uncertain, and its squares are still numbers
 MAX_STEP_M_S, MAX_STEP_SIGMA = 10.0, 10.0  # of the newest velocity, in one optimisation
 FAULT_INFLATION = 4.0  # of the covariance, when the graph is re-anchored after a failed optimisation
 
@@ -73,6 +74,7 @@ class Smoother:
         self.imu_noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
         self._motion_model = MotionModel(config.motion_model, gravity)
         self._bias_walk = np.repeat([imu.accelerometer_random_walk, imu.gyroscope_random_walk], 3)
+        self._greatest_bias = np.repeat([imu.accelerometer_range, imu.gyroscope_range], 3)
         self._new_solver = new_solver or (lambda: Window(self._relinearize_thresholds()))
         self._parameters = Parameters(max(REFRESHED_NS, self._lag_ns // 3))
         self._slow_sizes = sizes_of(config)
@@ -365,6 +367,10 @@ class Smoother:
             raise ValueError("the optimised state is not finite")
         if not (tail.state.diagonal() > 0.0).all():
             raise ValueError("the covariance of the optimised state is not positive")
+        if not (np.abs(tail.covariance) < GREATEST_VARIANCE).all():
+            raise ValueError("the covariance of the optimised state is beyond all bounds")
+        if (np.abs(bias.vector()) > self._greatest_bias).any():
+            raise ValueError("it diverges: a bias is beyond the range of the IMU")
         return state, tail
 
     def _velocity_step_m_s(self) -> float:

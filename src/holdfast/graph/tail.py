@@ -55,10 +55,10 @@ class Tail(NamedTuple):
 
 def node_beside(joint: Array, first: int, end: int) -> Array:
     """Return the part (9 + m, 9 + m) of a joint covariance: of its first nine rows, a node, and of m others."""
-    others, covariance = slice(first, end), np.empty((NAV_SIZE + end - first, NAV_SIZE + end - first))
-    covariance[:NAV_SIZE, :NAV_SIZE], covariance[:NAV_SIZE, NAV_SIZE:] = (
-        joint[:NAV_SIZE, :NAV_SIZE],
-        joint[:NAV_SIZE, others],
-    )
-    covariance[NAV_SIZE:, :NAV_SIZE], covariance[NAV_SIZE:, NAV_SIZE:] = joint[others, :NAV_SIZE], joint[others, others]
+    node, others, size = slice(NAV_SIZE), slice(first, end), NAV_SIZE + end - first
+    covariance = np.empty((size, size))
+    covariance[node, node] = joint[node, node]
+    covariance[node, NAV_SIZE:] = joint[node, others]
+    covariance[NAV_SIZE:, node] = joint[others, node]
+    covariance[NAV_SIZE:, NAV_SIZE:] = joint[others, others]
     return covariance

@@ -6,14 +6,18 @@ recovery enter together with the fixes, and the heading of the world is correcte
 
 from collections import deque
 from collections.abc import Mapping
+from math import remainder, tau
 
 from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.states import JudgedSensor
+from holdfast.integrity.yaw_learning import Witness
 from holdfast.sensors.sensor import Measurement, StateSensor
 from holdfast.state import Outcome
+
+WITNESSES, WITNESS_NS = 32, 250_000_000  # how many are remembered, and how near in time they must be
 
 
 class Headings:
@@ -30,6 +34,7 @@ class Headings:
             name: JudgedSensor(sensor, scales[name], lambda _: None, log) for name, sensor in sensors.items()
         }
         self._quarantine: deque[Measurement] = deque()
+        self._used: deque[Measurement] = deque(maxlen=WITNESSES)
         self._log = log
 
     def lost(self) -> list[str]:
@@ -47,13 +52,28 @@ class Headings:
             self._log.record(heading.stamp_ns, heading.sensor, Outcome.LATE)
             return Outcome.LATE
         if not graph.is_lost:
-            return judged.judge(heading, graph.main, [graph.main], now_ns)
+            outcome = judged.judge(heading, graph.main, [graph.main], now_ns)
+            if outcome is Outcome.USED:
+                self._used.append(heading)
+            return outcome
         judged.gate.note(heading, now_ns)
         while self._quarantine and self._quarantine[0].stamp_ns < smoother.oldest_ns:
             self._quarantine.popleft()
         self._quarantine.append(heading)
         self._log.record(heading.stamp_ns, heading.sensor, Outcome.QUARANTINED)
         return Outcome.QUARANTINED
+
+    def witness(self, smoother: Smoother, stamp_ns: int) -> Witness | None:
+        """Return what the headings that were used near a time say of the estimate; None where there are none."""
+        beyond_rad, variances = [], []
+        for heading in self._used:
+            if abs(heading.stamp_ns - stamp_ns) > WITNESS_NS or not smoother.has_node(heading.stamp_ns):
+                continue
+            found = self._judged[heading.sensor].residual(smoother, heading)
+            if not isinstance(found, Outcome):
+                beyond_rad.append(remainder(float(found.y[0]), tau))
+                variances.append(float(found.R[0, 0]))
+        return Witness.of(beyond_rad, variances) if beyond_rad else None
 
     def admit(self, trial: Smoother, since_ns: int, now_ns: int) -> bool:
         """Let the headings since a time out of quarantine, into a smoother that has just accepted the fixes since then.

@@ -11,6 +11,7 @@ from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.odometry_track import OdometryTrack
 from holdfast.integrity.drift_monitor import NOMINAL, Contradiction, DriftMonitor
 from holdfast.integrity.odometry_learning import OdometryLearning
+from holdfast.integrity.yaw_learning import HeadingWitness
 from holdfast.messages import Array
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
 from holdfast.state import EventKind, Outcome
@@ -64,13 +65,17 @@ class Odometries:
         config: of the estimator.
         models: by name.
         log: where counts and events go.
+        headings: what they say of the heading of an estimate.
     """
 
-    def __init__(self, config: Config, models: dict[str, OdometryModel], log: EventLog) -> None:
+    def __init__(
+        self, config: Config, models: dict[str, OdometryModel], log: EventLog, headings: HeadingWitness
+    ) -> None:
         self._odometries = {name: _Odometry(model) for name, model in models.items()}
         self._mode = config.graph.main_odometry
         self._is_monitored = config.gate.drift_monitor
         self._log = log
+        self._headings = headings
 
     def __len__(self) -> int:
         return len(self._odometries)
@@ -111,7 +116,10 @@ class Odometries:
         if pose.excess is not None:
             odometry.forget_frame()  # it does not know its motion: it cannot contradict, nor be learnt from
         elif outcome is Outcome.USED and pose is graph.newest_pose(pose.sensor):
-            odometry.learning.learn_from_scan(graph.main, pose)
+            odometry.learning.learn_from_scan(graph.main, pose, self._headings)
+            # an error of the gyroscope shows against each of them
+            scales = (one.learning.gyroscope_scale for one in self._odometries.values())
+            graph.main.imu_noise.yaw_scale = min(scales)
         self._log.record(pose.stamp_ns, pose.sensor, outcome)
         return outcome
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.scale_posterior import ScalePosterior
+from holdfast.integrity.yaw_learning import HeadingWitness, YawLearning
 from holdfast.messages import Array
 from holdfast.sensors.imu import InertialMotion
 from holdfast.sensors.odometry import LearntNoise, OdometryNoise, TrackPose
@@ -23,7 +24,7 @@ TRANSLATION_SPANS, ROTATION_SPANS = (5, 10, 20), (1, 3, 10, 20)  # steps
 DRIFT_MEMORY_S, NOISE_MEMORY_SCANS = 600.0, 300
 DELAY_NS = 20_000_000_000  # what is seen of distances is learnt so much later: until then the fixes may have walked
 LOWEST_NOISE, LOWEST_DRIFT = 0.5, 0.4  # scans have errors in common with the next that their noise does not show
-LOWEST_ROTATION = 1.0  # which of them is better odometry and gyroscope do not tell each other
+LOWEST_TILT = 1.0  # which of them is better odometry and gyroscope do not tell each other
 ATTITUDE_SIGMA_RAD = 1e-3  # of the estimate, at least
 
 
@@ -62,6 +63,7 @@ class OdometryLearning:
         self._noise = noise
         self._noises = ScalePosterior(), ScalePosterior()  # rotation, translation
         self._drifts = ScalePosterior(), ScalePosterior()
+        self._yaw = YawLearning(noise)
         self._scans: deque[tuple[TrackPose, InertialMotion | None]] = deque(maxlen=3)
         self._first: TrackPose | None = None  # of the step that has begun
         self._steps: deque[_Step] = deque(maxlen=max(ROTATION_SPANS) + 1)
@@ -69,10 +71,15 @@ class OdometryLearning:
         self._places: deque[_Place] = deque(maxlen=max(TRANSLATION_SPANS) + 1)
         self._pending: deque[_Evidence] = deque()
 
+    @property
+    def gyroscope_scale(self) -> float:
+        """How many times larger the gyroscope's noise is than configured, about the vertical."""
+        return self._yaw.gyroscope_scale
+
     def forget_frame(self) -> None:
         """The odometry has jumped, or the estimate: nothing before is to be compared with what comes."""
         self._scans.clear()
-        self._steps.clear()
+        self._forget_steps()
         self._places.clear()
         self._first = self._before = None
 
@@ -83,7 +90,11 @@ class OdometryLearning:
         while self._pending and self._pending[-1].stamp_ns > stamp_ns:
             self._pending.pop()
 
-    def learn_from_scan(self, smoother: Smoother, pose: TrackPose) -> None:
+    def _forget_steps(self) -> None:
+        self._steps.clear()
+        self._yaw.begin_anew()
+
+    def learn_from_scan(self, smoother: Smoother, pose: TrackPose, witness: HeadingWitness) -> None:
         """Compare a pose, which is the newest and has a node, with the IMU since the poses before."""
         before = self._scans[-1][0] if self._scans else None
         measured = None
@@ -93,7 +104,7 @@ class OdometryLearning:
             measured = self._measured(smoother, before.stamp_ns, pose.stamp_ns)
         self._scans.append((pose, measured))
         if before is None or measured is None:
-            self._steps.clear()
+            self._forget_steps()
             self._first = pose
             return
         self._compare_rotation(before, pose, measured, smoother)
@@ -102,7 +113,7 @@ class OdometryLearning:
         for posterior in self._noises:
             posterior.forget(1.0 / NOISE_MEMORY_SCANS)
         if self._first is not None and pose.stamp_ns - self._first.stamp_ns >= STEP_NS:
-            self._add_step(smoother, self._first, pose)
+            self._add_step(smoother, self._first, pose, witness)
             self._first = pose
         self._tell()
 
@@ -182,12 +193,14 @@ class OdometryLearning:
         other += smoother.imu_noise.density.accelerometer**2 * (dt_1 + dt_2)
         self._noises[1].learn(float(residual @ residual), 3, scaled, other, 1.0 / 3.0)
 
-    def _add_step(self, smoother: Smoother, first: TrackPose, last: TrackPose) -> None:
+    def _add_step(self, smoother: Smoother, first: TrackPose, last: TrackPose, witness: HeadingWitness) -> None:
         """Compare rotations over seconds with those of the gyroscope: (70)."""
         measured = self._measured(smoother, first.stamp_ns, last.stamp_ns)
         if measured is None:
-            self._steps.clear()
+            self._forget_steps()
             return
+        if smoother.has_node(first.stamp_ns):
+            self._yaw.learn(smoother, first, last, measured.R, witness(smoother, last.stamp_ns))
         duration_s = (last.stamp_ns - first.stamp_ns) * 1e-9
         motion = first.T_I0_I.between(last.T_I0_I)
         before = self._steps[-1] if self._steps else _Step(gtsam.Rot3(), gtsam.Rot3(), 0.0, 0.0, 0.0)
@@ -219,13 +232,13 @@ class OdometryLearning:
         self._noise.learnt = LearntNoise(
             max(LOWEST_NOISE, self._noises[0].value),
             max(LOWEST_NOISE, self._noises[1].value),
-            max(LOWEST_ROTATION, self._drifts[0].value),
+            max(LOWEST_TILT, self._drifts[0].value),
             max(LOWEST_DRIFT, self._drifts[1].value),
+            self._yaw.odometry_scale,
         )
 
 
 def _gyroscope_variance(smoother: Smoother, motion: gtsam.Pose3, duration_s: float) -> float:
     """Return the variance [rad^2] per axis of the gyroscope's rotation over a motion: white noise, scale factors."""
     rotation_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation())))
-    noise = smoother.imu_noise
-    return noise.density.gyroscope**2 * duration_s + noise.rate_error_variance(rotation_rad, duration_s)
+    return smoother.imu_noise.rotation_variance(rotation_rad, duration_s)

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 
 import gtsam
+import numpy as np
 
 from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
@@ -13,10 +14,12 @@ from holdfast.integrity.noise_scale import LOWEST, NoiseScale
 from holdfast.integrity.white_noise import WhiteNoise
 from holdfast.sensors.coloured import Compared, coloured, coloured_factor
 from holdfast.sensors.noise import Colour, correlation_inflation, shared_inflation
-from holdfast.sensors.sensor import ConstraintSensor, Joint, Measurement, Role, State, StateSensor
+from holdfast.sensors.sensor import ConstraintSensor, Innovation, Joint, Measurement, Role, State, StateSensor
 from holdfast.state import EventKind, Outcome
 
 LOWEST_VELOCITY = 0.25  # of the variance that a receiver claims of its Doppler velocity
+
+UNKNOWN = np.zeros((9, 9))
 
 JointAt = Callable[[int], Joint | None]
 """Returns the turn joint at a time [ns], None where its angle is not known."""
@@ -110,6 +113,17 @@ class JudgedSensor:
         if colour is not None:
             self._white.learn(self._sensor, measurement, colour, smoother, found.state)
         self._scale.learn(claimed, found.state, measurement, self._log, lowest)
+
+    def residual(self, smoother: Smoother, measurement: Measurement) -> Innovation | Outcome:
+        """Compare a measurement that has a node with a smoother's estimate, whatever that is worth."""
+        stamp_ns, prior = measurement.stamp_ns, self._sensor.parameter
+        known = None if prior is None else smoother.parameter_estimate(prior.name(self._sensor.name))
+        state = State(smoother.nav(stamp_ns), UNKNOWN, smoother.angular_velocity(stamp_ns), self._joint_at(stamp_ns))
+        if known is not None:
+            state = state._replace(parameter=known[0], parameter_covariance=np.diag(known[1] ** 2))
+        elif prior is not None:
+            state = state._replace(parameter=prior.mean, parameter_covariance=np.diag(prior.sigmas**2))
+        return self._sensor.innovation(measurement, state)
 
     def _compare(self, smoother: Smoother, measurement: Measurement) -> Compared | Outcome:
         key, stamp_ns = smoother.node(measurement.stamp_ns), measurement.stamp_ns

@@ -165,7 +165,8 @@ JOINT = np.dtype([
     ("joint_rate_rad_s", FLOAT),
     ("first", INT), ("end", INT),  # rows of ROTATION that are held
     ("gyro_ns", INT), ("angle_ns", INT), ("used_ns", INT),  # newest readings, and the newest angle in use
-    ("gyro_period_s", FLOAT),
+    ("gyro_period_s", FLOAT), ("gyro_rad_s", FLOAT),
+    ("gyro_changes", FLOAT), ("gyro_changed2", FLOAT),  # of successive readings: how many, and as a noise [rad^2/s]
     ("corrected_rad", FLOAT), ("held_rad", FLOAT),  # since the last estimate; what is not let out yet
     ("encoder", INT),  # ENCODERS of `turn_joint`
     ("waiting", INT), ("is_full", INT),  # rows of JOINT_READING

@@ -16,6 +16,8 @@ CORRECTED_S = 0.1  # so long an error in proportion to the cabin's turning adds 
 MAX_STEP_RAD = 2.5e-4  # that the encoder may correct the angle at once: T_O_B does not step
 SETTLE_S = 0.5  # in which the rest of the correction flows in
 AT_ONCE_NS = 50_000_000  # a longer silence of the cabin's IMU is crossed from reading to reading
+KEPT_CHANGES, MAX_RATIO = 500.0, 9.0  # of readings of the base gyroscope; one tells no more
+LEAST_NOISE = 0.01  # of the variance that is configured, whatever readings show
 FROZEN_STEPS = 3.0  # an encoder that has rotated by so many of its steps without a new reading is frozen
 
 OK, ABSENT, IS_LATE, IS_FROZEN, IS_WRONG = range(5)  # states of the encoder; the last has a wrong zero, which is known
@@ -95,11 +97,31 @@ def _take(joint: Any, rotations: Any, reading: Any) -> None:
             joint.gyro_ns = reading.stamp_ns
             if since_ns <= joint.gyro_gap_ns:
                 joint.gyro_period_s = since_ns * 1e-9
-        add_rate(joint, reading.stamp_ns, reading.value, joint.gyro_density2 / joint.gyro_period_s)
+                _learn_noise(joint, reading.value - joint.gyro_rad_s)
+            joint.gyro_rad_s = reading.value
+        add_rate(joint, reading.stamp_ns, reading.value, _gyro_density2(joint) / joint.gyro_period_s)
         add_base(joint.zero, reading, joint.gyro_gap_ns)
     joint.counts[reading.is_angle, outcome] += 1
     if was_known:
         joint.corrected_rad += joint.angle_rad - before_rad
+
+
+@inner
+def _learn_noise(joint: Any, change_rad_s: float) -> None:
+    """Take in by how much two successive readings of the base gyroscope differ: by their noise, and by its motion."""
+    density2 = 0.5 * change_rad_s * change_rad_s * joint.gyro_period_s
+    if joint.gyro_changes > 0.0:
+        density2 = min(density2, MAX_RATIO * joint.gyro_changed2)
+    joint.gyro_changes = min(joint.gyro_changes + 1.0, KEPT_CHANGES)
+    joint.gyro_changed2 += (density2 - joint.gyro_changed2) / joint.gyro_changes
+
+
+@inner
+def _gyro_density2(joint: Any) -> float:
+    """Return the noise of the base gyroscope [rad^2/s]: no more than successive readings differ by."""
+    if joint.gyro_changes < KEPT_CHANGES:
+        return joint.gyro_density2
+    return min(joint.gyro_density2, max(joint.gyro_changed2, LEAST_NOISE * joint.gyro_density2))
 
 
 @inner
@@ -109,7 +131,7 @@ def _take_angle(joint: Any, rotations: Any, stamp_ns: int, angle_rad: float) -> 
         joint.angle_ns = stamp_ns
         white = bias = -1.0  # nothing can be told where the rate itself comes from the encoder
         if joint.has_gyro and stamp_ns - joint.gyro_ns <= joint.gyro_gap_ns:
-            white, bias = joint.cabin_density2 + joint.gyro_density2, max(joint.P[7], 0.0)
+            white, bias = joint.cabin_density2 + _gyro_density2(joint), max(joint.P[7], 0.0)
         hidden_rad = hidden_rotation(joint.repeats, stamp_ns, angle_rad, rotation_rad, white, bias)
     if joint.repeats.is_frozen:
         return FROZEN

@@ -11,13 +11,14 @@ from types import TracebackType
 from typing import Self
 
 from holdfast.config.model import Config
-from holdfast.errors import ConfigError, EstimatorError
+from holdfast.errors import ConfigError, EstimatorError, MessageError
 from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import ImuPath, Received
 from holdfast.estimator.intake import Intake
 from holdfast.event_log import EventLog
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.kernel.imu_path import HAS_NEWS
+from holdfast.measured_fields import got
 from holdfast.messages import ImuSample, JointAngle, Message
 from holdfast.realtime.event_log import EngineLog
 from holdfast.realtime.follower import StateFollower
@@ -222,9 +223,13 @@ class RealtimeEstimator(Intake):
 
         Raises:
             ConfigError: the sensor is not in the configuration.
+            MessageError: it is no message.
             EstimatorError: the estimator is closed.
         """
-        name = message.sensor
+        try:
+            name = message.sensor
+        except AttributeError:
+            raise MessageError(f"message: must be one of holdfast's messages, {got(message)}") from None
         if name == self._answering and isinstance(message, ImuSample):
             readings = message.specific_force, message.angular_velocity
             return self._answer(message.stamp_ns, message.arrival_ns, *readings) or self._finish(message)

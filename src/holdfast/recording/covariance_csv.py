@@ -7,11 +7,11 @@ import numpy as np
 
 from holdfast.covariances import SIZE, UPPER, Covariances
 from holdfast.errors import RecordingError
+from holdfast.measured_fields import LIMIT_NS
 from holdfast.recording.source import Closing
 
 AXES = ("rx", "ry", "rz", "px", "py", "pz", "vx", "vy", "vz")
 HEADER = ["stamp_ns", *(f"{AXES[i]}_{AXES[j]}" for i, j in zip(*UPPER, strict=True))]
-LIMIT_NS = 1 << 63  # of a stamp
 
 
 def beside(track: Path) -> Path:

@@ -12,11 +12,11 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
 from holdfast.evaluation import quaternions
+from holdfast.geometry.rotations import quaternions_xyzw
 from holdfast.messages import Array
 from holdfast.recording.covariance_csv import CovarianceWriter, beside
 from holdfast.recording.tum import TumWriter
 from holdfast.replay.published import by_sensor
-from holdfast.ros.rows import quaternions_xyzw
 from holdfast.sensors.constants import Constant
 from holdfast.smoothing.batch_smoother import BatchSmoother
 from holdfast.smoothing.block import Block, Work

@@ -12,7 +12,7 @@ from holdfast.geometry.earth import Geodetic
 from holdfast.recording.tum import read_tum
 from holdfast.replay.reference import TRUTH, in_other_world, read_reference
 from holdfast.replay.results import SHOWN, errors_against, read_run
-from holdfast.replay.summary_file import datum_in, read_summary
+from holdfast.replay.summary_file import datum_in, is_datum_given, read_summary
 from holdfast.report.comparison import Comparison
 from holdfast.report.run_record import RunRecord
 from holdfast.state import Trajectory
@@ -45,7 +45,7 @@ def read_comparison(
     datums = [datum for run in (one, other) if (datum := datum_in(run.summary)) is not None]
     if len(set(datums)) > 1:
         # a datum that somebody gave, and not the first fix, is that of the reference
-        kept = 1 if _has_datum(other) and not _has_datum(one) else 0
+        kept = 1 if is_datum_given(other.summary) and not is_datum_given(one.summary) else 0
         moved, world = 1 - kept, datums[kept]
         tracks[moved] = in_other_world(tracks[moved], datums[moved], world)
         one, other = (
@@ -63,10 +63,6 @@ def read_comparison(
         times_s = (pairs.reference.stamps_ns - one.start_ns) * np.float64(1e-9)
         apart = {label: errors[name] for name, label in SHOWN.items() if name in errors}
     return Comparison(names, (one, other), times_s, apart, command, notes)
-
-
-def _has_datum(run: RunRecord) -> bool:
-    return bool(run.summary["config"].get("frames", {}).get("datum"))
 
 
 def _judged_anew(run: RunRecord, track: Trajectory, judge: Path | None, world: Geodetic) -> RunRecord:

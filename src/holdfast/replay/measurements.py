@@ -14,6 +14,7 @@ import numpy as np
 from holdfast.errors import RecordingError
 from holdfast.evaluation.consistency import chi_square_quantile
 from holdfast.event_log import MeasurementRecord
+from holdfast.measured_fields import LIMIT_NS
 from holdfast.recording.source import Closing
 from holdfast.report.run_record import InnovationScore, Measurements
 
@@ -21,7 +22,6 @@ MEASUREMENTS = "measurements.csv"
 COLUMNS = ("stamp_ns", "sensor", "outcome", "nis", "dof", "limit", "east_m", "north_m", "up_m")
 HELD_OUT = "held_out"
 PROBABILITY = 0.95  # of the bounds on an NIS
-LIMIT_NS = 1 << 63  # of a stamp
 MAX_ROWS_PER_S = 50  # of one sensor and one outcome: a minute of a flood is no larger than a minute of a fast sensor
 
 

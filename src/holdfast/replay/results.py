@@ -19,7 +19,7 @@ from holdfast.replay.batch_outputs import CAUSAL
 from holdfast.replay.measurements import MEASUREMENTS, innovation_scores, read_measurements
 from holdfast.replay.outputs import ESTIMATES, EVENTS
 from holdfast.replay.reference import Reference, read_reference
-from holdfast.replay.summary_file import datum_in, read_summary
+from holdfast.replay.summary_file import datum_in, is_datum_given, read_summary
 from holdfast.report.run_record import Errors, Measurements, RunRecord
 from holdfast.ros.messages import BIAS_KEYS
 from holdfast.state import Trajectory
@@ -202,8 +202,7 @@ def _read_true_biases(file: Path) -> tuple[NDArray[np.int64], Array]:
 
 def _in_doubt(reference: Reference, summary: dict[str, Any]) -> list[str]:
     """Return a note if nothing says that the world of a reference is the one that began at the first fix."""
-    is_given = bool(summary["config"].get("frames", {}).get("datum"))
-    if reference.is_placed or is_given or datum_in(summary) is None:
+    if reference.is_placed or is_datum_given(summary) or datum_in(summary) is None:
         return []
     return [
         f"{reference.file} does not say where its world is, and that of the run began at its first fix: "

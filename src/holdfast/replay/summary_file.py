@@ -37,3 +37,8 @@ def datum_in(summary: Mapping[str, Any]) -> Geodetic | None:
     """Return the origin of W of a run, as its summary has it; None where W is nowhere on the earth."""
     found = summary.get("datum")
     return None if found is None else Geodetic(**found)
+
+
+def is_datum_given(summary: Mapping[str, Any]) -> bool:
+    """Whether somebody said where the origin of W is; else it is at the first fix."""
+    return bool(summary["config"].get("frames", {}).get("datum"))

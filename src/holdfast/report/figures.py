@@ -22,12 +22,14 @@ from holdfast.report.png import encode_png
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9", "#7a5195", "#5f6b7a")
 GREY, INK, RULE = "#9aa5b1", "#1d2630", "#e6e9ee"
 MAX_POINTS_PER_LINE = 2000  # about as many as there are pixels
+HATCHES = ("", "/", "x", ".")  # of bars, once the colours are used up
 PIXELS = 700  # of the longer side of a map
 TIME = "time [s]"
 MARGIN_FRACTION = 0.04  # of the longer side of a map
 GAP_STEPS = 5.0  # a line is broken where points are so many usual steps apart
 
 Axis = Literal["linear", "log"]
+TICKS: dict[Axis, int] = {"linear": 0, "log": 3}  # of a panel at most, powers of ten apart or more; 0: as many as fit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +103,7 @@ def over_time(panels: Sequence[Panel], bands: Sequence[Band] = (), label: str = 
         top = 1.0 - k * height
         domain = [top - height + 0.03 * (len(panels) > 1), top]
         limits = {} if panel.limit is None else {"range": [-panel.limit, panel.limit]}
-        axis = _axis(panel.label) | {"domain": domain, "anchor": "x", "type": panel.axis} | limits
+        axis = _axis(panel.label, panel.axis) | {"domain": domain, "anchor": "x", "nticks": TICKS[panel.axis]} | limits
         figure.update_layout({f"yaxis{suffix}": axis})
         for line in panel.lines:
             points = decimated(line.x, line.y)
@@ -137,10 +139,11 @@ def track_map(
     figure.update_layout(
         xaxis_range=[low[0] - margin, high[0] + margin], yaxis_range=[low[1] - margin, high[1] + margin]
     )
-    for name, (east, north) in (marks or {}).items():
+    for k, (name, (east, north)) in enumerate((marks or {}).items()):
         side = "right" if east < (low[0] + high[0]) / 2.0 else "left"  # its text stays within the axes
+        above = "top" if k % 2 == 0 else "bottom"  # a track may end where it began
         figure.add_scatter(
-            x=[east], y=[north], mode="markers+text", text=[name], textposition=f"top {side}", name=name,
+            x=[east], y=[north], mode="markers+text", text=[name], textposition=f"{above} {side}", name=name,
             marker={"size": 9, "color": INK, "symbol": "circle-open", "line": {"width": 2}}, showlegend=False,
         )  # fmt: skip
     return figure
@@ -181,7 +184,8 @@ def counts_over_time(times_s: Mapping[str, Array], end_s: float, label: str, bin
     for k, (name, times) in enumerate(times_s.items()):
         figure.add_bar(
             x=(edges[:-1] + edges[1:]) / 2.0, y=np.histogram(times, edges)[0], name=name,
-            width=float(edges[1] - edges[0]), marker={"color": COLOURS[k % len(COLOURS)], "line": {"width": 0}},
+            width=float(edges[1] - edges[0]),
+            marker={"color": COLOURS[k % len(COLOURS)], "line": {"width": 0}, "pattern": _pattern(k // len(COLOURS))},
         )  # fmt: skip
     figure.update_layout(barmode="stack", xaxis=_axis(TIME), yaxis=_axis(label))
     return figure
@@ -208,7 +212,7 @@ def curves(
     for line in lines:
         trace = _trace(line, (line.x, line.y), colours[line.name], True)
         figure.add_trace(trace.update(mode="lines+markers"))
-    figure.update_layout(xaxis=_axis(label_x) | {"type": horizontal}, yaxis=_axis(label_y) | {"type": vertical})
+    figure.update_layout(xaxis=_axis(label_x, horizontal), yaxis=_axis(label_y, vertical))
     return figure
 
 
@@ -220,7 +224,7 @@ def histogram(counts: Mapping[str, tuple[Array, Array]], label: str) -> go.Figur
         x = np.repeat(edges, 2)
         y = np.concatenate([[0.0], np.repeat(percent, 2), [0.0]])
         figure.add_scatter(x=x, y=y, name=name, fill="tozeroy", line={"color": COLOURS[k % len(COLOURS)], "width": 1})
-    figure.update_layout(xaxis=_axis(label) | {"type": "log"}, yaxis=_axis("fraction [%]"))
+    figure.update_layout(xaxis=_axis(label, "log"), yaxis=_axis("fraction [%]"))
     return figure
 
 
@@ -232,7 +236,7 @@ def quantiles(values: Mapping[str, Mapping[str, float]], label: str) -> go.Figur
         figure.add_scatter(
             x=list(of.values()), y=list(of), name=name, mode="lines+markers", line={"color": colour, "width": 1.5}
         )
-    figure.update_layout(xaxis=_axis(label) | {"type": "log"}, yaxis=_axis("") | {"autorange": "reversed"})
+    figure.update_layout(xaxis=_axis(label, "log"), yaxis=_axis("") | {"autorange": "reversed"})
     return figure
 
 
@@ -344,6 +348,11 @@ def _add_bands(figure: go.Figure, bands: Sequence[Band]) -> None:
         )  # fmt: skip
 
 
+def _pattern(times: int) -> dict[str, Any]:
+    """Return the hatching that tells bars of one colour apart, of which so many have been drawn."""
+    return {"shape": HATCHES[times % len(HATCHES)], "fgcolor": "#ffffff", "size": 5, "solidity": 0.4}
+
+
 def _square(figure: go.Figure) -> None:
     figure.update_layout(
         xaxis=_axis("east [m]") | {"constrain": "domain"},
@@ -351,8 +360,9 @@ def _square(figure: go.Figure) -> None:
     )
 
 
-def _axis(label: str) -> dict[str, Any]:
-    return {
+def _axis(label: str, kind: Axis = "linear") -> dict[str, Any]:
+    # without a format the ticks between powers of ten are digits, whatever the power
+    return ({"type": "log", "tickformat": "~g"} if kind == "log" else {}) | {
         "title": {"text": label, "standoff": 8},
         "gridcolor": RULE,
         "zerolinecolor": GREY,

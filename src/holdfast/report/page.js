@@ -11,6 +11,7 @@
   const settings = { responsive: true, displayModeBar: false, doubleClick: "reset" }; // drag zooms
   const in_the_dark = { "#1d2630": "#dfe6ee", "#e6e9ee": "#2c3742", "#ffffff": "#12181f", "#5f6b7a": "#9dabba",
     "#0072b2": "#4aa8e0", "#56b4e9": "#d4ecff", "#7a5195": "#b28ad0" };
+  const LONG_NAME = 12, NARROW_PX = 500;
   root.dataset.drawn = "0";
   root.dataset.errors = "";
   window.addEventListener("error", (event) => { root.dataset.errors += event.message + "\n"; });
@@ -117,6 +118,9 @@
     const figure = JSON.parse(text);
     figure.layout.meta = figure.layout.meta || {};
     if (touch) figure.layout.dragmode = false; // a finger scrolls the page
+    const is_long = (y) => typeof y === "string" && y.length > LONG_NAME;
+    if (figure.data.some((trace) => (trace.y || []).some?.(is_long)) && box.clientWidth < NARROW_PX) // beside the axis they would leave no room for the plot
+      Object.assign(figure.layout.yaxis, { ticklabelposition: "inside top", tickfont: { size: 10 } });
     box.figure = figure;
     box.shapes = figure.layout.shapes || [];
     if (over_time(box)) {

@@ -38,6 +38,7 @@ HEALTH_COLOURS = {
     "initialising": START,
 }
 IN_THE_LEAD = ("horizontal [m]", "vertical [m]", "yaw [deg]")
+BRIEF_S = 10.0  # outages that are told to a tenth of a second
 STATISTICS = ("mean", "std", "rms", "median", "p95", "max")
 POSITIONS = {"gnss", "prism"}
 UNTESTED = {"imu", "base_imu", "joint", "odometry"}  # kinds of sensors that are not lost and regained by a test
@@ -68,7 +69,8 @@ def _lead(run: RunRecord) -> str:
     if not POSITIONS & set(run.kinds.values()):
         lead += "without GNSS."
     elif lost:
-        lead += f"{without_s:.0f} s of them without GNSS in {len(lost)} outage{'s' * (len(lost) > 1)}."
+        digits = int(without_s < BRIEF_S)
+        lead += f"{without_s:.{digits}f} s of them without GNSS in {len(lost)} outage{'s' * (len(lost) > 1)}."
     else:
         lead += "GNSS was never lost."
     if run.errors is not None:

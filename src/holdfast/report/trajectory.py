@@ -86,7 +86,7 @@ def _motion(run: RunRecord) -> list[Block]:
     ]
     yaw = "Attitude of the IMU in W; yaw is 0 to the east, counter-clockwise, and goes on beyond 180 deg."
     return [
-        Figure("height-and-speed", "Height and speed", over_time(panels, bands), "Up of the datum."),
+        Figure("height-and-speed", "Height and speed", over_time(panels, bands), "Height is above the datum."),
         Figure("attitude", "Roll, pitch and yaw", over_time(angles, bands), yaw),
     ]
 

@@ -4,9 +4,9 @@ import gtsam
 
 from holdfast.config.frame_tree import links_from
 from holdfast.config.model import Config
-from holdfast.geometry.rotations import about_z
+from holdfast.geometry.rotations import about_z, quaternions_xyzw
 from holdfast.ros.cdr import TransformEncoder
-from holdfast.ros.rows import Poses, Rows, quaternions_xyzw
+from holdfast.ros.rows import Poses, Rows
 
 
 class FrameTransforms:

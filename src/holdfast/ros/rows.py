@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import gtsam
 import numpy as np
 
+from holdfast.geometry.rotations import quaternions_xyzw
 from holdfast.messages import Array
 from holdfast.state import PUBLISHED, BaseState, Estimate
 
@@ -88,22 +89,3 @@ def quaternion_xyzw(rotation: gtsam.Rot3) -> Array:
     """Return the quaternion (4,) x, y, z, w."""
     coefficients: Array = rotation.toQuaternion().coeffs()  # type: ignore[attr-defined]  # absent from the stubs
     return coefficients
-
-
-def quaternions_xyzw(rotations: Array) -> Array:
-    """Return the quaternions (N, 4) x, y, z, w of rotations (N, 3, 3): by w, or by the largest where that is small.
-
-    Shepperd, "Quaternion from rotation matrix", 1978: each row of 4 q q^T is q, but for its length.
-    """
-    (a, d, g), (b, e, h), (c, f, i) = rotations.transpose(2, 1, 0)
-    rows = np.array([
-        [1.0 + a - e - i, b + d, c + g, h - f],
-        [b + d, 1.0 + e - a - i, f + h, c - g],
-        [c + g, f + h, 1.0 + i - a - e, d - b],
-        [h - f, c - g, d - b, 1.0 + a + e + i],
-    ])  # fmt: skip
-    number, largest = np.arange(len(rotations)), np.array([a, e, i]).argmax(axis=0)
-    largest[a + e + i > 0.0] = 3
-    chosen = rows[largest, :, number]
-    quaternions: Array = chosen / (2.0 * np.sqrt(chosen[number, largest]))[:, None]
-    return quaternions

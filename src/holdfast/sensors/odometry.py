@@ -24,6 +24,7 @@ MAX_SCALE = 30.0
 LOOSE_TILT_RAD = 0.2  # of a pseudo-global pose, whose roll and pitch are left to the IMU
 STILL_M_S = 1e-3  # velocity of a frame, which has one only because it shares the type of the nodes
 STANDING = np.zeros(3)
+LEAST_YAW_DRIFT = 1e-3  # [rad/sqrt(rad)] whatever is learnt, unless less is configured
 UNMEASURED_RAD, UNMEASURED_M = 10.0, 1e3  # sigmas of a motion since the pose before that nobody measured
 STANDING_DRIFT_M_PER_SQRT_S = 1e-4  # what even a standing odometry is allowed; a tenth of it in rad
 
@@ -96,12 +97,16 @@ def is_possible(motion: gtsam.Pose3, duration_s: float) -> bool:
 
 
 class LearntNoise(NamedTuple):
-    """How many times larger the sigmas of an odometry are than configured: noise of its poses, and drift."""
+    """How many times larger the sigmas of an odometry are than configured: noise of its poses, and drift.
+
+    Its rotation drifts about the vertical by another factor than about the horizontal.
+    """
 
     rotation_noise: float = 1.0
     translation_noise: float = 1.0
-    rotation_drift: float = 1.0
+    tilt_drift: float = 1.0
     translation_drift: float = 1.0
+    yaw_drift: float = 1.0
 
 
 CONFIGURED = LearntNoise()
@@ -120,6 +125,7 @@ class OdometryNoise:
         self.calibration = model.calibration
         self._config = model.config
         self._adjoint = model.adjoint
+        self._p_I_L = model.calibration.lever_arm
 
     def trust_less(self, factor: float) -> None:
         """The odometry has proved to be worse than configured."""
@@ -204,16 +210,21 @@ class OdometryNoise:
         key: int,
         motion: gtsam.Pose3,
         duration_s: float,
+        up: Array,
         calibration_key: int | None = None,
         excess: Array | None = None,
     ) -> gtsam.NonlinearFactor:
         """Return the factor between two poses on the track, which may drift between them: (29) in docs/math.md.
 
-        Where the calibration is estimated, it is on that, too.
+        Where the calibration is estimated, it is on that, too. `up` (3,) is the vertical at the second, in I.
         """
         covariance = np.eye(9) * STILL_M_S**2
-        learnt = np.repeat([self.learnt.rotation_drift, self.learnt.translation_drift], 3)
-        covariance[:6, :6] = _with(excess, self._at_imu((learnt * self.drift(motion, duration_s)) ** 2))
+        learnt, drift = self.learnt, self.drift(motion, duration_s)
+        sigmas = np.repeat([learnt.tilt_drift, learnt.translation_drift], 3) * drift
+        covariance[:6, :6] = _with(excess, self._at_imu(sigmas**2))
+        about_up = np.concatenate([up, np.cross(self._p_I_L, up)])
+        yaw_drift = max(learnt.yaw_drift, min(1.0, LEAST_YAW_DRIFT / max(self._config.drift_rad_per_sqrt_rad, 1e-12)))
+        covariance[:6, :6] += ((yaw_drift * drift[0]) ** 2 - sigmas[0] ** 2) * np.outer(about_up, about_up)
         model = gtsam.noiseModel.Gaussian.Covariance(covariance)
         if calibration_key is not None:
             return self.calibration.drift_factor((before_key, key, calibration_key), motion, model)

@@ -16,6 +16,7 @@ from holdfast.messages import Array
 
 MOTION_INTEGRATION_SIGMA = 0.1  # of position where the motion model stands in [m/sqrt(s)]
 MOTION_CORRELATION_S = 1.0  # of the error that is proportional to the motion
+LEAST_DENSITY, LEAST_RATIO = 5e-5, 1e-3  # of a gyroscope, whatever is learnt: [rad/s/sqrt(Hz)] and of the turning
 EYE = np.eye(3)
 
 
@@ -57,6 +58,7 @@ class ImuNoise:
         self._up = np.array([0.0, 0.0, gravity])
         self.gravity = gravity
         self.density = Density(config.accelerometer_noise_density, config.gyroscope_noise_density)
+        self.yaw_scale = 1.0  # how many times larger the gyroscope's noise is about the vertical, as has been learnt
         self._force_error = config.accelerometer_error_ratio * sqrt(MOTION_CORRELATION_S)
         self._rate_error = config.gyroscope_error_ratio * sqrt(MOTION_CORRELATION_S)
 
@@ -66,25 +68,37 @@ class ImuNoise:
         """Return the parameters while the machine, at attitude R_W_I, senses (3,) [m/s^2] and (3,) [rad/s]."""
         config = self._config
         fx, fy, fz = specific_force.tolist()
-        ux, uy, uz = attitude.unrotate(self._up).tolist()
+        up = attitude.unrotate(self._up)
+        ux, uy, uz = up.tolist()
         ax, ay, az = fx - ux, fy - uy, fz - uz
         wx, wy, wz = rate.tolist()
-        return preintegration_params(
+        turning = sqrt(wx * wx + wy * wy + wz * wz)
+        params = preintegration_params(
             hypot(
                 max(config.accelerometer_noise_density, seen.accelerometer),
                 self._force_error * sqrt(ax * ax + ay * ay + az * az),
             ),
-            hypot(
-                max(config.gyroscope_noise_density, seen.gyroscope),
-                self._rate_error * sqrt(wx * wx + wy * wy + wz * wz),
-            ),
+            hypot(max(config.gyroscope_noise_density, seen.gyroscope), self._rate_error * turning),
             self._integration_sigma,
             self.gravity,
         )
+        if self.yaw_scale != 1.0:
+            white = _scaled(config.gyroscope_noise_density, self.yaw_scale, LEAST_DENSITY)
+            ratio = _scaled(config.gyroscope_error_ratio, self.yaw_scale, LEAST_RATIO)
+            about_up = max(white, seen.gyroscope) ** 2 + (ratio * turning) ** 2 * MOTION_CORRELATION_S
+            isotropic = params.getGyroscopeCovariance()
+            excess = (about_up - isotropic[0, 0]) / self.gravity**2
+            params.setGyroscopeCovariance(isotropic + excess * np.outer(up, up))
+        return params
 
-    def rate_error_variance(self, rotation_rad: float, duration_s: float) -> float:
-        """Return the variance [rad^2] of an even rotation by scale factor and misalignment, per axis: (10)."""
-        return (self._rate_error * rotation_rad) ** 2 / duration_s
+    def rotation_variance(self, rotation_rad: float, duration_s: float) -> float:
+        """Return the configured variance [rad^2] per axis of an even rotation: white noise, (10) in docs/math.md."""
+        return self.density.gyroscope**2 * duration_s + (self._rate_error * rotation_rad) ** 2 / duration_s
+
+
+def _scaled(configured: float, scale: float, least: float) -> float:
+    """Return a sigma as it has been learnt: no smaller than any sensor's, unless it is configured so."""
+    return max(scale * configured, min(configured, least))
 
 
 class Step(NamedTuple):

@@ -32,8 +32,7 @@ class Event:
 
     def inside(self, name: str) -> NDArray[np.bool_]:
         """Return which rows (N,) of a sensor the fault's interval holds."""
-        times_s = self.readings[name].times_s
-        return (times_s >= self.fault.start_s) & (times_s <= self.fault.end_s)
+        return self.fault.holds(self.readings[name].times_s)
 
     def elapsed_s(self, name: str) -> Array:
         """Return the time (N, 1) since the fault's start, 0 outside the interval."""

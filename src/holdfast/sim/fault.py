@@ -2,9 +2,12 @@
 
 from typing import Literal, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from holdfast.config.section import Section, Vector3, quantity
+from holdfast.messages import Array
 
 FaultKind = Literal[
     "outage",
@@ -61,6 +64,11 @@ class Fault(Section):
     flood_hz: float = quantity("Hz", 1000.0, gt=0, le=10_000, doc="for flood")
     behind: int = Field(0, ge=0, le=100, description="for twin: messages")
     garbage_ratio: float = quantity("1", 1.0, ge=0, le=1, doc="for garbage: of the messages")
+
+    def holds(self, times_s: Array) -> NDArray[np.bool_]:
+        """Return which times (N,) since the start of the scenario [s] lie inside; both ends belong to it."""
+        inside: NDArray[np.bool_] = (times_s >= self.start_s) & (times_s <= self.end_s)
+        return inside
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -35,7 +35,7 @@ class Garbage:
         chance = np.zeros(len(times_s))
         for fault in faults:
             if fault.kind == "garbage" and name in fault.sensors:
-                inside = (fault.start_s <= times_s) & (times_s <= fault.end_s)
+                inside = fault.holds(times_s)
                 chance[inside] = np.maximum(chance[inside], fault.garbage_ratio)
         self._struck = rng.random(len(times_s)) < chance
         self._seeds = rng.integers(2**32, size=len(times_s))

@@ -10,9 +10,11 @@ from time import perf_counter
 from typing import NamedTuple
 
 from holdfast.config.model import Config
+from holdfast.errors import ConfigError
 from holdfast.estimator.imu_path import Received
 from holdfast.estimator.listener import Constants, Used
 from holdfast.estimator.tracking import Update
+from holdfast.printable import quoted
 from holdfast.sensors.sensor import Joint, Measurement, Sensor
 from holdfast.smoothing.block import Block
 from holdfast.smoothing.closures import Closer
@@ -21,6 +23,20 @@ from holdfast.smoothing.segment import Segment
 from holdfast.state import OptimisedState
 
 WINDOW_S, OVERLAP_S = 300.0, 120.0
+
+
+def check_lengths(window_s: float, overlap_s: float, names: tuple[str, str] = ("window_s", "overlap_s")) -> None:
+    """Refuse lengths of windows that cannot be meant; `names` are those of the two where they were given.
+
+    Raises:
+        ConfigError: says which, and what is allowed.
+    """
+    for name, given_s, least_s, most_s in ((names[0], window_s, 10, 36_000), (names[1], overlap_s, 5, 3600)):
+        if not isinstance(given_s, int | float) or not least_s <= given_s <= most_s:
+            shown = f"{given_s:g}" if isinstance(given_s, int | float) else quoted(given_s)
+            raise ConfigError(f"{name} {shown}: must be from {least_s} to {most_s} s")
+
+
 DROPPED_NS = 10_000_000_000  # before a start, older samples are dropped this often
 BEFORE_START_NS = 60_000_000_000  # samples that are kept while nothing has started
 

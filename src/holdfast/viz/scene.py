@@ -12,8 +12,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from holdfast.geometry.earth import Geodetic, LocalFrame
+from holdfast.geometry.rotations import quaternions_xyzw
 from holdfast.messages import Array
-from holdfast.ros.rows import quaternions_xyzw
 from holdfast.viz.clouds import MAP_S, Clouds
 
 NS_PER_S = 1_000_000_000
