@@ -4,20 +4,14 @@ The estimator is causal and forgets. What is to be estimated once more, with the
 measurement, is collected by whoever listens; nothing that a listener does reaches back.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Protocol
 
 from holdfast.estimator.imu_path import Received
+from holdfast.estimator.learnt import Learnt
 from holdfast.estimator.tracking import Update
-from holdfast.sensors.constants import Constant
 from holdfast.sensors.sensor import Joint, Measurement, Sensor
 from holdfast.state import OptimisedState
-
-Used = Callable[[int, int], list[Measurement]]
-"""Returns the measurements later than one time [ns] and not later than another whose factors the graph holds."""
-
-Constants = Callable[[], Mapping[str, Constant]]
-"""Returns what the graph knows of the constants of sensors."""
 
 
 class Listener(Protocol):
@@ -35,9 +29,5 @@ class Listener(Protocol):
     def stop(self) -> None:
         """Take note that nothing of before is known any more, until the next start."""
 
-    def update(self, update: Update, noise: Callable[[str], float], used: Used, constants: Constants) -> None:
-        """Take note of an optimisation.
-
-        `noise` tells how many times noisier than claimed a sensor is, `used` which measurements are in the graph,
-        `constants` what it knows of mountings and clocks.
-        """
+    def update(self, update: Update, learnt: Learnt) -> None:
+        """Take note of an optimisation, and of what is known of the sensors after it."""

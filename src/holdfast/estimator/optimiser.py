@@ -302,8 +302,7 @@ class Optimiser:
         assert isinstance(self._phase, Tracking)
         update = self._phase.update()
         if self._listener is not None:
-            phase = self._phase
-            self._listener.update(update, self.monitor.noise, phase.graph.published.measured, phase.constants)
+            self._listener.update(update, self._phase.learnt())
         if self._lever_arms.review(self._buffer.latest_ns, self._log):
             state = self._lever_arms.doubtful(update.state, self._config.imu.accelerometer_bias_sigma)
             update = Update(state, (), is_recovery=True, begins_anew=True)

@@ -10,6 +10,7 @@ from holdfast.estimator.clock import MAX_SILENCE_NS
 from holdfast.estimator.epochs import Epochs
 from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import Received
+from holdfast.estimator.learnt import Learnt
 from holdfast.estimator.queue import MeasurementQueue
 from holdfast.estimator.standstill import STANDSTILL, StandstillUpdates
 from holdfast.estimator.successor import Successor
@@ -27,6 +28,7 @@ from holdfast.integrity.states import JointAt, States
 from holdfast.sensors.clock import with_estimated_clock
 from holdfast.sensors.constants import Constant, priors_of
 from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.noise import Colour
 from holdfast.sensors.sensor import ConstraintSensor, Measurement, Role, Sensor, of_role
 from holdfast.state import EventKind, OptimisedState, Outcome
 
@@ -133,6 +135,16 @@ class Tracking:
     def constants(self) -> dict[str, Constant]:
         """Return what the graph knows of the constants of sensors, by sensor or by what several share."""
         return self.graph.main.constants(self._priors)
+
+    def learnt(self) -> Learnt:
+        """Return what is known of the sensors, to be read at any time until the next start."""
+        used = self.graph.published.measured
+        return Learnt(self._monitor.noise, used, self.constants, self._colour)
+
+    def _colour(self, sensor: str, colour: Colour, above: float) -> Colour:
+        if self._roles[sensor] is Role.HEADING:
+            return self._headings.colour(sensor, colour, above)
+        return self._positions.colour(sensor, colour, above)
 
     def distrust(self, names: Iterable[str]) -> None:
         """Begin with receivers that are not trusted."""

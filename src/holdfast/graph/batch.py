@@ -4,10 +4,11 @@ What is marginalised leaves its exact Gaussian on the variables that it touched,
 that begins where another one ended knows so all that was measured before.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import gtsam
+import numpy as np
 
 from holdfast.graph.solver import Placed, Value
 from holdfast.messages import Array
@@ -16,6 +17,7 @@ MAX_ITERATIONS = 30  # of one call of `converge`
 RELATIVE_TOLERANCE = 1e-5  # of the cost, at which an iteration was the last
 MAX_LINEARISATIONS = 3  # of factors in Python, in one call
 RELINEARISE = 1e-3  # of the cost: if no more is gained, they are linearised where they should be
+MOVED = 1e-3  # of a variable, in its units: what is linear about it is off by the square
 FIRST_LAMBDA = 1e-9  # the start is the estimate of a filter: almost Gauss-Newton
 
 
@@ -38,7 +40,8 @@ class Batch:
         self._values = gtsam.Values()
         self._stamps: dict[int, int] = {}  # key -> when the variable was used last [ns]
         self._placed: dict[int, Placed] = {}  # by slot
-        self._slow: set[int] = set()  # slots of factors that are written in Python
+        self._slow: dict[int, Sequence[int]] = {}  # the keys of factors that are written in Python, by slot
+        self._linear: dict[int, gtsam.LinearContainerFactor] = {}  # they, linear about an estimate, by slot
         self._tree: gtsam.GaussianBayesTree | None = None
 
     def __contains__(self, key: int) -> bool:
@@ -78,14 +81,15 @@ class Batch:
         assert placed.slot is not None
         self._placed[placed.slot] = placed
         if isinstance(placed.factor, gtsam.CustomFactor):
-            self._slow.add(placed.slot)
+            self._slow[placed.slot] = placed.factor.keys()
 
     def retract(self, placed: Placed) -> None:
         """Take out a factor on variables that are still there."""
         if placed.slot is not None and self._placed.get(placed.slot) is placed:
             self._graph.remove(placed.slot)
             del self._placed[placed.slot]
-            self._slow.discard(placed.slot)
+            self._slow.pop(placed.slot, None)
+            self._linear.pop(placed.slot, None)
             placed.slot = None
             self._tree = None
 
@@ -93,7 +97,7 @@ class Batch:
         """Solve for all variables.
 
         Factors in Python are linearised where this begins, and once more where it ends if that is far away: in every
-        iteration they would take most of the time.
+        iteration they would take most of the time. So are only those whose variables have moved since.
 
         Raises:
             RuntimeError: GTSAM failed; the estimate is what it was.
@@ -107,19 +111,31 @@ class Batch:
             optimiser = gtsam.LevenbergMarquardtOptimizer(self._native(), self._values, parameters)
             cost = optimiser.error()
             before = cost if before is None else before
-            self._values = optimiser.optimize()
-            self._tree = None
+            self._move(optimiser.optimize())
             iterations += optimiser.iterations()
             if not self._slow or cost - optimiser.error() < RELINEARISE * cost:
                 break
         return Solved(before or 0.0, optimiser.error(), iterations)
 
+    def _move(self, values: gtsam.Values) -> None:
+        """Take over an estimate; what is linear about variables that have moved must be linearised anew."""
+        if self._linear:
+            steps = self._values.localCoordinates(values)
+            joined = {key for slot in self._linear for key in self._slow[slot]}
+            moved = {key for key in joined if np.abs(steps.at(key)).max() > MOVED}
+            stale = [slot for slot in self._linear if not moved.isdisjoint(self._slow[slot])]
+            for slot in stale:
+                del self._linear[slot]
+        self._values, self._tree = values, None
+
     def _native(self) -> gtsam.NonlinearFactorGraph:
-        """Return the graph with those factors linearised that are written in Python."""
+        """Return the graph with those factors linear that are written in Python."""
         graph = gtsam.NonlinearFactorGraph(self._graph)
         for slot in self._slow:
-            linear = self._placed[slot].factor.linearize(self._values)
-            graph.replace(slot, gtsam.LinearContainerFactor(linear, self._values))
+            if slot not in self._linear:
+                linear = self._placed[slot].factor.linearize(self._values)
+                self._linear[slot] = gtsam.LinearContainerFactor(linear, self._values)
+            graph.replace(slot, self._linear[slot])
         return graph
 
     def solve(self, oldest_ns: int) -> None:
@@ -145,7 +161,7 @@ class Batch:
         for key in sorted(leaves, key=lambda key: (self._stamps[key], key)):
             order.push_back(key)
         _, left = _without(touched.linearize(self._values), order)
-        self._graph, self._placed, self._slow = gtsam.NonlinearFactorGraph(), {}, set()
+        self._graph, self._placed, self._slow, self._linear = gtsam.NonlinearFactorGraph(), {}, {}, {}
         for placed in rest:
             placed.slot = self._graph.size()
             self._graph.push_back(placed.factor)
@@ -174,7 +190,7 @@ class Batch:
     def covariance(self, *keys: int) -> Array:
         """Return the joint covariance of some variables, in the order of the keys, given all factors."""
         if self._tree is None:
-            self._tree = self._eliminated(self._graph.linearize(self._values))
+            self._tree = self._eliminated(self._native().linearize(self._values))
         covariance: Array
         if len(keys) == 1:
             covariance = self._tree.marginalCovariance(keys[0])

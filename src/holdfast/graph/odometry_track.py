@@ -116,7 +116,8 @@ class OdometryTrack:
         return Outcome.USED
 
     def _add_anchored(self, smoother: Smoother, key: int, pose: TrackPose) -> Outcome:
-        self._epochs = [epoch for epoch in self._epochs if smoother.has_frame(epoch.key)]
+        while self._epochs and not smoother.has_frame(self._epochs[0].key):  # they leave in the order of time
+            del self._epochs[0]
         at = next((epoch for epoch in reversed(self._epochs) if epoch.first.stamp_ns <= pose.stamp_ns), None)
         is_newest = bool(self._epochs) and at is self._epochs[-1]
         if not self._epochs or (is_newest and at is not None and _is_over(at, pose)):

@@ -92,7 +92,8 @@ class SlowErrors:
 
         A sensor whose time constant has changed has begun to err in another way.
         """
-        self._epochs = [epoch for epoch in self._epochs if epoch.key in solver]
+        while self._epochs and self._epochs[0].key not in solver:  # they leave in the order in which they came
+            del self._epochs[0]
         self._used_ns = max(self._used_ns, stamp_ns)
         block, newest, time_constant_s = self._blocks[name], self.newest, colour.time_constant_s
         is_new_kind = self._time_constants_s[block.start] != time_constant_s

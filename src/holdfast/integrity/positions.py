@@ -18,7 +18,7 @@ from holdfast.integrity.receiver import Held, ReceiverGate, Trust, predict
 from holdfast.integrity.review import UsedPositions
 from holdfast.integrity.white_noise import WhiteNoise
 from holdfast.sensors.coloured import Compared, coloured, coloured_factor
-from holdfast.sensors.noise import correlation_inflation, shared_inflation
+from holdfast.sensors.noise import Colour, correlation_inflation, shared_inflation
 from holdfast.sensors.sensor import Position, PositionSensor, State
 from holdfast.state import EventKind, Outcome
 
@@ -93,7 +93,7 @@ class Positions:
         gate, scale = self.gates[name], self._scales[name]
         above, colour = scale.above, position.colour
         if colour is not None:
-            colour = self._white[name].colour(colour, above)
+            colour = self.colour(name, colour, above)
         position = replace(position, covariance=position.covariance * above, colour=colour)
         found = self._compare(smoother, key, position)
         innovation, state = found.innovation, found.state
@@ -124,6 +124,10 @@ class Positions:
         gate_limit = gate.limit_on_nis
         self._log.record(position.stamp_ns, name, outcome, prediction.nis, 3, limit=gate_limit, p_W_P=position.p_W_P)
         return outcome
+
+    def colour(self, sensor: str, colour: Colour, above: float) -> Colour:
+        """Return how the error of a position is composed whose claim is believed times a factor, as was learnt."""
+        return self._white[sensor].colour(colour, above)
 
     def enter_held(self, smoother: Smoother, held: Sequence[Held], *, is_trial: bool) -> list[Position]:
         """Let positions that waited enter a smoother, and return them.

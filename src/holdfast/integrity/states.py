@@ -86,6 +86,10 @@ class JudgedSensor:
         since_s = abs(held[0].stamp_ns - self._used_ns) * 1e-9
         return shared_inflation(self._correlation_s(held[0]), [since_s, *gaps_s])
 
+    def colour(self, colour: Colour, above: float) -> Colour:
+        """Return how the error of a measurement is composed whose claim is believed times a factor, as was learnt."""
+        return self._white.colour(colour, above)
+
     def _correlation_s(self, measurement: Measurement) -> float:
         """Return the correlation time of the errors of a measurement, or of what is white of them."""
         colour = _colour(measurement)
@@ -138,7 +142,7 @@ class JudgedSensor:
         if colour is None:
             return Compared(keys, state, innovation)
         slow = smoother.slow_error(measurement.sensor, colour, stamp_ns)
-        return coloured(keys, state, innovation, self._white.colour(colour, self._scale.above), slow)
+        return coloured(keys, state, innovation, self.colour(colour, self._scale.above), slow)
 
     def _enter(
         self,

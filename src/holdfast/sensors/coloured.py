@@ -56,7 +56,7 @@ class Compared(NamedTuple):
 def coloured(keys: Sequence[int], state: State, innovation: Innovation, colour: Colour, slow: SlowError) -> Compared:
     """Return what is known of a measurement whose error has a colour; `R` of the innovation is what it claims."""
     size = len(innovation.y)
-    root = _root(innovation.R) * sqrt(colour.slow)
+    root = root_of(innovation.R) * sqrt(colour.slow)
     y = innovation.y - root @ slow.value[slow.first : slow.first + size]
     H = np.concatenate([innovation.H, root], axis=1)
     own = Innovation(y, H, innovation.R * colour.white, innovation.J)
@@ -122,7 +122,7 @@ def _nonlinear(  # noqa: PLR0917 (what a factor is made of)
     return gtsam.CustomFactor(noise, list(keys), error)
 
 
-def _root(covariance: Array) -> Array:
+def root_of(covariance: Array) -> Array:
     """Return a root (m, m) of a covariance (m, m): diagonal where that is."""
     if np.count_nonzero(covariance) == len(covariance):
         return np.diag(np.sqrt(covariance.diagonal()))
@@ -131,6 +131,6 @@ def _root(covariance: Array) -> Array:
 
 def _inverse_root(covariance: Array) -> Array:
     """Return the inverse (m, m) of a root of a covariance (m, m)."""
-    root = _root(covariance)
-    inverse = np.diag(1.0 / root.diagonal()) if np.count_nonzero(root) == len(root) else np.linalg.inv(root)
-    return np.asarray(inverse, dtype=np.float64)
+    if np.count_nonzero(covariance) == len(covariance):
+        return np.diag(1.0 / np.sqrt(covariance.diagonal()))
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64)

@@ -5,14 +5,14 @@ measured stays as a prior on the variables at the border, exact but for its line
 is bounded, and the past is never cut off; the future is, after `OVERLAP_S`.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from time import perf_counter
 from typing import NamedTuple
 
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
 from holdfast.estimator.imu_path import Received
-from holdfast.estimator.listener import Constants, Used
+from holdfast.estimator.learnt import Learnt
 from holdfast.estimator.tracking import Update
 from holdfast.printable import quoted
 from holdfast.sensors.sensor import Joint, Measurement, Sensor
@@ -116,9 +116,9 @@ class BatchSmoother:
             self._solve(self._recorded.buffer.latest_ns, is_last=True)
         self._segment = self._machine = None
 
-    def update(self, update: Update, noise: Callable[[str], float], used: Used, constants: Constants) -> None:
+    def update(self, update: Update, learnt: Learnt) -> None:
         """Take note of an optimisation; solve a window once it is full."""
-        self._recorded.update(update, noise, used, constants)
+        self._recorded.update(update, learnt)
         if self._segment is None and self._machine is not None:  # a window could not be solved
             self._begin(update.state)
         settled_ns = self._recorded.settled_ns

@@ -91,7 +91,7 @@ class Block:
     """A stretch that is done.
 
     Attributes:
-        covariances: at the nodes, which are at most half a second apart.
+        covariances: at nodes that are at most half a second apart.
         counts: of measurements by sensor and outcome; one that weighs less than half is not used.
         constants: of sensors, by the name of the sensor, or of what several share.
         closures: of loops, by what became of them.

@@ -19,16 +19,19 @@ from holdfast.graph.smoother import Smoother
 from holdfast.graph.solver import Placed
 from holdfast.messages import Array
 from holdfast.sensors.clock import receiver_constants
-from holdfast.sensors.noise import correlation_inflation
+from holdfast.sensors.coloured import NAV_SIZE, SlowError, coloured, coloured_factor, root_of
+from holdfast.sensors.noise import UNBOUNDED, Colour, correlation_inflation
 from holdfast.sensors.position import Motion, predicted_position
-from holdfast.sensors.sensor import Joint, Measurement, Role, Sensor, State
+from holdfast.sensors.sensor import Innovation, Joint, Measurement, Role, Sensor, State
 from holdfast.state import Outcome
 
 SHAPES = (1.0, 8.0, 64.0)
 """mu of one round after the other: from a loss that is almost quadratic to one that is truncated."""
 CHANGE = 0.02  # of a weight, below which its factor stays
 NO_DOUBT = np.zeros((9, 9))
+IDENTITY = np.eye(3)
 SILENT_S = 1e6  # since the measurement before, where there is none
+TURNED_RAD = 5e-3  # by which an attitude may move until what is linear about it is made anew: 0.03 mm at 2 m
 
 
 @dataclass(slots=True, eq=False)
@@ -43,6 +46,8 @@ class Candidate:
         is_in_doubt: it is not in the estimate until it agrees with the optimum of the others.
         nis: its squared residual over its covariance; NaN where it cannot be compared.
         entered: weight and factor on the covariance with which it is in the problem now.
+        slow: the slow part of its error, None where all of it is white.
+        linear_at: the attitude about which its factor is linear, None where it is not linear.
     """
 
     measurement: Measurement
@@ -56,6 +61,8 @@ class Candidate:
     outcome: Outcome = Outcome.USED
     placed: Placed | None = None
     entered: tuple[float, float] = field(default=(0.0, 0.0))
+    slow: "_Slow | None" = None
+    linear_at: gtsam.Rot3 | None = None
     _inverse: Array | None = None  # of the covariance of a position
 
     @property
@@ -66,7 +73,9 @@ class Candidate:
 
     @property
     def correlation_s(self) -> float:
-        """The correlation time of its error."""
+        """The correlation time of its error, or of what is white of it."""
+        if self.slow is not None:
+            return self.slow.colour.white_correlation_s
         of = self.measurement if self.sensor.role is Role.POSITION else self.sensor.settings
         return float(of.correlation_s)  # type: ignore[union-attr]
 
@@ -80,6 +89,8 @@ class Candidate:
             state = self._state(batch)
             constants = receiver_constants(self.sensor, state.parameter)
             residual = position.p_W_P - predicted_position(Motion.of(state.nav, state.angular_velocity), *constants)
+            if self.slow is not None:
+                residual -= self.slow.error(batch, position.covariance * max(1.0, self.scale))
             self.nis = float(residual @ self._information() @ residual)
             return
         state = self._state(batch)._replace(covariance=NO_DOUBT if covariance is None else covariance)
@@ -87,7 +98,10 @@ class Candidate:
         if isinstance(found, Outcome):
             self.nis, self.outcome = float("nan"), found
         else:
-            self.nis = found._replace(R=found.R * max(1.0, self.scale)).nis(state)
+            found = found._replace(R=found.R * max(1.0, self.scale))
+            if covariance is None and self.slow is not None:
+                found = found._replace(y=found.y - self.slow.error(batch, found.R))
+            self.nis = found.nis(state)
 
     def _information(self) -> Array:
         if self._inverse is None:
@@ -98,7 +112,8 @@ class Candidate:
     def enter(self, batch: Batch, inflation: float) -> bool:
         """Put it into the problem as it weighs now; return whether that changes anything."""
         before, inflation_before = self.entered
-        if self.placed is not None and abs(before - self.weight) < CHANGE and inflation == inflation_before:
+        is_as_before = abs(before - self.weight) < CHANGE and inflation == inflation_before
+        if self.placed is not None and is_as_before and not self._has_turned(batch):
             return False
         if self.placed is None and self.weight == 0.0:
             return False
@@ -110,6 +125,13 @@ class Candidate:
         self.entered = self.weight, inflation
         return True
 
+    def _has_turned(self, batch: Batch) -> bool:
+        """Whether the attitude is no longer that about which the factor is linear."""
+        if self.linear_at is None:
+            return False
+        turned = self.linear_at.matrix().T @ batch.nav(self.keys[0]).attitude().matrix()
+        return bool(np.abs(turned - IDENTITY).max() > TURNED_RAD)
+
     def _state(self, batch: Batch) -> State:
         state = self.state._replace(nav=batch.nav(self.keys[0]))
         if len(self.keys) > 1:
@@ -119,7 +141,10 @@ class Candidate:
 
     def _factor(self, batch: Batch, inflation: float) -> gtsam.NonlinearFactor:
         factor: gtsam.NonlinearFactor
-        if self.sensor.role is Role.POSITION:
+        self.linear_at = None
+        if self.slow is not None:
+            factor = self._coloured_factor(batch, self.slow, inflation / self.scale)
+        elif self.sensor.role is Role.POSITION:
             factor = self.sensor.factor(self.keys, self.measurement, inflation, self._state(batch))
         else:
             state = self._state(batch)
@@ -127,11 +152,54 @@ class Candidate:
             factor = self.sensor.factor(self.keys, self.measurement, state, innovation, inflation)
         return factor
 
+    def _coloured_factor(self, batch: Batch, slow: "_Slow", inflation: float) -> gtsam.NonlinearFactor:
+        """Return the factor on node, parameter and slow error, the covariance of the white part times `inflation`."""
+        state = self._state(batch)
+        innovation: Innovation = self.sensor.innovation(self.measurement, state)
+        innovation = innovation._replace(R=innovation.R * self.scale)
+        size = NAV_SIZE + len(innovation.y)
+        error = SlowError(slow.key, slow.block.start, batch.vector(slow.key), np.zeros((size, size)))
+        compared = coloured(self.keys, state, innovation, slow.colour, error)
+        self.linear_at = state.nav.attitude()
+        loss = self.sensor.loss if self.sensor.role is Role.POSITION else UNBOUNDED
+        return coloured_factor(self.sensor, self.measurement, compared, error, inflation, loss)
 
-def candidate(
-    smoother: Smoother, sensor: Sensor, measurement: Measurement, joint: Joint | None, scale: float
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Slow:
+    """The slow part of the error of a measurement: a part of a variable, and how it adds to what is white."""
+
+    key: int
+    block: slice
+    colour: Colour
+
+    def error(self, batch: Batch, covariance: Array) -> Array:
+        """Return the slow error (m,) as it is estimated, of a measurement that claims a covariance (m, m)."""
+        error: Array = np.sqrt(self.colour.slow) * root_of(covariance) @ batch.vector(self.key)[self.block]
+        return error
+
+
+def candidate(  # noqa: PLR0917 (a measurement and what it rests on)
+    smoother: Smoother,
+    sensor: Sensor,
+    measurement: Measurement,
+    joint: Joint | None,
+    scale: float,
+    colour: Colour | None = None,
+    *,
+    is_right: bool = True,
 ) -> Candidate:
-    """Return a measurement on its node, which exists, not in the problem yet."""
+    """Return a measurement on its node, which exists, not in the problem yet.
+
+    Args:
+        smoother: that has the node.
+        sensor: that measured.
+        measurement: it.
+        joint: the turn joint at its time.
+        scale: factor on its covariance that the estimator has learnt.
+        colour: how its error is composed, if its slow part is a state.
+        is_right: whether it may be where it says; where not, the slow error does not depend on where that is.
+    """
     model: Any = sensor
     stamp_ns = measurement.stamp_ns
     state, key = smoother.state_at(stamp_ns, joint), smoother.node(stamp_ns)
@@ -140,7 +208,13 @@ def candidate(
     if model.parameter is not None:
         start = None if model.role is Role.POSITION else model.first_parameter(measurement, state)
         keys.append(smoother.parameter(model.parameter.name(sensor.name), model.parameter, stamp_ns, start)[0])
-    return Candidate(measurement, model, keys, state, scale)
+    if colour is None:
+        return Candidate(measurement, model, keys, state, scale)
+    at_W = getattr(measurement, "p_W_P", None) if is_right else None
+    slow = smoother.slow_error(measurement.sensor, colour, stamp_ns, at_W)
+    size = len(slow.covariance) - NAV_SIZE
+    part = _Slow(slow.key, slice(slow.first, slow.first + size), colour)
+    return Candidate(measurement, model, keys, state, max(1.0, scale), slow=part)
 
 
 def weight_of(nis: float, limit: float, shape: float) -> float:

@@ -1,7 +1,7 @@
 """What the estimator has checked, collected while it runs: samples, measurements, and its own estimate as a start."""
 
 from bisect import bisect_left, bisect_right, insort
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import gtsam
@@ -10,23 +10,36 @@ from numpy.typing import NDArray
 
 from holdfast.config.model import Config
 from holdfast.estimator.imu_path import Received
-from holdfast.estimator.listener import Constants, Used
+from holdfast.estimator.learnt import Learnt
 from holdfast.estimator.standstill import Standing
 from holdfast.estimator.tracking import Update
 from holdfast.graph.nodes import to_grid
 from holdfast.messages import Array
 from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.noise import Colour
 from holdfast.sensors.sensor import Joint, Measurement
 from holdfast.smoothing.block import Mounted
 
 UNKNOWN = np.diag(np.repeat([0.1, 10.0, 1.0], 3) ** 2)  # of an estimate whose covariance was not kept
 
 
+class Beside(NamedTuple):
+    """What is known beside a measurement, as of its arrival.
+
+    Attributes:
+        joint: the turn joint at its time.
+        colour: how its error is composed, if its slow part is a state.
+    """
+
+    joint: Joint | None
+    colour: Colour | None
+
+
 class _Waiting(NamedTuple):
     stamp_ns: int
     order: int
     measurement: Measurement
-    joint: Joint | None
+    beside: Beside
 
 
 class Recorded:
@@ -42,9 +55,9 @@ class Recorded:
         self._names = [*config.sensors]
         self._used: set[tuple[str, int]] = set()  # sensor and stamp: the estimator may have put another weight on it
         self._noise: dict[str, tuple[list[int], list[float]]] = {}
-        self._joints: dict[int, Joint | None] = {}
+        self._beside: dict[int, Beside] = {}
         self._mounted: dict[int, tuple[Array, Array]] = {}  # p_I_B and R_I_B, by the time of the sample
-        self._constants: Constants = dict
+        self._learnt: Learnt | None = None
         self.settled_ns = 0
 
     def receive(self, received: Received) -> None:
@@ -61,11 +74,12 @@ class Recorded:
     def add(self, measurement: Measurement, joint: Joint | None = None) -> None:
         """Take in a checked measurement, which may be late."""
         self._order += 1
-        insort(self._waiting, _Waiting(measurement.stamp_ns, self._order, measurement, joint))
+        beside = Beside(joint, self._colour(measurement))
+        insort(self._waiting, _Waiting(measurement.stamp_ns, self._order, measurement, beside))
 
-    def update(self, update: Update, noise: Callable[[str], float], used: Used, constants: Constants) -> None:
+    def update(self, update: Update, learnt: Learnt) -> None:
         """Take in what the causal estimator found."""
-        state, self._constants = update.state, constants
+        state, self._learnt = update.state, learnt
         if not update.begins_anew:
             stamp = to_grid(state.stamp_ns)
             if not self._covariance_stamps or stamp > self._covariance_stamps[-1]:
@@ -76,20 +90,20 @@ class Recorded:
             self._navs[stamp_ns] = nav
             self.settled_ns = stamp_ns
         if self.settled_ns > before_ns:
-            self._used |= {(one.sensor, one.stamp_ns) for one in used(before_ns, self.settled_ns)}
+            self._used |= {(one.sensor, one.stamp_ns) for one in learnt.used(before_ns, self.settled_ns)}
         for stamp_ns in update.standing:
             self.add(Standing(stamp_ns))
         for name in self._names:
             stamps, ratios = self._noise.setdefault(name, ([0], [1.0]))
-            if noise(name) != ratios[-1]:
+            if learnt.noise(name) != ratios[-1]:
                 stamps.append(state.stamp_ns)
-                ratios.append(noise(name))
+                ratios.append(learnt.noise(name))
 
     def take(self, until_ns: int) -> Iterator[tuple[int, Measurement]]:
         """Yield and drop the measurements until a time, in the order of stamps."""
         k = bisect_right(self._waiting, until_ns, key=lambda one: one.stamp_ns)
         taken, self._waiting = self._waiting[:k], self._waiting[k:]
-        self._joints = {id(one.measurement): one.joint for one in taken}
+        self._beside = {id(one.measurement): one.beside for one in taken}
         for one in taken:
             yield one.stamp_ns, one.measurement
 
@@ -117,14 +131,20 @@ class Recorded:
             None if measurement.stamp_ns > self.settled_ns else (measurement.sensor, measurement.stamp_ns) in self._used
         )
 
-    def joint(self, measurement: Measurement) -> Joint | None:
-        """Return the turn joint at a measurement that was just taken."""
-        return self._joints[id(measurement)]
+    def beside(self, measurement: Measurement) -> Beside:
+        """Return what is known beside a measurement that was just taken."""
+        return self._beside[id(measurement)]
 
     def is_off(self, constant: str) -> bool:
         """Whether the causal estimator has found a constant of a sensor to be otherwise than configured."""
-        found = self._constants().get(constant)
+        found = None if self._learnt is None else self._learnt.constants().get(constant)
         return found is not None and found.is_off
+
+    def _colour(self, measurement: Measurement) -> Colour | None:
+        colour: Colour | None = getattr(measurement, "colour", None)
+        if colour is None or self._learnt is None:
+            return colour
+        return self._learnt.colour(measurement.sensor, colour, max(1.0, self.noise(measurement)))
 
     def nav(self, time_ns: int) -> gtsam.NavState | None:
         """Return the state that the causal estimator's window left at a node, if it had one there."""

@@ -28,6 +28,7 @@ from holdfast.smoothing.recorded import Recorded
 from holdfast.smoothing.track import track_of
 from holdfast.state import OptimisedState, Outcome
 
+APART_NS = 100_000_000  # covariances at nodes that are closer together tell nothing new
 BELIEVED = 0.5  # a measurement of less weight counts as refused
 FEW = 0.002  # of the measurements: if no more have changed, the optimum is where it was
 TOGETHER = 0.5  # of a run of refused measurements that agree, if any is to enter
@@ -131,10 +132,10 @@ class Segment:
             self._take_candidate(measurement)
 
     def _take_candidate(self, measurement: Measurement) -> None:
-        sensor, joint = self._sensors[measurement.sensor], self._recorded.joint(measurement)
-        scale = self._recorded.noise(measurement)
-        one = candidate(self._smoother, sensor, measurement, joint, scale)
-        used = self._recorded.was_used(measurement)
+        sensor, beside = self._sensors[measurement.sensor], self._recorded.beside(measurement)
+        scale, used = self._recorded.noise(measurement), self._recorded.was_used(measurement)
+        known = beside.joint, scale, beside.colour
+        one = candidate(self._smoother, sensor, measurement, *known, is_right=used is not False)
         if used is None:
             one.compare(self._batch, self._recorded.covariance(measurement.stamp_ns))
             used = one.nis < one.limit
@@ -152,10 +153,11 @@ class Segment:
         """
         enter_all(self._batch, self._candidates)
         solved = [self._batch.converge(), *self._believe_constants()]
-        changed = 0
+        changed, has_moved = 0, True
         for shape in SHAPES:
-            changed += self._judge_again(shape)
-            if changed > FEW * len(self._candidates) or (changed and shape == SHAPES[-1]):
+            changed += self._judge_again(shape, has_moved=has_moved)
+            has_moved = changed > FEW * len(self._candidates) or (changed > 0 and shape == SHAPES[-1])
+            if has_moved:
                 solved.append(self._batch.converge())
                 changed = 0
         for _ in range(READMISSIONS):
@@ -189,11 +191,15 @@ class Segment:
             self._closures["accepted"] -= contradicted
             self._closures[CONTRADICTED] += contradicted
 
-    def _judge_again(self, shape: float) -> int:
-        """Weigh what is not in doubt by its residual under a loss of a shape; return how many have changed."""
+    def _judge_again(self, shape: float, *, has_moved: bool) -> int:
+        """Weigh what is not in doubt by its residual under a loss of a shape; return how many have changed.
+
+        The residuals are those of before unless the estimate `has_moved`.
+        """
         for one in self._candidates:
             if not one.is_in_doubt:
-                one.compare(self._batch)
+                if has_moved:
+                    one.compare(self._batch)
                 one.weight = weight_of(one.nis, one.limit, shape)
         return enter_all(self._batch, self._candidates)
 
@@ -249,8 +255,11 @@ class Segment:
         return block
 
     def _covariances(self, links: list[Link]) -> Covariances:
-        """Return the covariances at the nodes of some links, that at which the last of them ends included."""
-        nodes = [(link.start_ns, link.keys[0]) for link in links]
+        """Return the covariances at nodes of some links, those at both ends included; between them they are linear."""
+        nodes: list[tuple[int, int]] = []
+        for link in links:
+            if not nodes or link.is_gap or link.start_ns - nodes[-1][0] >= APART_NS:
+                nodes.append((link.start_ns, link.keys[0]))
         nodes += [(link.end_ns, link.keys[1]) for link in links[-1:]]
         values = np.array([self._batch.covariance(key) for _, key in nodes]).reshape(-1, 9, 9)
         return Covariances(np.array([stamp for stamp, _ in nodes], dtype=np.int64), values)

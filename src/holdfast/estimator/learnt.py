@@ -1,0 +1,24 @@
+"""What the estimator has learnt of its sensors, for whoever estimates once more with the past and the future."""
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+from holdfast.sensors.constants import Constant
+from holdfast.sensors.noise import Colour
+from holdfast.sensors.sensor import Measurement
+
+
+class Learnt(NamedTuple):
+    """What the estimator knows of its sensors, read when it is asked.
+
+    Attributes:
+        noise: how many times noisier than claimed a sensor is, by name.
+        used: the measurements later than one time [ns] and not later than another whose factors the graph holds.
+        constants: what the graph knows of mountings and clocks.
+        colour: how the errors of a sensor are composed, by name, where the claim is believed times a factor.
+    """
+
+    noise: Callable[[str], float]
+    used: Callable[[int, int], list[Measurement]]
+    constants: Callable[[], Mapping[str, Constant]]
+    colour: Callable[[str, Colour, float], Colour]
