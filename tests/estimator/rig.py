@@ -61,13 +61,16 @@ class Rig:
             config.gate, of(Role.POSITION), scales, self.lever_arms, self.log, believe_after_s=after_s
         )
         self.headings = Headings(of(Role.HEADING), scales, self.log)
-        self.odometries = Odometries(config, of(Role.ODOMETRY), self.log, self.headings.witness)
+        self.odometries = Odometries(config, of(Role.ODOMETRY), self.log, self.witness)
         self.states = States(of(Role.STATE, Role.VELOCITY, Role.POSE), scales, lambda _: None, self.log)
         self.recovery = Recovery(config.gate, self.positions, self.headings, self.odometries, after_s, self.log)
         self.buffer = buffered(motion, end_s, config, start_s=start_s, samples=samples)
         self.graph = DualGraph(config, self.buffer, G, self.odometries.new_tracks(), truth(motion, start_s))
         self.world = World()
         self.world.place(DATUM)
+
+    def witness(self, smoother, stamp_ns):
+        return self.headings.witness(smoother, stamp_ns) or self.positions.heading_witness(smoother, stamp_ns)
 
     def convert(self, message):
         return self.sensors[message.sensor].convert(message, self.world)

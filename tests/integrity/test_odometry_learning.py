@@ -6,7 +6,7 @@ from math import atan2
 import gtsam
 import numpy as np
 import pytest
-from motion import ARM, Drive, imu, machine, ns, seconds
+from motion import ARM, ARM_RIGHT, Drive, imu, machine, ns, seconds
 from rig import Rig, position
 
 from holdfast.integrity.odometry_learning import LOWEST_TILT
@@ -81,7 +81,9 @@ def test_without_fixes_nothing_is_learnt_of_distances():
     assert found.translation_drift == pytest.approx(1.0, rel=0.01) and found.translation_noise < 0.8
 
 
-def yaw_learnt(*, gyroscope_wrong=1.0, odometry_wrong=1.0, headings=True, wrong_file=(1.0, 1.0), end_s=90.0):
+def yaw_learnt(
+    *, gyroscope_wrong=1.0, odometry_wrong=1.0, headings=True, antennas=1, wrong_file=(1.0, 1.0), end_s=90.0
+):
     """How wrong gyroscope and odometry are told to be about the vertical, in units of what they are.
 
     The gyroscope has the error of the default times a factor, as has the odometry; `wrong_file` is what the file makes
@@ -90,7 +92,7 @@ def yaw_learnt(*, gyroscope_wrong=1.0, odometry_wrong=1.0, headings=True, wrong_
     ratio, drift = 0.003, DRIFT[0]
     imu_section = {"gyroscope_error_ratio": ratio * wrong_file[0], "gyroscope_noise_density": 1e-4 * wrong_file[0]}
     lidar = {"drift_rad_per_sqrt_rad": drift * wrong_file[1]}
-    config = machine(heading=headings, imu_=imu_section, lidar_=lidar)
+    config = machine(heading=headings, right=antennas == 2, imu_=imu_section, lidar_=lidar)
     rng = np.random.default_rng(0)
     errors = 1.0 + gyroscope_wrong * ratio * rng.standard_normal(int(end_s) + 1)
     samples = [
@@ -103,8 +105,13 @@ def yaw_learnt(*, gyroscope_wrong=1.0, odometry_wrong=1.0, headings=True, wrong_
         if headings:
             x, y, _ = DRIVE.nav(t).attitude().rotate(np.array([1.0, 0.0, 0.0]))
             rig.headings.add(rig.graph, AxisYaw(ns(t), "heading", atan2(y, x) + rng.normal(0.0, 0.003), 0.003), ns(t))
+        if antennas == 2:
+            for sensor, arm in (("gnss", ARM), ("gnss_right", ARM_RIGHT)):
+                off = rng.normal(0.0, 0.005, 3)
+                rig.positions.add(rig.graph, position(DRIVE, t, arm, off, sensor, 0.005), ns(t))
         if t >= due_s:
-            rig.positions.add(rig.graph, position(DRIVE, t, ARM), ns(t))
+            if antennas == 1:
+                rig.positions.add(rig.graph, position(DRIVE, t, ARM), ns(t))
             rig.update()
             due_s += 1.0
     gyroscope = rig.graph.main.imu_noise.yaw_scale * wrong_file[0] / gyroscope_wrong
@@ -114,6 +121,12 @@ def yaw_learnt(*, gyroscope_wrong=1.0, odometry_wrong=1.0, headings=True, wrong_
 @pytest.mark.parametrize("wrong_file", [(10.0, 1.0), (1.0, 0.1), (1.0, 10.0)])
 def test_headings_tell_whether_gyroscope_or_odometry_is_wrong_whatever_the_file_says(wrong_file):
     gyroscope, odometry = yaw_learnt(wrong_file=wrong_file)
+    assert 0.3 < gyroscope < 3.0 and 0.3 < odometry < 3.0
+
+
+@pytest.mark.parametrize("wrong_file", [(10.0, 1.0), (1.0, 0.1)])
+def test_two_antennas_tell_it_too_where_no_receiver_says_a_heading(wrong_file):
+    gyroscope, odometry = yaw_learnt(headings=False, antennas=2, wrong_file=wrong_file)
     assert 0.3 < gyroscope < 3.0 and 0.3 < odometry < 3.0
 
 

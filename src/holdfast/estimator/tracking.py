@@ -25,6 +25,7 @@ from holdfast.integrity.odometries import Odometries
 from holdfast.integrity.positions import Positions
 from holdfast.integrity.recovery import Recovery
 from holdfast.integrity.states import JointAt, States
+from holdfast.integrity.yaw_learning import Witness
 from holdfast.sensors.clock import with_estimated_clock
 from holdfast.sensors.constants import Constant, priors_of
 from holdfast.sensors.imu import ImuBuffer
@@ -94,7 +95,7 @@ class Tracking:
         receivers = of_role(sensors, Role.POSITION)
         self._positions = Positions(config.gate, receivers, scales, lever_arms, log, believe_after_s=believe_after_s)
         self._headings = Headings(of_role(sensors, Role.HEADING), scales, log)
-        self._odometries = Odometries(config, of_role(sensors, Role.ODOMETRY), log, self._headings.witness)
+        self._odometries = Odometries(config, of_role(sensors, Role.ODOMETRY), log, self._heading_witness)
         self._states = States(of_role(sensors, Role.STATE, Role.VELOCITY, Role.POSE), scales, joint_at, log)
         self._recovery = Recovery(config.gate, self._positions, self._headings, self._odometries, believe_after_s, log)
         self._channels: dict[Role, Channel] = {
@@ -145,6 +146,9 @@ class Tracking:
         if self._roles[sensor] is Role.HEADING:
             return self._headings.colour(sensor, colour, above)
         return self._positions.colour(sensor, colour, above)
+
+    def _heading_witness(self, smoother: Smoother, stamp_ns: int) -> Witness | None:
+        return self._headings.witness(smoother, stamp_ns) or self._positions.heading_witness(smoother, stamp_ns)
 
     def distrust(self, names: Iterable[str]) -> None:
         """Begin with receivers that are not trusted."""

@@ -13,12 +13,12 @@ from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.states import JudgedSensor
-from holdfast.integrity.yaw_learning import Witness
+from holdfast.integrity.yaw_learning import WITNESS_NS, Witness
 from holdfast.sensors.noise import Colour
 from holdfast.sensors.sensor import Measurement, StateSensor
 from holdfast.state import Outcome
 
-WITNESSES, WITNESS_NS = 32, 250_000_000  # how many are remembered, and how near in time they must be
+WITNESSES = 32  # how many are remembered
 
 
 class Headings:

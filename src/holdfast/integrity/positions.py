@@ -9,6 +9,7 @@ from holdfast.config.model import GateConfig
 from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import Smoother
+from holdfast.integrity.antenna_pairs import witness_of
 from holdfast.integrity.baseline import BaselineTest
 from holdfast.integrity.consensus import Consensus
 from holdfast.integrity.innovation import in_words
@@ -17,6 +18,7 @@ from holdfast.integrity.noise_scale import LOWEST, NoiseScale
 from holdfast.integrity.receiver import Held, ReceiverGate, Trust, predict
 from holdfast.integrity.review import UsedPositions
 from holdfast.integrity.white_noise import WhiteNoise
+from holdfast.integrity.yaw_learning import WITNESS_NS, Witness
 from holdfast.sensors.coloured import Compared, coloured, coloured_factor
 from holdfast.sensors.noise import Colour, correlation_inflation, shared_inflation
 from holdfast.sensors.sensor import Position, PositionSensor, State
@@ -128,6 +130,10 @@ class Positions:
     def colour(self, sensor: str, colour: Colour, above: float) -> Colour:
         """Return how the error of a position is composed whose claim is believed times a factor, as was learnt."""
         return self._white[sensor].colour(colour, above)
+
+    def heading_witness(self, smoother: Smoother, stamp_ns: int) -> Witness | None:
+        """Return what pairs of antennas near a time say of the heading of an estimate; None where there are none."""
+        return witness_of(self._sensors, self.used.of(since_ns=stamp_ns - WITNESS_NS), smoother, stamp_ns)
 
     def enter_held(self, smoother: Smoother, held: Sequence[Held], *, is_trial: bool) -> list[Position]:
         """Let positions that waited enter a smoother, and return them.

@@ -4,13 +4,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 
 import gtsam
-import numpy as np
 
 from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.innovation import Change, InnovationGate
 from holdfast.integrity.noise_scale import LOWEST, NoiseScale
+from holdfast.integrity.residual import residual
 from holdfast.integrity.white_noise import WhiteNoise
 from holdfast.sensors.coloured import Compared, coloured, coloured_factor
 from holdfast.sensors.noise import Colour, correlation_inflation, shared_inflation
@@ -18,8 +18,6 @@ from holdfast.sensors.sensor import ConstraintSensor, Innovation, Joint, Measure
 from holdfast.state import EventKind, Outcome
 
 LOWEST_VELOCITY = 0.25  # of the variance that a receiver claims of its Doppler velocity
-
-UNKNOWN = np.zeros((9, 9))
 
 JointAt = Callable[[int], Joint | None]
 """Returns the turn joint at a time [ns], None where its angle is not known."""
@@ -120,14 +118,7 @@ class JudgedSensor:
 
     def residual(self, smoother: Smoother, measurement: Measurement) -> Innovation | Outcome:
         """Compare a measurement that has a node with a smoother's estimate, whatever that is worth."""
-        stamp_ns, prior = measurement.stamp_ns, self._sensor.parameter
-        known = None if prior is None else smoother.parameter_estimate(prior.name(self._sensor.name))
-        state = State(smoother.nav(stamp_ns), UNKNOWN, smoother.angular_velocity(stamp_ns), self._joint_at(stamp_ns))
-        if known is not None:
-            state = state._replace(parameter=known[0], parameter_covariance=np.diag(known[1] ** 2))
-        elif prior is not None:
-            state = state._replace(parameter=prior.mean, parameter_covariance=np.diag(prior.sigmas**2))
-        return self._sensor.innovation(measurement, state)
+        return residual(self._sensor, measurement, smoother, self._joint_at(measurement.stamp_ns))
 
     def _compare(self, smoother: Smoother, measurement: Measurement) -> Compared | Outcome:
         key, stamp_ns = smoother.node(measurement.stamp_ns), measurement.stamp_ns

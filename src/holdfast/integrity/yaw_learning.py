@@ -22,6 +22,7 @@ SPANS = 10, 20, 60  # steps, each of about a second: shorter ones show the noise
 MEMORY_S = 600.0
 SLOW_SHARE, SLOW_S = 0.5, 60.0  # of the error of a heading
 LEAST_RAD = 1e-4  # of a heading
+WITNESS_NS = 250_000_000  # how near in time a witness must be
 
 
 class Witness(NamedTuple):
