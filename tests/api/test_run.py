@@ -153,6 +153,18 @@ def test_a_folder_of_an_earlier_run_is_replaced_and_one_of_somebody_else_refused
     assert (out / "causal").is_dir() and not (out / "estimates.mcap").exists()
 
 
+def test_what_was_learnt_is_kept_in_a_file(drive, tmp_path):
+    learnt = tmp_path / "learnt.json"
+    first = holdfast.replay(*drive, learnt=learnt)
+    kept = learnt.read_text()
+    rows = first.summary["learnt"]
+    assert any(row["key"] == "sensors.lidar.time_offset_s" for row in rows)
+    holdfast.replay(*drive, duration_s=5.0, learnt=learnt)
+    assert learnt.read_text() != kept
+    with pytest.raises(holdfast.ConfigError, match="learnt: must be a path, not int"):
+        holdfast.replay(*drive, learnt=3)
+
+
 def test_a_sensor_that_the_recording_lacks_is_named_and_strictly_refused(drive):
     from ruamel.yaml import YAML
 

@@ -418,6 +418,42 @@ def test_where_the_imu_is_missing_too_gnss_is_not_said_to_be_all_that_is_missing
     assert_one_error(done, 4, drive, "never started", words)
 
 
+# --- what was learnt --------------------------------------------------------------------------------------------------
+
+
+def test_what_was_learnt_is_written_read_again_and_told(drive, config, tmp_path):
+    learnt, out = tmp_path / "learnt.json", tmp_path / "out"
+    assert holdfast("replay", drive, "-c", config, "-o", out, "--learnt", learnt).code == 0
+    first = json.loads(learnt.read_text())
+    assert first["schema_version"] == 1 and first["learnt"]["odometries"]["lidar"]["translation_noise"]
+    told = {(row["sensor"], row["what"]) for row in summary(out)["learnt"]}
+    assert {("lidar", "clock"), ("lidar", "mounting, about its z"), ("gnss", "clock")} <= told
+    assert holdfast("replay", drive, "-c", config, "-o", out, "--learnt", learnt, "--duration", 4).code == 0
+    second = json.loads(learnt.read_text())
+    noises = [one["learnt"]["odometries"]["lidar"]["translation_noise"]["log_mean"] for one in (first, second)]
+    assert noises[0] != noises[1] and noises[1] == pytest.approx(noises[0], abs=0.7)
+    without = holdfast("replay", drive, "-c", config, "-o", out, "--duration", 4)
+    assert without.code == 0 and json.loads(learnt.read_text()) == second
+
+
+def test_a_file_of_what_was_learnt_that_is_none_is_one_line_and_left_as_it_is(drive, config, tmp_path):
+    learnt, out = tmp_path / "learnt.json", tmp_path / "out"
+    learnt.write_text("sensors: {}\n")
+    done = holdfast("replay", drive, "-c", config, "-o", out, "--learnt", learnt)
+    assert_one_error(done, 2, learnt, "configured: missing", "allowed: a file that --learnt has written")
+    assert learnt.read_text() == "sensors: {}\n"
+    assert_one_error(holdfast("replay", drive, "-c", config, "-o", out, "--learnt", out / "a.json"), 2, "is replaced")
+    assert_one_error(holdfast("replay", drive, "-c", config, "-o", out, "--learnt", config), 2, "which is read")
+
+
+def test_what_was_learnt_until_an_interrupt_is_written(drive, config, tmp_path):
+    learnt = tmp_path / "learnt.json"
+    more = "--rate", "1", "--learnt", learnt
+    code, _, _ = interrupted_replay(signal.SIGINT, drive, "-c", config, "-o", tmp_path / "out", *more)
+    assert code == 130
+    assert json.loads(learnt.read_text())["schema_version"] == 1
+
+
 # --- 130: interrupted -------------------------------------------------------------------------------------------------
 
 

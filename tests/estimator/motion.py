@@ -16,6 +16,7 @@ from holdfast.estimator.imu_path import receive
 from holdfast.estimator.optimiser import Optimiser
 from holdfast.event_log import EventLog
 from holdfast.geometry.earth import Geodetic, LocalFrame, gravity
+from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT
 from holdfast.messages import FixStatus, GnssFix, GnssVelocity, Height, ImuSample, PointPosition, SensorPose, Twist
 from holdfast.sensors.imu import ImuBuffer
 
@@ -314,9 +315,9 @@ def link(parent, child, T):
     return {"parent": parent, "child": child, "translation_m": tuple(T.translation()), "rotation_matrix": rotation}
 
 
-def run(config, messages):
+def run(config, messages, learnt=NOTHING_LEARNT):
     """Return the estimator after all messages, and what each of them led to."""
-    estimator = Estimator(config)
+    estimator = Estimator(config, learnt=learnt)
     return estimator, [estimator.process(message) for message in messages]
 
 

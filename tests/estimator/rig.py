@@ -10,6 +10,7 @@ from holdfast.geometry.world import World
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.headings import Headings
+from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT
 from holdfast.integrity.lever_arms import LeverArms
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.odometries import Odometries
@@ -49,7 +50,7 @@ def smoother_of(motion, end_s, start_s=0.0, config=None, state=None, **more):
 class Rig:
     """What `Tracking` is made of, by name; `update` optimises as it does, but reviews nothing."""
 
-    def __init__(self, motion, config, end_s=30.0, start_s=0.0, samples=None):
+    def __init__(self, motion, config, end_s=30.0, start_s=0.0, samples=None, carried=NOTHING_LEARNT):
         def of(*roles):
             return {name: sensor for name, sensor in self.sensors.items() if sensor.role in roles}
 
@@ -61,7 +62,7 @@ class Rig:
             config.gate, of(Role.POSITION), scales, self.lever_arms, self.log, believe_after_s=after_s
         )
         self.headings = Headings(of(Role.HEADING), scales, self.log)
-        self.odometries = Odometries(config, of(Role.ODOMETRY), self.log, self.witness)
+        self.odometries = Odometries(config, of(Role.ODOMETRY), self.log, self.witness, carried.odometries)
         self.states = States(of(Role.STATE, Role.VELOCITY, Role.POSE), scales, lambda _: None, self.log)
         self.recovery = Recovery(config.gate, self.positions, self.headings, self.odometries, after_s, self.log)
         self.buffer = buffered(motion, end_s, config, start_s=start_s, samples=samples)

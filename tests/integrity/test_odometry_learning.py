@@ -9,9 +9,12 @@ import pytest
 from motion import ARM, ARM_RIGHT, Drive, imu, machine, ns, seconds
 from rig import Rig, position
 
+from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
+from holdfast.integrity.noise_review import NoiseReview
 from holdfast.integrity.odometry_learning import LOWEST_TILT
 from holdfast.sensors.heading import AxisYaw
 from holdfast.sensors.odometry import LearntNoise, TrackPose
+from holdfast.state import EventKind
 
 END_S = 60.0
 DRIVE = Drive(start_s=-3.0)
@@ -32,11 +35,18 @@ def poses(noise, drift, seed=3, worse_from_s=np.inf, end_s=END_S):
         yield t, TrackPose(ns(t), "lidar", track * gtsam.Pose3.Expmap(jitter))
 
 
-def learnt(noise, drift, worse_from_s=np.inf, walk_from_s=np.inf, end_s=END_S):
+def learnt(noise, drift, *, worse_from_s=np.inf, walk_from_s=np.inf, end_s=END_S, carried=NOTHING_LEARNT):
     """What is known of the lidar in the end, with a fix every second; they walk from a time on."""
-    rig = Rig(DRIVE, machine(), end_s)
+    rig = driven(noise, drift, worse_from_s=worse_from_s, walk_from_s=walk_from_s, end_s=end_s, carried=carried)
+    noise = rig.odometries.noise("lidar")
+    return LearntNoise(*(noise.scale * one for one in noise.learnt))
+
+
+def driven(noise, drift, *, worse_from_s=np.inf, walk_from_s=np.inf, end_s=END_S, carried=NOTHING_LEARNT):
+    """All that has learnt until the end."""
+    rig = Rig(DRIVE, machine(), max(end_s, 1.0), carried=carried)
     due_s = 0.0
-    for t, pose in poses(noise, drift, worse_from_s=worse_from_s):
+    for t, pose in poses(noise, drift, worse_from_s=worse_from_s, end_s=end_s):
         if t >= end_s:
             break
         rig.odometries.add(rig.graph, pose, pose.stamp_ns)
@@ -45,8 +55,7 @@ def learnt(noise, drift, worse_from_s=np.inf, walk_from_s=np.inf, end_s=END_S):
             due_s += 1.0
             rig.update()
             rig.recovery.review(rig.graph, pose.stamp_ns)
-    noise = rig.odometries.noise("lidar")
-    return LearntNoise(*(noise.scale * one for one in noise.learnt))
+    return rig
 
 
 @pytest.mark.parametrize("noise, drift", [(0.5, 0.5), (1.0, 1.0), (2.0, 2.0)])
@@ -55,6 +64,62 @@ def test_noise_and_drift_are_found_in_both_directions(noise, drift):
     assert found.rotation_noise == pytest.approx(noise, rel=0.35)
     assert found.translation_noise == pytest.approx(noise, rel=0.35)
     assert found.translation_drift == pytest.approx(drift, rel=0.5)
+
+
+def kept(rig):
+    """What is carried over a restart, as it comes back from a file."""
+    snapshot = LearntSnapshot(odometries=rig.odometries.learnt())
+    return LearntSnapshot.model_validate_json(snapshot.model_dump_json())
+
+
+@pytest.mark.parametrize("noise, drift", [(0.5, 0.5), (4.0, 4.0)])
+def test_what_is_carried_over_a_restart_holds_from_the_first_pose(noise, drift):
+    before = driven(noise, drift)
+    at_once = learnt(noise, drift, end_s=0.0, carried=kept(before))
+    scale = before.odometries.noise("lidar").scale
+    for was, now in zip(before.odometries.noise("lidar").learnt, at_once, strict=True):
+        assert now == pytest.approx(scale * was, rel=0.3)
+    assert learnt(noise, drift, end_s=0.0).translation_noise == 1.0  # of itself it would not know
+
+
+@pytest.mark.parametrize("before, now", [(4.0, 0.5), (0.5, 4.0)])
+def test_an_odometry_that_has_changed_overnight_is_learnt_within_minutes(before, now):
+    found = learnt(now, now, end_s=120.0, carried=kept(driven(before, before)))
+    assert found.rotation_noise == pytest.approx(now, rel=0.5)
+    assert found.translation_noise == pytest.approx(now, rel=0.5)
+    assert found.translation_drift == pytest.approx(now, rel=0.6)
+    assert found.tilt_drift == pytest.approx(max(now, LOWEST_TILT), rel=0.5)
+
+
+def test_an_odometry_whose_noise_is_trebled_keeps_what_was_learnt_before():
+    before = driven(4.0, 4.0)
+    rig = Rig(DRIVE, machine(), 1.0, carried=kept(before))
+    noise, one = rig.odometries.noise("lidar"), rig.odometries._odometries["lidar"]
+    known = [noise.scale * value for value in noise.learnt]
+    one.learning.trust_less(3.0)
+    assert noise.scale == 3.0
+    assert [3.0 * value for value in noise.learnt][:4] == pytest.approx(known[:4], rel=0.15)
+
+
+def test_what_is_far_from_the_file_is_told_once():
+    rig = driven(1.0, 4.0)
+    rig.log.take_events()
+    review = NoiseReview("imu", rig.log)
+    for t in range(10, 200):
+        review.review(rig.odometries, ns(t))
+    told = [event.reason for event in rig.log.take_events() if event.kind is EventKind.CALIBRATION]
+    named = [one.split(":")[0] for one in told]
+    assert len(named) == len(set(named)) and {"rotation drift", "translation drift"} <= set(named)
+    (words,) = [one for one in told if one.startswith("rotation drift")]
+    assert words.endswith("times more than drift_rad_per_sqrt_rad says")
+    assert float(words.split()[2]) == pytest.approx(4.0, rel=0.35)
+
+
+def test_what_is_as_the_file_says_is_not_told():
+    rig = driven(1.0, 1.0)
+    rig.log.take_events()
+    NoiseReview("imu", rig.log).review(rig.odometries, ns(100.0))
+    assert rig.log.take_events() == []
 
 
 def test_a_rotation_that_drifts_faster_is_found_and_one_that_agrees_is_hardly_trusted_more():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from holdfast.integrity.learnt_snapshot import LearntScale
 from holdfast.integrity.scale_posterior import HIGHEST, LOWEST, ScalePosterior
 
 
@@ -55,3 +56,35 @@ def test_what_is_forgotten_leads_back_to_what_is_configured():
     fed(posterior, 0.1, 300)
     posterior.forget(1.0)
     assert posterior.value == ScalePosterior().value
+
+
+def carried(posterior):
+    return LearntScale.model_validate_json(posterior.learnt().model_dump_json())
+
+
+@pytest.mark.parametrize("scale", [0.1, 1.0, 8.0])
+def test_what_is_carried_over_a_restart_is_believed_a_little_less(scale):
+    before = ScalePosterior()
+    fed(before, scale, 300)
+    after = ScalePosterior(carried(before))
+    assert after.value == pytest.approx(before.value, rel=0.25)
+    assert after.learnt().log_sigma > before.learnt().log_sigma
+
+
+@pytest.mark.parametrize(("before", "now"), [(8.0, 0.3), (0.3, 8.0)])
+def test_a_scale_that_has_changed_since_is_found(before, now):
+    posterior = ScalePosterior()
+    fed(posterior, before, 3000)
+    assert fed(ScalePosterior(carried(posterior)), now, 60) == pytest.approx(now, rel=0.25)
+
+
+def test_where_nothing_was_taken_in_nothing_is_carried():
+    assert ScalePosterior().learnt() is None
+
+
+def test_the_unit_of_what_is_carried_may_be_another_one():
+    before = ScalePosterior()
+    fed(before, 3.0, 300)
+    after = ScalePosterior(before.learnt(2.0), 3.0)
+    assert after.learnt(3.0).log_mean == pytest.approx(np.log(2.0 * 3.0), abs=0.1)
+    assert after.value == pytest.approx(2.0 * before.value / 3.0, rel=0.25)

@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 
+from holdfast.integrity.learnt_snapshot import LearntYaw
 from holdfast.integrity.yaw_scales import Turned, YawScales
 
 A_DEGREE = Turned(np.radians(1.0) ** 2, 0.0)
 
 
-def fed(true, *, count=400, seed=0, configured=(A_DEGREE, A_DEGREE, A_DEGREE)):
+def fed(true, *, count=400, seed=0, configured=(A_DEGREE, A_DEGREE, A_DEGREE), scales=None):
     """The scales after turns by witnesses that are so many times as wrong as configured."""
-    scales, rng = YawScales(), np.random.default_rng(seed)
+    scales, rng = scales or YawScales(), np.random.default_rng(seed)
     sigmas = [np.sqrt(one.at(k**2)) for one, k in zip(configured, true, strict=True)]
     for gyroscope, odometry, heading in rng.normal(0.0, sigmas, (count, 3)):
         scales.learn_from_three(heading - gyroscope, heading - odometry, *configured, 1.0)
@@ -24,6 +25,21 @@ def test_they_begin_at_what_is_configured():
 @pytest.mark.parametrize("true", [(1.0, 1.0, 1.0), (0.6, 2.0, 1.0), (5.0, 0.5, 1.0), (0.5, 0.5, 4.0), (4.0, 1.0, 1.0)])
 def test_each_is_found_whoever_is_wrong(true):
     assert fed(true).values == pytest.approx(true, rel=0.35)
+
+
+@pytest.mark.parametrize("true", [(0.6, 2.0, 1.0), (4.0, 1.0, 1.0)])
+def test_what_is_carried_over_a_restart_is_what_was_believed(true):
+    before = fed(true)
+    kept = LearntYaw.model_validate_json(before.learnt().model_dump_json())
+    assert YawScales(kept).values == pytest.approx(before.values, rel=0.25)
+    tripled = YawScales(before.learnt(3.0)).values
+    assert tripled[1] == pytest.approx(3.0 * before.values[1], rel=0.25)
+    assert YawScales().learnt() is None
+
+
+def test_who_has_changed_overnight_is_found():
+    kept = fed((0.5, 4.0, 1.0), count=2000).learnt()
+    assert fed((4.0, 0.5, 1.0), scales=YawScales(kept)).values == pytest.approx((4.0, 0.5, 1.0), rel=0.4)
 
 
 def test_who_is_far_better_than_the_others_is_known_to_be_better():

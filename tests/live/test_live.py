@@ -122,8 +122,8 @@ def test_messages_that_make_no_sense_are_counted_and_reported_and_never_fatal(li
 
 @pytest.mark.slow
 def test_a_drive_with_controls_a_full_disk_and_ctrl_c(live, joined, tmp_path):
-    log, scene = tmp_path / "log.mcap", tmp_path / "scene.rrd"
-    process = live("--record", log, "--view", scene, commands=True)
+    log, scene, learnt = tmp_path / "log.mcap", tmp_path / "scene.rrd", tmp_path / "learnt.json"
+    process = live("--record", log, "--view", scene, "--learnt", learnt, commands=True)
     process.wait_for("publishing")
     net = joined()
     machine = Machine(net, TOPICS)
@@ -168,6 +168,7 @@ def test_a_drive_with_controls_a_full_disk_and_ctrl_c(live, joined, tmp_path):
     bases = [s for s in received if s.topic == "/holdfast/odometry/base"]
     assert len(bases) > 50  # the estimator goes on
     assert process.end() == 130
+    assert json.loads(learnt.read_text())["learnt"]["odometries"]["lidar"]
     recorded = [topic for _, topic in read_cut(log)]
     assert {"/imu/data", "/holdfast/odometry/world", "/holdfast/datum", "/tf_static"} <= set(recorded)
     assert entities(scene) >= {"/map/odom", "/map/odom/base_link/cabin", "/map/holdfast/odometry/world/track"}

@@ -14,6 +14,7 @@ from engine import bring_up, play, sigmas_m, stamps_of, wait_for, with_settings
 
 from holdfast.errors import ConfigError, EstimatorError
 from holdfast.estimator.estimator import Estimator
+from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntOdometry, LearntScale, LearntSnapshot
 from holdfast.messages import GnssFix, Heading, ImuSample, SensorPose
 from holdfast.realtime.engine import RealtimeEstimator
 from holdfast.realtime.layout import REQUESTS
@@ -323,3 +324,39 @@ def test_an_engine_that_is_closed_at_once_leaves_nothing(drive):
     engine.close()
     assert engine.optimiser_pid is None
     assert not engine.initialised
+
+
+def learnt_of(engine):
+    found = engine.learnt().odometries.get("lidar")
+    return None if found is None else found.translation_noise
+
+
+def test_a_killed_optimiser_leaves_what_it_has_learnt_and_a_reset_forgets_it(drive):
+    """The lidar of the file has a fifth of the noise: without what was learnt its successor would begin there."""
+    lidar = drive.config.sensors["lidar"].model_copy(update={"translation_sigma_m": 0.001})
+    config = drive.config.model_copy(update={"sensors": drive.config.sensors | {"lidar": lidar}})
+    with RealtimeEstimator(config) as engine:
+        bring_up(engine, drive.until(10.0))
+        wait_for(lambda: learnt_of(engine) is not None)
+        before, first = learnt_of(engine), engine.optimiser_pid
+        assert before.log_mean > np.log(2.0)
+        os.kill(first, signal.SIGKILL)
+        wait_for(lambda: engine.event_counts["optimiser_fault"] == 1)
+        play(engine, drive.between(10.0, 10.3), rate=0.3)
+        wait_for(lambda: engine.optimiser_pid not in {None, first})
+        engine.flush()
+        after = learnt_of(engine)
+        assert after is not None and after.log_mean == pytest.approx(before.log_mean, abs=0.3)
+        engine.reset()
+        engine.flush()
+        assert engine.learnt() == NOTHING_LEARNT
+
+
+def test_what_was_learnt_before_goes_into_the_process_and_comes_back(drive):
+    scale = LearntScale(log_mean=1.0, log_sigma=0.2)
+    learnt = LearntSnapshot(odometries={"lidar": LearntOdometry(translation_noise=scale)})
+    with RealtimeEstimator(drive.config, learnt=learnt) as engine:
+        bring_up(engine, drive.until(BEGIN_S))
+    found = engine.learnt()
+    assert found.odometries["lidar"].rotation_noise is not None  # it has learnt on
+    assert "gnss" in found.noise

@@ -60,6 +60,14 @@ def test_the_errors_are_those_that_evaluate_finds(page, simulated: Path, tmp_pat
             assert found[ours, "all"][name] == pytest.approx(judged[theirs][name], rel=1e-6)
 
 
+def test_what_was_learnt_stands_beside_what_the_file_says(page):
+    table = page[1]["tables"]["learnt"]
+    rows = {(row[0], row[1]): dict(zip(table["columns"], row, strict=True)) for row in table["rows"]}
+    clock = rows["lidar", "clock"]
+    assert clock["key"] == "sensors.lidar.time_offset_s" and clock["configured"] == 0.0 and clock["sigma"] > 0.0
+    assert rows["lidar", "translation noise"]["unit"] == "m"
+
+
 def test_the_outage_is_where_the_scenario_put_it(page, simulated: Path):
     run = read_run(simulated / "out", None)
     (lost,) = lost_intervals(run.events, run.start_ns, run.end_s)
@@ -135,7 +143,7 @@ def test_errors_at_held_out_fixes_are_those_of_the_summary(simulated: Path, tmp_
 
 def test_sections_have_the_names_that_an_engineer_searches_for(page):
     headings = re.findall(r'<h2 id="s\d">([^<]+)</h2>', page[0])
-    assert headings == ["Trajectory", "Accuracy", "Consistency", "Health", "Events", "Timing"]
+    assert headings == ["Trajectory", "Accuracy", "Consistency", "Health", "Calibration", "Events", "Timing"]
     assert re.findall(r'<a href="#s\d">([^<]+)</a>', page[0]) == headings
 
 

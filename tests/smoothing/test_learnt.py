@@ -8,7 +8,7 @@ import numpy as np
 from motion import Drive, fixes, imu, in_order, machine, scans, seconds
 
 from holdfast.estimator.estimator import Estimator
-from holdfast.estimator.learnt import Learnt
+from holdfast.estimator.learnt_view import LearntView
 from holdfast.sensors.noise import Colour
 from holdfast.sensors.sensor import Position
 from holdfast.smoothing.batch_smoother import BatchSmoother
@@ -62,7 +62,7 @@ def test_an_error_of_fixes_that_lasts_is_in_the_covariance():
 
 
 def learnt(white):
-    return Learnt(
+    return LearntView(
         noise=lambda _: 1.0,
         used=lambda _, __: [],
         constants=dict,

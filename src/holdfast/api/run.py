@@ -11,6 +11,7 @@ from holdfast.api.kept import Kept
 from holdfast.api.progress import shown
 from holdfast.api.result import Result
 from holdfast.api.session import Session, run
+from holdfast.calibration.learnt_file import check_learnt_file
 from holdfast.config.load import config_of, load_config
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
@@ -38,6 +39,7 @@ def replay(
     output: AnyPath | None = None,
     strict: bool = False,
     progress: bool = False,
+    learnt: AnyPath | None = None,
 ) -> Result:
     """Run the estimator over a recording, as it would have run on the machine.
 
@@ -52,13 +54,15 @@ def replay(
             anything else is refused. Without it they go with the result.
         strict: refuse a recording that lacks a sensor; else `summary["missing"]` names those that are done without.
         progress: show how far it is.
+        learnt: file of what earlier runs have learnt of the sensors: read if it is there, and written in the end.
 
     Raises:
         ConfigError: the configuration, or an argument, is wrong.
         RecordingError: the recording cannot be read.
         EstimatorError: the estimator never started; says why.
     """
-    return _run(recording, config, hold_out, outage, (start_s, duration_s), output, strict, progress, None)
+    span_s = start_s, duration_s
+    return _run(recording, config, hold_out, outage, span_s, output, strict, progress, None, learnt)
 
 
 def smooth(
@@ -97,9 +101,11 @@ def _run(  # noqa: PLR0917 (of the two above)
     strict: bool,
     progress: bool,
     batch_s: tuple[float, float] | None,
+    learnt: AnyPath | None = None,
 ) -> Result:
-    if not isinstance(recording, str | PathLike):
-        raise ConfigError(f"recording: must be a path, not {type(recording).__name__}")
+    for name, path in (("recording", recording), ("learnt", learnt)):
+        if not isinstance(path, str | PathLike) and (path is not None or path is recording):
+            raise ConfigError(f"{name}: must be a path, not {type(path).__name__}")
     loaded, kept = resolved(config), Kept()
     rules = _rules(hold_out or {}, outage or {}, loaded)
     temporary: TemporaryDirectory[str] | None = None
@@ -108,6 +114,8 @@ def _run(  # noqa: PLR0917 (of the two above)
         output = temporary.name
     folder = Path(output)
     name = "replay" if batch_s is None else "smooth"
+    if learnt is not None:
+        check_learnt_file(Path(learnt), folder, [str(recording)])
     with open_recording(Path(recording)) as opened:
         wanted, missing = (subscriptions(loaded), {}) if strict else available(opened, loaded)
         session = Session(
@@ -118,6 +126,7 @@ def _run(  # noqa: PLR0917 (of the two above)
             missing=missing,
             rules=rules,
             batch_s=batch_s,
+            learnt=None if learnt is None else Path(learnt),
             on_output=kept.add,
             on_block=kept.add_block,
         )

@@ -7,8 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from holdfast.calibration.learnt_file import Loaded, load_learnt, save_learnt
+from holdfast.calibration.learnt_table import learnt_rows, plain_rows, wrong_lines
 from holdfast.config.model import Config
 from holdfast.errors import EstimatorError, HoldfastError
+from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.lidar_odometry.replayed import ReplayedScans
 from holdfast.loops.opening import loop_closer
 from holdfast.messages import Message
@@ -45,6 +48,7 @@ class Session:
         realtime: run the engine of two processes.
         command: that asked for it; empty for a program that did.
         keep_track: keep the causal track in memory for a figure.
+        learnt: file of what was learnt of the sensors: read if it is there, and written in the end; None for none.
         on_output: takes the output of each message.
         on_block: takes each stretch of the optimum.
     """
@@ -60,6 +64,7 @@ class Session:
     realtime: bool = False
     command: str = ""
     keep_track: bool = False
+    learnt: Path | None = None
     on_output: Callable[[Output], None] = lambda _: None
     on_block: Callable[[Block], None] = lambda _: None
 
@@ -102,7 +107,7 @@ def run(session: Session, opened: Recording, show: ShowProgress) -> Finished:
     """Run the estimator, and write all files; what could be done until a failure is written as well.
 
     Raises:
-        ConfigError: a file cannot be written, or something is not installed.
+        ConfigError: a file cannot be written, or is not what it should be, or something is not installed.
         RecordingError: the recording cannot be opened for its scans.
     """
     config, folder = session.config, session.folder
@@ -110,6 +115,7 @@ def run(session: Session, opened: Recording, show: ShowProgress) -> Finished:
     batch: BatchSmoother | None = None
     failure: BaseException | None = None
     takers = [session.on_block]
+    before = Loaded(NOTHING_LEARNT, []) if session.learnt is None else load_learnt(session.learnt, config)
 
     def stamp(time_ns: int) -> int:
         return replay.stamp(time_ns)
@@ -127,8 +133,9 @@ def run(session: Session, opened: Recording, show: ShowProgress) -> Finished:
             outputs,
             session.rules,
             session.keep_track,
-            realtime=stack.enter_context(_engine(config, session.realtime)),
+            realtime=stack.enter_context(_engine(config, session.realtime, before.learnt)),
             batch=batch,
+            learnt=before.learnt,
             on_output=session.on_output,
             on_block=lambda block: [take(block) for take in takers],
         )
@@ -138,22 +145,24 @@ def run(session: Session, opened: Recording, show: ShowProgress) -> Finished:
         except (HoldfastError, KeyboardInterrupt) as error:
             failure = error
         replay.write_events()
-    warnings = [*opened.warnings, *scanned.warnings(), *replay.warnings, *_stopped(replay)]
+    learnt = replay.estimator.learnt()
+    if session.learnt is not None and replay.has_started:
+        save_learnt(session.learnt, learnt, config)
+    warnings = [*before.warnings, *opened.warnings, *scanned.warnings(), *replay.warnings, *_stopped(replay)]
     warnings += [] if batch is None else batch.warnings()
-    summary = _summarise(session, replay, warnings, causal, failure is None)
+    summary = _summarise(session, replay, warnings, failure is None)
+    rows = learnt_rows(learnt, config)
+    summary |= {"learnt": plain_rows(rows), "looks_wrong": wrong_lines(rows)}
+    _write_summary(causal, summary)
     if batch is not None and files is not None:
         summary["smooth"] = files.summary(batch)
         _write_summary(folder, summary)
     return Finished(replay, causal, summary, warnings, failure)
 
 
-def _summarise(
-    session: Session, replay: Replay, warnings: list[str], causal: Path, is_finished: bool
-) -> dict[str, Any]:
+def _summarise(session: Session, replay: Replay, warnings: list[str], is_finished: bool) -> dict[str, Any]:
     told = [*(f"{sensor}: {reason}" for sensor, reason in session.missing.items()), *warnings]
-    summary = summarise_replay(replay, session.path, told, is_finished, session.command, session.missing)
-    _write_summary(causal, summary)
-    return summary
+    return summarise_replay(replay, session.path, told, is_finished, session.command, session.missing)
 
 
 def _write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
@@ -165,12 +174,12 @@ def _write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
     (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
 
 
-def _engine(config: Config, wanted: bool) -> "AbstractContextManager[RealtimeEstimator | None]":
+def _engine(config: Config, wanted: bool, learnt: LearntSnapshot) -> "AbstractContextManager[RealtimeEstimator | None]":
     if not wanted:
         return nullcontext()
     from holdfast.realtime.engine import RealtimeEstimator
 
-    return RealtimeEstimator(config)
+    return RealtimeEstimator(config, learnt=learnt)
 
 
 def _stopped(replay: Replay) -> list[str]:

@@ -14,12 +14,14 @@ from typing import TYPE_CHECKING
 import click
 
 from holdfast.cli import end_if_interrupted
+from holdfast.cli.learnt import LEARNT_HELP
 from holdfast.errors import ConfigError, EstimatorError
 from holdfast.extras import needing
 
 if TYPE_CHECKING:
     from holdfast.config.live import LiveConfig
     from holdfast.config.model import Config
+    from holdfast.integrity.learnt_snapshot import LearntSnapshot
     from holdfast.live.dds import Network
     from holdfast.live.feed import Feed
     from holdfast.live.scans import LiveScans
@@ -39,8 +41,15 @@ if TYPE_CHECKING:
     metavar="[FILE.rrd|URL]",
     help="Show it in Rerun (extra viz): in a window, in a file, or in a viewer at rerun+http://HOST:9876/proxy.",
 )
+@click.option("--learnt", "learnt_path", type=click.Path(), metavar="FILE", help=LEARNT_HELP)
 @click.option("--duration", "duration_s", type=float, metavar="SECONDS", help="End after so long. [default: Ctrl-C]")
-def live(config_path: str, record_path: str | None, view_target: str | None, duration_s: float | None) -> None:
+def live(
+    config_path: str,
+    record_path: str | None,
+    view_target: str | None,
+    learnt_path: str | None,
+    duration_s: float | None,
+) -> None:
     """Estimate on a running ROS 2 machine.
 
     Subscribes to the topics that the configuration names (section `live`: domain, network card, peers) and publishes
@@ -54,6 +63,7 @@ def live(config_path: str, record_path: str | None, view_target: str | None, dur
     from holdfast.recording.subscriptions import subscriptions
 
     config = load_config(config_path)
+    learnt = _learnt(learnt_path, config, config_path)
     with ExitStack() as stack:
         stopped = stack.enter_context(_signals())
         network = stack.enter_context(_network(config.live))
@@ -63,7 +73,7 @@ def live(config_path: str, record_path: str | None, view_target: str | None, dur
         with _held_back():
             feeds = _feeds(stack, record_path, view_target)
             scans = _scans(stack, config)  # before the engine ties this process to its core
-            engine = stack.enter_context(RealtimeEstimator(config))
+            engine = stack.enter_context(RealtimeEstimator(config, learnt=learnt))
             engine.wait_until_ready()
         node = LiveNode(config, subscriptions(config), engine, network, feeds=feeds, scans=scans, show=_show)
         _show(f"listening on domain {network.domain_id}: {', '.join(node.inputs.topics)}")
@@ -74,7 +84,35 @@ def live(config_path: str, record_path: str | None, view_target: str | None, dur
         end = None if duration_s is None else monotonic() + duration_s
         node.run(lambda: stopped() is None and (end is None or monotonic() < end))
         why = None if node.has_started else _why_not(engine, config)
+    _keep(engine, config, learnt_path if node.has_started else None)
     _end(stopped(), why)
+
+
+def _learnt(path: str | None, config: "Config", config_path: str) -> "LearntSnapshot":
+    """Read what was learnt before, with a warning for what does not hold any more."""
+    from holdfast.calibration.learnt_file import load_learnt
+    from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT
+    from holdfast.output_folder import check_output_file
+
+    if path is None:
+        return NOTHING_LEARNT
+    check_output_file(path, [config_path])
+    learnt, warnings = load_learnt(path, config)
+    for warning in warnings:
+        _show(f"warning: {warning}")
+    return learnt
+
+
+def _keep(engine: "RealtimeEstimator", config: "Config", path: str | None) -> None:
+    """Write what was learnt, and tell which keys of the configuration look wrong; the engine is closed."""
+    from holdfast.calibration.learnt_file import save_learnt
+    from holdfast.calibration.learnt_table import learnt_rows, wrong_lines
+
+    learnt = engine.learnt()
+    for line in wrong_lines(learnt_rows(learnt, config)):
+        _show(line)
+    if path is not None:
+        save_learnt(path, learnt, config)
 
 
 def _why_not(engine: "RealtimeEstimator", config: "Config") -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from holdfast.cli.learnt import LEARNT_HELP
 from holdfast.cli.progress import reading_bar
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
@@ -33,6 +34,7 @@ SLOWEST_RATE = 1e-6
 @click.option("--realtime", is_flag=True, help="At the pace of the recording, through the engine of two processes.")
 @click.option("--hold-out", multiple=True, metavar="SENSOR=N", help="Hold back every N-th message, to judge by it.")
 @click.option("--outage", multiple=True, metavar="SENSOR=START:END", help="Hold back all messages of this time [s].")
+@click.option("--learnt", type=click.Path(), metavar="FILE", help=LEARNT_HELP)
 @click.option("--strict", is_flag=True, help="Refuse a recording that lacks a sensor of the configuration.")
 @click.option("--child", is_flag=True, hidden=True, help="Of `batch`: the folder is ready; end with standard input.")
 def replay(  # noqa: PLR0917 (click passes the options by name)
@@ -45,6 +47,7 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     realtime: bool,
     hold_out: tuple[str, ...],
     outage: tuple[str, ...],
+    learnt: str | None,
     strict: bool,
     child: bool,
 ) -> None:
@@ -66,6 +69,7 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     it does not hold. What was assumed is told, and guessed_config.yaml in the output folder is a file to go on from.
     """
     from holdfast.api.session import Session, run
+    from holdfast.calibration.learnt_file import check_learnt_file
     from holdfast.cli.command_line import command_line
     from holdfast.cli.guessed import FILE, guessed_config
     from holdfast.config.load import load_config
@@ -76,6 +80,8 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     check_window(start_s, duration_s, rate)
     config = None if config_path is None else load_config(config_path)
     reads = [recording] if config_path is None else [recording, config_path]
+    if learnt is not None:
+        check_learnt_file(learnt, output, reads)
     folder = nullcontext() if child else replaced(output, "replay", reads)
     with open_recording(recording) as opened, naming_the_output(output):
         guess = None
@@ -93,6 +99,7 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
             rules=rules,
             rate=rate,
             realtime=realtime,
+            learnt=None if learnt is None else Path(learnt),
             command=command_line(),
         )
         with folder:
@@ -169,4 +176,6 @@ def print_summary(summary: dict[str, Any], output: str) -> None:
             line += f" {horizontal['rms']:.3f} m, p95 {horizontal['p95']:.3f} m, max {horizontal['max']:.3f} m"
             line += f"; vertical RMS {vertical['rms']:.3f} m"
             click.echo(line + ("" if nees is None else f"; NEES/3 {nees:.2f}"))
+    for line in summary["looks_wrong"]:
+        click.echo(f"  {line}")
     click.echo(f"written to {output}")

@@ -16,6 +16,7 @@ from holdfast.estimator.listener import Listener
 from holdfast.estimator.optimiser import Optimiser
 from holdfast.event_log import EventLog, MeasurementRecord
 from holdfast.geometry.earth import Geodetic, LocalFrame
+from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.measured_fields import got
 from holdfast.messages import ImuSample, JointAngle, Message
 from holdfast.sensors.constants import Constant
@@ -29,15 +30,20 @@ class Estimator(Intake):
     Args:
         config: what the sensors are, where they sit, and how the estimator is to behave.
         listener: who is told of all that comes in and goes out, such as a batch smoother.
+        learnt: what was learnt of the sensors before.
     """
 
-    def __init__(self, config: Config, listener: Listener | None = None) -> None:
+    def __init__(
+        self, config: Config, listener: Listener | None = None, *, learnt: LearntSnapshot = NOTHING_LEARNT
+    ) -> None:
         self.config = config
         self._imu = config.imu_name
         self._log = EventLog(self._imu)
         self._buffer = ImuBuffer(config.imu)
         self._path = ImuPath(config, self._buffer, self._log)
-        self._optimiser = Optimiser(config, self._buffer, self._log, listener, Density(config, self._log))
+        self._optimiser = Optimiser(
+            config, self._buffer, self._log, listener, Density(config, self._log), learnt=learnt
+        )
 
     @property
     def datum(self) -> Geodetic | None:
@@ -98,6 +104,10 @@ class Estimator(Intake):
         """Return what is known of mountings and clocks since the last start, by sensor or by what sensors share."""
         return self._optimiser.constants()
 
+    def learnt(self) -> LearntSnapshot:
+        """Return what was learnt of the sensors: noise, drift, mountings, clocks; a reset forgets it."""
+        return self._optimiser.learnt()
+
     def stamp(self, time_ns: int) -> int:
         """Return the stamp that the IMU's clock showed at a time of the estimator's own, which never steps."""
         return self._path.clock.stamp(time_ns)
@@ -141,7 +151,7 @@ class Estimator(Intake):
         return NOTHING
 
     def reset(self) -> None:
-        """Forget the state and begin anew, as at power-on; W stays where it is."""
+        """Forget the state and what was learnt, and begin anew; W stays where it is."""
         self._path.stop()
         self._optimiser.restart()
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from holdfast.estimator.imu_path import Received
-from holdfast.estimator.learnt import Learnt
+from holdfast.estimator.learnt_view import LearntView
 from holdfast.estimator.tracking import Update
 from holdfast.sensors.sensor import Joint, Measurement, Sensor
 from holdfast.state import OptimisedState
@@ -29,5 +29,5 @@ class Listener(Protocol):
     def stop(self) -> None:
         """Take note that nothing of before is known any more, until the next start."""
 
-    def update(self, update: Update, learnt: Learnt) -> None:
+    def update(self, update: Update, learnt: LearntView) -> None:
         """Take note of an optimisation, and of what is known of the sensors after it."""

@@ -1,6 +1,7 @@
 """The half of the estimator that optimises: it converts messages, and hands them to what comes before or after a start.
 
-Its phase is an `Initialising` or a `Tracking`; a restart makes a new one, and nothing of the old one survives.
+Its phase is an `Initialising` or a `Tracking`; a restart makes a new one. Of the old one survives what was learnt of
+the sensors, unless someone asked for the restart.
 """
 
 from collections import Counter
@@ -20,6 +21,7 @@ from holdfast.estimator.tracking import Tracking, Update
 from holdfast.event_log import EventLog
 from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, gravity
 from holdfast.geometry.world import World
+from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.integrity.lever_arms import LeverArms
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.messages import GnssFix, JointAngle, Message
@@ -45,6 +47,7 @@ class Optimiser:
         log: where counts and events go.
         listener: who is told of all that comes in and goes out.
         density: of the measurements that are taken in; None where who calls has thinned them out by their arrival.
+        learnt: what was learnt of the sensors before.
     """
 
     def __init__(
@@ -54,11 +57,14 @@ class Optimiser:
         log: EventLog,
         listener: "Listener | None" = None,
         density: Density | None = None,
+        *,
+        learnt: LearntSnapshot = NOTHING_LEARNT,
     ) -> None:
         self._config, self._buffer, self._log, self._density = config, buffer, log, density
         self._listener = listener
         self._start_window_ns = round(config.initialisation.window_s * 1e9) + LATE_NS
         self._sensors = sensors_of(config)
+        self._know(learnt)
         self._inputs = frozenset(inputs_of(config))
         self._joint = None if config.joint is None else JointTrack(JointModel(config.joint[1]))
         self._has_imu = True
@@ -67,21 +73,34 @@ class Optimiser:
         self.monitor = HealthMonitor(config)
         self.world = World()
         self.gravity = config.frames.gravity or STANDARD_GRAVITY_M_S2
+        self._phase: Initialising | Tracking = self._initialising()
         self._begin()
         datum = config.frames.datum
         if datum is not None:
             self.place(Geodetic(datum.latitude_deg, datum.longitude_deg, datum.altitude_m))
 
     def _begin(self) -> None:
-        """Begin anew, before a start."""
+        """Begin anew, before a start, with what was learnt until now."""
+        self._learnt = self.learnt()
         self.monitor.stop()
         if self._listener is not None:
             self._listener.stop()
         self._stamps = StampFilter()
-        self._scales = {name: NoiseScale() for name in self._sensors}
         self._lever_arms = LeverArms(self._sensors)
         self._astray: Counter[str] = Counter()  # stamps in a row that contradict the IMU's clock, by sensor
-        self._phase: Initialising | Tracking = Initialising(self._config, self._buffer, self._sensors, self.gravity)
+        self._phase = self._initialising()
+
+    def _initialising(self) -> Initialising:
+        return Initialising(self._config, self._buffer, self._sensors, self.gravity)
+
+    def _know(self, learnt: LearntSnapshot) -> None:
+        """Know this of the sensors, and nothing else."""
+        self._learnt = learnt
+        self._scales = {name: NoiseScale(learnt.noise.get(name)) for name in self._sensors}
+
+    def learnt(self) -> LearntSnapshot:
+        """Return what was learnt of the sensors until now, in this start or before it."""
+        return self._learnt.updated(self._phase.learnt()) if isinstance(self._phase, Tracking) else self._learnt
 
     @property
     def tracking(self) -> Tracking | None:
@@ -225,11 +244,12 @@ class Optimiser:
     # --- starting ----------------------------------------------------------------------------------------------------
 
     def restart(self, datum: Geodetic | None = None) -> None:
-        """Begin anew because someone asks for it; a datum moves W there."""
+        """Begin anew because someone asks for it; a datum moves W there, else what was learnt is forgotten, too."""
         what = "reset" if datum is None else f"datum {datum.latitude_deg:.8f} {datum.longitude_deg:.8f}"
         self._log.report(EventKind.RESET, self._buffer.latest_ns, "", f"{what}: starting over")
         if datum is None:
             self._begin()
+            self._know(NOTHING_LEARNT)
         else:
             self.place(datum)
 
@@ -267,8 +287,7 @@ class Optimiser:
 
         What was in its window and came after the state is lost; the covariance of the state tells the rest.
         """
-        successor = Successor(Initialising(self._config, self._buffer, self._sensors, self.gravity))
-        self._start(state, successor).distrust(lost)
+        self._start(state, Successor(self._initialising())).distrust(lost)
         self.monitor.reset(self._buffer.latest_ns)
 
     def _start(self, state: OptimisedState, successor: Successor) -> Tracking:
@@ -287,6 +306,7 @@ class Optimiser:
             joint_at=self._joint_at,
             monitor=self.monitor,
             log=self._log,
+            carried=self._learnt,
         )
         self.monitor.start(state.stamp_ns, doubts_arms=bool(self._lever_arms.doubts()))
         self._phase = tracking
@@ -302,7 +322,7 @@ class Optimiser:
         assert isinstance(self._phase, Tracking)
         update = self._phase.update()
         if self._listener is not None:
-            self._listener.update(update, self._phase.learnt())
+            self._listener.update(update, self._phase.view())
         if self._lever_arms.review(self._buffer.latest_ns, self._log):
             state = self._lever_arms.doubtful(update.state, self._config.imu.accelerometer_bias_sigma)
             update = Update(state, (), is_recovery=True, begins_anew=True)
@@ -325,6 +345,7 @@ class Optimiser:
     def _begin_anew(self, before: Tracking, state: OptimisedState, successor: Successor) -> None:
         """Let other graphs begin at a state, in which every sensor is trusted again."""
         now_ns, reason = self._buffer.latest_ns, "the estimate begins anew"
+        self._learnt = self.learnt().without_constants()
         if before.is_lost:
             self._log.report(EventKind.GNSS_REGAINED, now_ns, "", reason)
         for name in before.lost():

@@ -10,7 +10,7 @@ from holdfast.estimator.clock import MAX_SILENCE_NS
 from holdfast.estimator.epochs import Epochs
 from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import Received
-from holdfast.estimator.learnt import Learnt
+from holdfast.estimator.learnt_view import LearntView
 from holdfast.estimator.queue import MeasurementQueue
 from holdfast.estimator.standstill import STANDSTILL, StandstillUpdates
 from holdfast.estimator.successor import Successor
@@ -19,7 +19,10 @@ from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import OptimiserError, Smoother
 from holdfast.integrity.calibration import Calibration
 from holdfast.integrity.headings import Headings
+from holdfast.integrity.learnt_constants import carried_priors, constants_of_machine, learnt_constants
+from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.integrity.lever_arms import LeverArms
+from holdfast.integrity.noise_review import NoiseReview
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.odometries import Odometries
 from holdfast.integrity.positions import Positions
@@ -70,6 +73,7 @@ class Tracking:
         joint_at: tells the turn joint.
         monitor: of the health.
         log: where counts and events go.
+        carried: what was learnt of the sensors before.
     """
 
     def __init__(
@@ -86,6 +90,7 @@ class Tracking:
         joint_at: JointAt,
         monitor: HealthMonitor,
         log: EventLog,
+        carried: LearntSnapshot = NOTHING_LEARNT,
     ) -> None:
         self._buffer, self._log, self._monitor = buffer, log, monitor
         self._roles = {name: sensor.role for name, sensor in sensors.items()}
@@ -95,7 +100,8 @@ class Tracking:
         receivers = of_role(sensors, Role.POSITION)
         self._positions = Positions(config.gate, receivers, scales, lever_arms, log, believe_after_s=believe_after_s)
         self._headings = Headings(of_role(sensors, Role.HEADING), scales, log)
-        self._odometries = Odometries(config, of_role(sensors, Role.ODOMETRY), log, self._heading_witness)
+        odometries = of_role(sensors, Role.ODOMETRY)
+        self._odometries = Odometries(config, odometries, log, self._heading_witness, carried.odometries)
         self._states = States(of_role(sensors, Role.STATE, Role.VELOCITY, Role.POSE), scales, joint_at, log)
         self._recovery = Recovery(config.gate, self._positions, self._headings, self._odometries, believe_after_s, log)
         self._channels: dict[Role, Channel] = {
@@ -114,9 +120,12 @@ class Tracking:
         self._late: set[str] = set()  # sensors whose last measurement was too late
         self._epochs = Epochs()
         self._calibration = Calibration(sensors, log)
+        self._noise_review = NoiseReview(config.imu_name, log)
         self._priors = priors_of(sensors)
+        self._machine_constants = constants_of_machine(sensors, lever_arms.doubts())
         self.queue = MeasurementQueue()
-        self.graph = DualGraph(config, buffer, gravity, self._odometries.new_tracks(), state)
+        known = carried_priors(carried.constants, self._priors, self._machine_constants)
+        self.graph = DualGraph(config, buffer, gravity, self._odometries.new_tracks(), state, carried=known)
 
     @property
     def is_due(self) -> bool:
@@ -137,18 +146,25 @@ class Tracking:
         """Return what the graph knows of the constants of sensors, by sensor or by what several share."""
         return self.graph.main.constants(self._priors)
 
-    def learnt(self) -> Learnt:
+    def view(self) -> LearntView:
         """Return what is known of the sensors, to be read at any time until the next start."""
-        used = self.graph.published.measured
-        return Learnt(self._monitor.noise, used, self.constants, self._colour)
+        return LearntView(self._monitor.noise, self.graph.published.measured, self.constants, self._colour)
 
     def _colour(self, sensor: str, colour: Colour, above: float) -> Colour:
-        if self._roles[sensor] is Role.HEADING:
-            return self._headings.colour(sensor, colour, above)
-        return self._positions.colour(sensor, colour, above)
+        return self._scales[sensor].white.colour(colour, above)
 
     def _heading_witness(self, smoother: Smoother, stamp_ns: int) -> Witness | None:
         return self._headings.witness(smoother, stamp_ns) or self._positions.heading_witness(smoother, stamp_ns)
+
+    def learnt(self) -> LearntSnapshot:
+        """Return what was learnt of the sensors since the start, and carried to it."""
+        noise = {name: scale.learnt() for name, scale in self._scales.items()}
+        constants = {name: one for name, one in self.constants().items() if name in self._machine_constants}
+        return LearntSnapshot(
+            odometries=self._odometries.learnt(),
+            noise={name: one for name, one in noise.items() if one is not None},
+            constants=learnt_constants(constants),
+        )
 
     def distrust(self, names: Iterable[str]) -> None:
         """Begin with receivers that are not trusted."""
@@ -223,6 +239,7 @@ class Tracking:
             channel.review(self.graph, now_ns)
         self._odometries.review(now_ns)
         self._calibration.review(self.graph.main, now_ns)
+        self._noise_review.review(self._odometries, now_ns)
         published = self.graph.published
         contradicting = None if self._odometries.has_agreed() else self._positions.contradicted_by()
         beginning = self.successor.settle_doubt()

@@ -9,6 +9,7 @@ They are one smoother as long as they are identical, which costs nothing; a grap
 """
 
 from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 
 import gtsam
 
@@ -17,6 +18,7 @@ from holdfast.graph.odometry_track import Joined, OdometryTrack
 from holdfast.graph.smoother import Smoother
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.odometry import TrackPose
+from holdfast.sensors.sensor import Parameter
 from holdfast.state import OptimisedState, Outcome
 
 
@@ -42,6 +44,7 @@ class DualGraph:
         gravity: [m/s^2].
         tracks: an empty track of each odometry, by name.
         state: where both begin.
+        carried: priors of constants of sensors, by name, as they were learnt before.
     """
 
     def __init__(
@@ -51,9 +54,11 @@ class DualGraph:
         gravity: float,
         tracks: Mapping[str, OdometryTrack],
         state: OptimisedState,
+        *,
+        carried: Mapping[str, Parameter] = MappingProxyType({}),
     ) -> None:
         self._config = config.graph
-        self._main = _Graph(Smoother(config, buffer, gravity, state), dict(tracks))
+        self._main = _Graph(Smoother(config, buffer, gravity, state, carried=carried), dict(tracks))
         self._fallback: _Graph | None = None
         self.is_lost = False
 

@@ -6,6 +6,7 @@ A constant is known for longer than a window lives: one that is begun anew takes
 from collections.abc import Callable, Mapping
 from copy import copy
 from math import log
+from types import MappingProxyType
 from typing import NamedTuple
 
 import gtsam
@@ -20,6 +21,7 @@ from holdfast.sensors.sensor import Parameter
 MAX_SIZE = 12
 RIGHT, OFF = 0.0, -log(3.0)  # log ratio of the densities under what was configured and under the prior
 HELD = 0.02  # of the error that counts as right: as if there were none
+REFUTED = 3.0  # sigmas of what was learnt before a restart
 REFRESHED_NS = 1_000_000_000  # a marginal is read this often
 NEVER_NS = 1 << 62  # when it is read next, where whoever solves asks for it
 
@@ -27,7 +29,8 @@ NEVER_NS = 1 << 62  # when it is read next, where whoever solves asks for it
 class Known(NamedTuple):
     """A parameter: its key, estimate (p,) and covariance (p, p), and whether the solver has solved it.
 
-    `right` is the factor that holds it where it was configured, if it is believed to be right.
+    `right` is the factor that holds it where it was configured, if it is believed to be right; `carried` that which
+    says what was learnt of it before a restart.
     """
 
     key: int
@@ -36,6 +39,7 @@ class Known(NamedTuple):
     is_solved: bool
     read_ns: int
     right: Placed | None = None
+    carried: Placed | None = None
 
 
 class Parameters:
@@ -43,10 +47,13 @@ class Parameters:
 
     Args:
         refreshed_ns: a marginal is read so often; of a solver that holds minutes it costs the whole problem.
+        carried: priors by name that stand in for those of the sensors, as they were learnt before.
     """
 
-    def __init__(self, refreshed_ns: int = REFRESHED_NS) -> None:
-        self._refreshed_ns = refreshed_ns
+    def __init__(
+        self, refreshed_ns: int = REFRESHED_NS, carried: Mapping[str, Parameter] = MappingProxyType({})
+    ) -> None:
+        self._refreshed_ns, self._carried = refreshed_ns, carried
         self._known: dict[str, Known] = {}
         self._made = 0
 
@@ -54,7 +61,11 @@ class Parameters:
         """Return an equal one for a copy of the solver, in which each factor has a counterpart."""
         other = copy(self)
         other._known = {
-            name: known._replace(right=counterpart(known.right)) if known.right and known.key in solver else known
+            name: known._replace(
+                right=known.right and counterpart(known.right), carried=known.carried and counterpart(known.carried)
+            )
+            if known.key in solver
+            else known
             for name, known in self._known.items()
         }
         return other
@@ -64,14 +75,18 @@ class Parameters:
 
         `start` (p,) is where it is linearised first; without it at the mean of the prior.
         """
+        configured = prior
+        if name in self._carried:
+            prior, start = self._carried[name], None
         known = self._known.get(name)
         if known is None or known.key not in solver:
-            known = self._insert(solver, known, prior, stamp_ns, start)
+            known = self._insert(solver, name, known, prior, stamp_ns, start)
         elif known.is_solved:
             known = known._replace(value=solver.vector(known.key))
             if stamp_ns - known.read_ns >= self._refreshed_ns:
                 known = known._replace(covariance=solver.covariance(known.key), read_ns=stamp_ns)
                 known = _believed(solver, known, prior)
+                known = self._unless_refuted(solver, name, known, configured)
         solver.keep(known.key, stamp_ns)
         self._known[name] = known
         return known
@@ -87,8 +102,8 @@ class Parameters:
         It must where a parameter is let go, or held again. From now on nobody else reads them.
         """
         has_changed = False
-        for name, prior in priors.items():
-            known = self._known.get(name)
+        for name, configured in priors.items():
+            known, prior = self._known.get(name), self._carried.get(name, configured)
             if known is None or known.key not in solver:
                 continue
             value, covariance = solver.vector(known.key), solver.covariance(known.key)
@@ -104,7 +119,8 @@ class Parameters:
             return None
         sigmas = np.sqrt(np.diag(known.covariance))
         is_off = prior.if_right is not None and known.right is None
-        return Constant(known.value, sigmas, *_without_belief(known, prior), prior, is_off)
+        believed = _without_belief(known, self._carried.get(name, prior))
+        return Constant(known.value, sigmas, *believed, prior, is_off)
 
     def mark_solved(self) -> None:
         """Note that the solver has taken in all that it was given."""
@@ -112,8 +128,20 @@ class Parameters:
             if not known.is_solved:
                 self._known[name] = known._replace(is_solved=True)
 
-    def _insert(
-        self, solver: Solver, before: Known | None, prior: Parameter, stamp_ns: int, start: Array | None
+    def _unless_refuted(self, solver: Solver, name: str, known: Known, configured: Parameter) -> Known:
+        """Return a parameter; what was learnt of it before a restart is dropped where it holds no more."""
+        prior = self._carried.get(name)
+        if prior is None or known.carried is None or (abs(known.value - prior.mean) <= REFUTED * prior.sigmas).all():
+            return known
+        self._carried = {other: one for other, one in self._carried.items() if other != name}
+        solver.retract(known.carried)
+        solver.add(
+            gtsam.PriorFactorVector(known.key, configured.mean, gtsam.noiseModel.Diagonal.Sigmas(configured.sigmas))
+        )
+        return known._replace(carried=None)
+
+    def _insert(  # noqa: PLR0917 (a variable, its name, and where it begins)
+        self, solver: Solver, name: str, before: Known | None, prior: Parameter, stamp_ns: int, start: Array | None
     ) -> Known:
         mean, covariance = prior.mean, np.diag(prior.sigmas**2)
         value = mean if start is None else start
@@ -122,8 +150,10 @@ class Parameters:
         self._made += 1
         key: int = gtsam.symbol(parameter_letter(len(mean)), self._made)
         solver.insert(key, value, stamp_ns)
-        solver.add(gtsam.PriorFactorVector(key, mean, gtsam.noiseModel.Gaussian.Covariance(covariance)))
+        placed = solver.add(gtsam.PriorFactorVector(key, mean, gtsam.noiseModel.Gaussian.Covariance(covariance)))
         known = Known(key, value, covariance, False, stamp_ns)
+        if before is None and prior is self._carried.get(name):
+            known = known._replace(carried=placed)
         is_right = prior.if_right is not None if before is None else before.right is not None
         return _held(solver, known, prior) if is_right else known
 

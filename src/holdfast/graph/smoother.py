@@ -7,6 +7,7 @@ position and velocity); biases are constant over short epochs that a random walk
 from collections.abc import Callable, Iterator, Mapping
 from copy import copy
 from dataclasses import replace
+from types import MappingProxyType
 
 import gtsam
 import numpy as np
@@ -54,6 +55,7 @@ class Smoother:
         state: where it begins.
         new_solver: makes an empty solver; without it a `Window`.
         known: tells the state at the time of a new node [ns], if it is known better than by prediction.
+        carried: priors of constants of sensors, by name, as they were learnt before.
     """
 
     def __init__(
@@ -65,6 +67,7 @@ class Smoother:
         new_solver: Callable[[], Solver] | None = None,
         *,
         known: Callable[[int], gtsam.NavState | None] = lambda _: None,
+        carried: Mapping[str, Parameter] = MappingProxyType({}),
     ) -> None:
         imu = config.imu
         self._known = known
@@ -76,7 +79,7 @@ class Smoother:
         self._bias_walk = np.repeat([imu.accelerometer_random_walk, imu.gyroscope_random_walk], 3)
         self._greatest_bias = np.repeat([imu.accelerometer_range, imu.gyroscope_range], 3)
         self._new_solver = new_solver or (lambda: Window(self._relinearize_thresholds()))
-        self._parameters = Parameters(max(REFRESHED_NS, self._lag_ns // 3))
+        self._parameters = Parameters(max(REFRESHED_NS, self._lag_ns // 3), carried)
         self._slow_sizes = sizes_of(config)
         self._frames_made = 0
         self._begin(state)

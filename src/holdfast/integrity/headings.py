@@ -14,7 +14,6 @@ from holdfast.graph.smoother import Smoother
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.states import JudgedSensor
 from holdfast.integrity.yaw_learning import WITNESS_NS, Witness
-from holdfast.sensors.noise import Colour
 from holdfast.sensors.sensor import Measurement, StateSensor
 from holdfast.state import Outcome
 
@@ -41,10 +40,6 @@ class Headings:
     def lost(self) -> list[str]:
         """Return the headings that are not trusted."""
         return [name for name, judged in self._judged.items() if judged.gate.is_lost]
-
-    def colour(self, sensor: str, colour: Colour, above: float) -> Colour:
-        """Return how the error of a heading is composed whose claim is believed times a factor, as was learnt."""
-        return self._judged[sensor].colour(colour, above)
 
     def forget_window(self) -> None:
         """Forget what waits: the graph lost its window, or the estimate is moved."""

@@ -5,6 +5,8 @@ from math import exp, log, sqrt
 import numpy as np
 
 from holdfast.event_log import EventLog
+from holdfast.integrity.learnt_snapshot import LearntNoiseScale
+from holdfast.integrity.white_noise import WhiteNoise
 from holdfast.sensors.noise import FREE_VARIANCE
 from holdfast.sensors.sensor import Innovation, Measurement, State
 from holdfast.state import EventKind
@@ -19,12 +21,27 @@ NEWS = 0.75  # levels from the one that was told last
 
 
 class NoiseScale:
-    """The factor on the covariance of one sensor: (48) in docs/math.md."""
+    """The factor on the covariance of one sensor: (48) in docs/math.md; and which part of that is white.
 
-    def __init__(self) -> None:
-        self._log = 0.0
+    Args:
+        carried: what was learnt before.
+    """
+
+    def __init__(self, carried: LearntNoiseScale | None = None) -> None:
+        self._log = 0.0 if carried is None else carried.log_factor
         self._last_ns: int | None = None
-        self._told = 0
+        self._told = round(self._level)
+        self.white = WhiteNoise(carried)
+
+    def learnt(self) -> LearntNoiseScale | None:
+        """Return what was learnt until now; None where nothing was."""
+        if self._log == 0.0 and not self.white.count:
+            return None
+        return LearntNoiseScale(log_factor=self._log, white_variance=self.white.variance, white_count=self.white.count)
+
+    @property
+    def _level(self) -> float:
+        return log(self.value) / LEVEL
 
     @property
     def value(self) -> float:
@@ -75,8 +92,7 @@ class NoiseScale:
         weight = share if ratio > 1.0 else 1.0
         step = weight * (ratio - 1.0) * min(since_s, MAX_WEIGHT_S) / MEMORY_S
         self._log = min(max(self._log + step, log(lowest) - DEAD_BAND), log(HIGHEST) + DEAD_BAND)
-        level = log(self.value) / LEVEL
-        if abs(level - self._told) > NEWS:
-            self._told = round(level)
+        if abs(self._level - self._told) > NEWS:
+            self._told = round(self._level)
             reason = f"its noise is {self.ratio:.1f} times what it claims"
             event_log.report(EventKind.NOISE, stamp_ns, measurement.sensor, reason)

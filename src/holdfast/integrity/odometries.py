@@ -1,6 +1,7 @@
 """Odometries on their way into both graphs: which jump, slip or fall silent, and what they say against GNSS."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import gtsam
@@ -10,6 +11,7 @@ from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.odometry_track import OdometryTrack
 from holdfast.integrity.drift_monitor import NOMINAL, Contradiction, DriftMonitor
+from holdfast.integrity.learnt_snapshot import LearntOdometry
 from holdfast.integrity.odometry_learning import OdometryLearning
 from holdfast.integrity.yaw_learning import HeadingWitness
 from holdfast.messages import Array
@@ -31,11 +33,11 @@ class Walk(NamedTuple):
 class _Odometry:
     """One odometry, as long as one start of the estimator lasts."""
 
-    def __init__(self, model: OdometryModel) -> None:
+    def __init__(self, model: OdometryModel, carried: LearntOdometry | None) -> None:
         self.model = model
         self.noise = OdometryNoise(model)
         self.monitor = DriftMonitor(self.noise)
-        self.learning = OdometryLearning(self.noise)
+        self.learning = OdometryLearning(self.noise, carried)
         self.used_ns: int | None = None
         self.is_lost = False
         self._jumps_ns: list[int] = []
@@ -46,7 +48,7 @@ class _Odometry:
         if len(self._jumps_ns) < JUMPS:
             return False
         self._jumps_ns.clear()
-        self.noise.trust_less(DISTRUST)
+        self.learning.trust_less(DISTRUST)
         return True
 
     def forget_frame(self) -> None:
@@ -66,12 +68,18 @@ class Odometries:
         models: by name.
         log: where counts and events go.
         headings: what they say of the heading of an estimate.
+        carried: what was learnt of odometries before, by name.
     """
 
     def __init__(
-        self, config: Config, models: dict[str, OdometryModel], log: EventLog, headings: HeadingWitness
+        self,
+        config: Config,
+        models: dict[str, OdometryModel],
+        log: EventLog,
+        headings: HeadingWitness,
+        carried: Mapping[str, LearntOdometry] = MappingProxyType({}),
     ) -> None:
-        self._odometries = {name: _Odometry(model) for name, model in models.items()}
+        self._odometries = {name: _Odometry(model, carried.get(name)) for name, model in models.items()}
         self._mode = config.graph.main_odometry
         self._is_monitored = config.gate.drift_monitor
         self._log = log
@@ -83,6 +91,10 @@ class Odometries:
     def noise(self, odometry: str) -> OdometryNoise:
         """Return what the motion of an odometry weighs."""
         return self._odometries[odometry].noise
+
+    def learnt(self) -> dict[str, LearntOdometry]:
+        """Return what was learnt of each."""
+        return {name: one.learning.learnt() for name, one in self._odometries.items()}
 
     def new_tracks(self) -> dict[str, OdometryTrack]:
         """Return an empty track of each odometry for a new graph."""

@@ -12,6 +12,12 @@ import gtsam
 import numpy as np
 
 from holdfast.graph.smoother import Smoother
+from holdfast.integrity.learnt_snapshot import (
+    LOWEST_DRIFT,
+    LOWEST_NOISE,
+    LOWEST_TILT,
+    LearntOdometry,
+)
 from holdfast.integrity.scale_posterior import ScalePosterior
 from holdfast.integrity.yaw_learning import HeadingWitness, YawLearning
 from holdfast.messages import Array
@@ -23,8 +29,6 @@ MAX_STEP_NS = 3 * STEP_NS
 TRANSLATION_SPANS, ROTATION_SPANS = (5, 10, 20), (1, 3, 10, 20)  # steps
 DRIFT_MEMORY_S, NOISE_MEMORY_SCANS = 600.0, 300
 DELAY_NS = 20_000_000_000  # what is seen of distances is learnt so much later: until then the fixes may have walked
-LOWEST_NOISE, LOWEST_DRIFT = 0.5, 0.4  # scans have errors in common with the next that their noise does not show
-LOWEST_TILT = 1.0  # which of them is better odometry and gyroscope do not tell each other
 ATTITUDE_SIGMA_RAD = 1e-3  # of the estimate, at least
 
 
@@ -57,19 +61,51 @@ class _Evidence(NamedTuple):
 
 
 class OdometryLearning:
-    """What is learnt of one odometry, as long as one start of the estimator lasts."""
+    """What is learnt of one odometry, as long as one start of the estimator lasts.
 
-    def __init__(self, noise: OdometryNoise) -> None:
+    Args:
+        noise: of the odometry, which is told what is learnt.
+        carried: what was learnt before.
+    """
+
+    def __init__(self, noise: OdometryNoise, carried: LearntOdometry | None = None) -> None:
         self._noise = noise
-        self._noises = ScalePosterior(), ScalePosterior()  # rotation, translation
-        self._drifts = ScalePosterior(), ScalePosterior()
-        self._yaw = YawLearning(noise)
+        self._is_carried = carried is not None
+        self._begin(carried or LearntOdometry())
         self._scans: deque[tuple[TrackPose, InertialMotion | None]] = deque(maxlen=3)
         self._first: TrackPose | None = None  # of the step that has begun
         self._steps: deque[_Step] = deque(maxlen=max(ROTATION_SPANS) + 1)
         self._before: tuple[TrackPose, gtsam.Rot3] | None = None
         self._places: deque[_Place] = deque(maxlen=max(TRANSLATION_SPANS) + 1)
         self._pending: deque[_Evidence] = deque()
+        if carried is not None:
+            self._tell()
+
+    def _begin(self, before: LearntOdometry) -> None:
+        """Begin with what was learnt before: factors on what is configured, not on what is believed of that."""
+        scale = self._noise.scale
+        self._noises = ScalePosterior(before.rotation_noise, scale), ScalePosterior(before.translation_noise, scale)
+        self._drifts = ScalePosterior(before.rotation_drift, scale), ScalePosterior(before.translation_drift, scale)
+        self._yaw = YawLearning(self._noise, before.yaw)
+
+    def trust_less(self, factor: float) -> None:
+        """The odometry jumps more often than its configured noise explains; what was learnt before knows that."""
+        before = self.learnt()
+        self._noise.trust_less(factor)
+        if self._is_carried:
+            self._begin(before)
+            self._tell()
+
+    def learnt(self) -> LearntOdometry:
+        """Return what was learnt until now, times what is configured."""
+        scale = self._noise.scale
+        return LearntOdometry(
+            rotation_noise=self._noises[0].learnt(scale),
+            translation_noise=self._noises[1].learnt(scale),
+            rotation_drift=self._drifts[0].learnt(scale),
+            translation_drift=self._drifts[1].learnt(scale),
+            yaw=self._yaw.learnt(),
+        )
 
     @property
     def gyroscope_scale(self) -> float:

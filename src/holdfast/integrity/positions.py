@@ -17,10 +17,9 @@ from holdfast.integrity.lever_arms import LeverArms
 from holdfast.integrity.noise_scale import LOWEST, NoiseScale
 from holdfast.integrity.receiver import Held, ReceiverGate, Trust, predict
 from holdfast.integrity.review import UsedPositions
-from holdfast.integrity.white_noise import WhiteNoise
 from holdfast.integrity.yaw_learning import WITNESS_NS, Witness
 from holdfast.sensors.coloured import Compared, coloured, coloured_factor
-from holdfast.sensors.noise import Colour, correlation_inflation, shared_inflation
+from holdfast.sensors.noise import correlation_inflation, shared_inflation
 from holdfast.sensors.sensor import Position, PositionSensor, State
 from holdfast.state import EventKind, Outcome
 
@@ -61,7 +60,6 @@ class Positions:
         self._log = log
         self._reviewed_ns = 0
         self._scales = scales
-        self._white = {name: WhiteNoise() for name in sensors}
         self._consensus = {
             name: Consensus(config.max_speed_m_s, config.regain_after, believe_after_s) for name in sensors
         }
@@ -95,7 +93,7 @@ class Positions:
         gate, scale = self.gates[name], self._scales[name]
         above, colour = scale.above, position.colour
         if colour is not None:
-            colour = self.colour(name, colour, above)
+            colour = scale.white.colour(colour, above)
         position = replace(position, covariance=position.covariance * above, colour=colour)
         found = self._compare(smoother, key, position)
         innovation, state = found.innovation, found.state
@@ -114,7 +112,7 @@ class Positions:
             scale.learn(innovation._replace(R=innovation.R / above), state, position, self._log, lowest)
         if outcome is Outcome.USED:
             if position.colour is not None:
-                sensor, white = self._sensors[name], self._white[name]
+                sensor, white = self._sensors[name], scale.white
                 white.learn(sensor, position, position.colour, smoother, state, scale.above)
             correlated = correlation_inflation(_correlation_s(position), self.used.since_last_s(position))
             inflation = gate.inflation(prediction) * correlated
@@ -126,10 +124,6 @@ class Positions:
         gate_limit = gate.limit_on_nis
         self._log.record(position.stamp_ns, name, outcome, prediction.nis, 3, limit=gate_limit, p_W_P=position.p_W_P)
         return outcome
-
-    def colour(self, sensor: str, colour: Colour, above: float) -> Colour:
-        """Return how the error of a position is composed whose claim is believed times a factor, as was learnt."""
-        return self._white[sensor].colour(colour, above)
 
     def heading_witness(self, smoother: Smoother, stamp_ns: int) -> Witness | None:
         """Return what pairs of antennas near a time say of the heading of an estimate; None where there are none."""

@@ -4,6 +4,7 @@ from math import log
 
 import numpy as np
 
+from holdfast.integrity.learnt_snapshot import LearntScale, unless_another
 from holdfast.messages import Array
 
 LOWEST, HIGHEST, POINTS = 0.05, 10.0, 160
@@ -17,22 +18,44 @@ _LOG_PRIOR: Array = -0.5 * ((_LOG_SCALES + PRIOR_SIGMA) / PRIOR_SIGMA) ** 2
 
 
 class ScalePosterior:
-    """What squared residuals say of the scale k, where each has the expectation n (k^2 a + b)."""
+    """What squared residuals say of the scale k, where each has the expectation n (k^2 a + b).
 
-    def __init__(self) -> None:
+    Args:
+        carried: what was learnt before, which is forgotten as what is taken in.
+        unit: of the scale, in units of what was learnt before.
+    """
+
+    def __init__(self, carried: LearntScale | None = None, unit: float = 1.0) -> None:
         self._log_likelihood: Array = np.zeros(POINTS)
         self._value: float | None = None
+        self._has_learnt = carried is not None
+        if carried is not None:
+            mean = min(max(carried.log_mean - log(unit), _LOG_SCALES[0]), _LOG_SCALES[-1])
+            known = -0.5 * (_LOG_SCALES - mean) ** 2 / carried.log_sigma**2
+            self._log_likelihood = unless_another(known, _LOG_PRIOR) - _LOG_PRIOR
 
     @property
     def value(self) -> float:
         """The scale that is not exceeded with 84 %: the posterior's mean and one sigma, of the logarithm."""
         if self._value is None:
-            log_posterior = _LOG_PRIOR + self._log_likelihood
-            weights = np.exp(log_posterior - log_posterior.max())
-            weights /= weights.sum()
-            mean = float(weights @ _LOG_SCALES)
-            self._value = float(min(HIGHEST, np.exp(mean + np.sqrt(weights @ (_LOG_SCALES - mean) ** 2))))
+            mean, variance = self._moments()
+            self._value = float(min(HIGHEST, np.exp(mean + np.sqrt(variance))))
         return self._value
+
+    def learnt(self, unit: float = 1.0) -> LearntScale | None:
+        """Return what is believed of the scale, whose unit is given; None where nothing was taken in."""
+        if not self._has_learnt:
+            return None
+        mean, variance = self._moments()
+        return LearntScale.of(mean + log(unit), float(np.sqrt(variance)))
+
+    def _moments(self) -> tuple[float, float]:
+        """Return mean and variance of the logarithm."""
+        log_posterior = _LOG_PRIOR + self._log_likelihood
+        weights = np.exp(log_posterior - log_posterior.max())
+        weights /= weights.sum()
+        mean = float(weights @ _LOG_SCALES)
+        return mean, weights @ (_LOG_SCALES - mean) ** 2
 
     def learn(self, squared: float, size: int, scaled: float, other: float, weight: float) -> None:
         """Take in one residual.
@@ -46,6 +69,7 @@ class ScalePosterior:
         """
         if scaled <= 0.0:
             return
+        self._has_learnt = True
         squared = min(squared, MAX_RATIO * size * (self.value**2 * scaled + other))
         variances = _SQUARED_SCALES * scaled + other
         self._log_likelihood -= 0.5 * weight * (size * np.log(variances) + squared / variances)

@@ -11,7 +11,6 @@ from holdfast.graph.smoother import Smoother
 from holdfast.integrity.innovation import Change, InnovationGate
 from holdfast.integrity.noise_scale import LOWEST, NoiseScale
 from holdfast.integrity.residual import residual
-from holdfast.integrity.white_noise import WhiteNoise
 from holdfast.sensors.coloured import Compared, coloured, coloured_factor
 from holdfast.sensors.noise import Colour, correlation_inflation, shared_inflation
 from holdfast.sensors.sensor import ConstraintSensor, Innovation, Joint, Measurement, Role, State, StateSensor
@@ -40,7 +39,6 @@ class JudgedSensor:
         self._log = log
         self._used_ns = 0
         self._scale = scale
-        self._white = WhiteNoise()
 
     def judge(
         self,
@@ -84,10 +82,6 @@ class JudgedSensor:
         since_s = abs(held[0].stamp_ns - self._used_ns) * 1e-9
         return shared_inflation(self._correlation_s(held[0]), [since_s, *gaps_s])
 
-    def colour(self, colour: Colour, above: float) -> Colour:
-        """Return how the error of a measurement is composed whose claim is believed times a factor, as was learnt."""
-        return self._white.colour(colour, above)
-
     def _correlation_s(self, measurement: Measurement) -> float:
         """Return the correlation time of the errors of a measurement, or of what is white of them."""
         colour = _colour(measurement)
@@ -113,7 +107,7 @@ class JudgedSensor:
         lowest = LOWEST_VELOCITY if self._sensor.role is Role.VELOCITY else LOWEST
         colour = _colour(measurement)
         if colour is not None:
-            self._white.learn(self._sensor, measurement, colour, smoother, found.state)
+            self._scale.white.learn(self._sensor, measurement, colour, smoother, found.state)
         self._scale.learn(claimed, found.state, measurement, self._log, lowest)
 
     def residual(self, smoother: Smoother, measurement: Measurement) -> Innovation | Outcome:
@@ -133,7 +127,7 @@ class JudgedSensor:
         if colour is None:
             return Compared(keys, state, innovation)
         slow = smoother.slow_error(measurement.sensor, colour, stamp_ns)
-        return coloured(keys, state, innovation, self.colour(colour, self._scale.above), slow)
+        return coloured(keys, state, innovation, self._scale.white.colour(colour, self._scale.above), slow)
 
     def _enter(
         self,

@@ -3,6 +3,7 @@
 import numpy as np
 
 from holdfast.graph.smoother import Smoother
+from holdfast.integrity.learnt_snapshot import LearntNoiseScale
 from holdfast.sensors.noise import Colour
 from holdfast.sensors.sensor import Comparing, Measurement, State
 from holdfast.state import Outcome
@@ -14,13 +15,27 @@ MAX_RATIO = 9.0  # one difference tells no more
 
 
 class WhiteNoise:
-    """The variance of the white part of one sensor's errors, in units of what it claims: (63) in docs/math.md."""
+    """The variance of the white part of one sensor's errors, in units of what it claims: (63) in docs/math.md.
 
-    def __init__(self) -> None:
-        self._count = 0
+    Args:
+        carried: what was learnt before, which weighs no more than `ENOUGH` differences.
+    """
+
+    def __init__(self, carried: LearntNoiseScale | None = None) -> None:
+        self._count = 0 if carried is None else min(carried.white_count, ENOUGH)
         self._received = 0
-        self._variance: float | None = None
+        self._variance: float | None = None if carried is None else carried.white_variance
         self._last: Measurement | None = None
+
+    @property
+    def variance(self) -> float | None:
+        """The variance; None while nothing was learnt."""
+        return self._variance
+
+    @property
+    def count(self) -> int:
+        """How many differences it rests on."""
+        return self._count
 
     def colour(self, colour: Colour, above: float) -> Colour:
         """Return how an error is composed whose claim is believed times a factor."""

@@ -14,6 +14,7 @@ import gtsam
 import numpy as np
 
 from holdfast.graph.smoother import Smoother
+from holdfast.integrity.learnt_snapshot import LearntYaw
 from holdfast.integrity.yaw_scales import Turned, YawScales
 from holdfast.messages import Array
 from holdfast.sensors.odometry import OdometryNoise, TrackPose
@@ -56,11 +57,16 @@ class _Place(NamedTuple):
 
 
 class YawLearning:
-    """What one odometry, the gyroscope and the headings say of each other: (72), (73) in docs/math.md."""
+    """What one odometry, the gyroscope and the headings say of each other: (72), (73) in docs/math.md.
 
-    def __init__(self, noise: OdometryNoise) -> None:
+    Args:
+        noise: of the odometry.
+        carried: what was learnt before.
+    """
+
+    def __init__(self, noise: OdometryNoise, carried: LearntYaw | None = None) -> None:
         self._noise = noise
-        self._scales = YawScales()
+        self._scales = YawScales(carried, noise.scale)
         self._places: deque[_Place] = deque(maxlen=max(SPANS) + 1)
 
     @property
@@ -72,6 +78,10 @@ class YawLearning:
     def odometry_scale(self) -> float:
         """How many times faster the odometry drifts than configured, about the vertical."""
         return self._scales.values[1]
+
+    def learnt(self) -> LearntYaw | None:
+        """Return what is believed of the scales, of the odometry that of its configuration."""
+        return self._scales.learnt(self._noise.scale)
 
     def begin_anew(self) -> None:
         """Nothing before is to be compared with what comes."""

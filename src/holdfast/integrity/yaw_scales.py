@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from holdfast.integrity.learnt_snapshot import LearntYaw, unless_another
 from holdfast.messages import Array
 
 LOWEST, HIGHEST, POINTS = 0.05, 20.0, 19
@@ -19,6 +20,7 @@ _SQUARED_SCALES: Array = np.exp(2.0 * _LOG_SCALES)
 # its root mean square is what is configured
 _LOG_PRIOR: Array = -0.5 * ((_LOG_SCALES + PRIOR_SIGMA**2) / PRIOR_SIGMA) ** 2
 _JOINT_PRIOR: Array = _LOG_PRIOR[:, None, None] + _LOG_PRIOR[:, None] + _LOG_PRIOR
+_GRID: Array = np.stack(np.meshgrid(_LOG_SCALES, _LOG_SCALES, _LOG_SCALES, indexing="ij"), axis=-1)
 
 
 class Turned(NamedTuple):
@@ -44,11 +46,23 @@ class Turned(NamedTuple):
 
 
 class YawScales:
-    """The posterior of three scales on a grid of their logarithms: gyroscope, odometry, headings; (72), (73)."""
+    """The posterior of three scales on a grid of their logarithms: gyroscope, odometry, headings; (72), (73).
 
-    def __init__(self) -> None:
+    Args:
+        carried: what was learnt before, which is forgotten as what is taken in.
+        unit: of the scale of the odometry, in units of what was learnt before.
+    """
+
+    def __init__(self, carried: LearntYaw | None = None, unit: float = 1.0) -> None:
         self._log_likelihood: Array = np.zeros((POINTS, POINTS, POINTS))
         self._values: tuple[float, float, float] | None = None
+        self._has_learnt = carried is not None
+        if carried is not None:
+            means = np.array(carried.log_means) - [0.0, log(unit), 0.0]
+            off = _GRID - np.clip(means, _LOG_SCALES[0], _LOG_SCALES[-1])
+            information = np.linalg.inv(np.array(carried.log_covariance))
+            known = -0.5 * np.einsum("...i,ij,...j", off, information, off)
+            self._log_likelihood = unless_another(known, _JOINT_PRIOR) - _JOINT_PRIOR
 
     @property
     def values(self) -> tuple[float, float, float]:
@@ -62,6 +76,18 @@ class YawScales:
                 _root_mean_square(weights.sum(axis=(0, 1))),
             )
         return self._values
+
+    def learnt(self, unit: float = 1.0) -> LearntYaw | None:
+        """Return what is believed of the three, of which that of the odometry has a unit; None for nothing."""
+        if not self._has_learnt:
+            return None
+        log_weights = self._log_likelihood + _JOINT_PRIOR
+        weights = np.exp(log_weights - log_weights.max())
+        weights /= weights.sum()
+        mean = np.einsum("abc,abci->i", weights, _GRID)
+        off = _GRID - mean
+        covariance = np.einsum("abc,abci,abcj->ij", weights, off, off)
+        return LearntYaw.of(mean + np.array([0.0, log(unit), 0.0]), covariance)
 
     def learn_from_two(self, apart_rad: float, gyroscope: Turned, odometry: Turned, weight: float) -> None:
         """Take in what the odometry has turned beyond the gyroscope; `weight` as in `learn_from_three`."""
@@ -91,6 +117,7 @@ class YawScales:
 
     def _take(self, doubled: Array, weight: float) -> None:
         """Take in minus twice a logarithm of the likelihood."""
+        self._has_learnt = True
         self._log_likelihood -= 0.5 * weight * doubled
         self._log_likelihood -= (self._log_likelihood + _JOINT_PRIOR).max()
         self._values = None

@@ -17,6 +17,7 @@ from holdfast.estimator.imu_path import ImuPath, Received
 from holdfast.estimator.intake import Intake
 from holdfast.event_log import EventLog
 from holdfast.geometry.earth import Geodetic, LocalFrame
+from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.kernel.imu_path import HAS_NEWS
 from holdfast.measured_fields import got
 from holdfast.messages import ImuSample, JointAngle, Message
@@ -46,12 +47,13 @@ class RealtimeEstimator(Intake):
             how the two processes share the machine.
         in_step: wait after each message until the optimiser has answered, so that the results are those of `Estimator`
             to the bit; for tests.
+        learnt: what was learnt of the sensors before.
 
     Raises:
         ConfigError: the machine does not allow what the section `realtime` asks for.
     """
 
-    def __init__(self, config: Config, *, in_step: bool = False) -> None:
+    def __init__(self, config: Config, *, in_step: bool = False, learnt: LearntSnapshot = NOTHING_LEARNT) -> None:
         cores = place_caller(config.realtime)
         self.config = config
         self._in_step = in_step
@@ -70,7 +72,7 @@ class RealtimeEstimator(Intake):
         self._is_full = self._is_closed = False
         self._fault_version: int | None = None  # of the states when the optimiser failed, until a successor publishes
         self._supervisor = Supervisor(
-            Settings(config, in_step, cores), self._board, self._reports.receive, self._receive_fault
+            Settings(config, in_step, cores, learnt), self._board, self._reports.receive, self._receive_fault
         )
 
     def __enter__(self) -> Self:
@@ -167,6 +169,11 @@ class RealtimeEstimator(Intake):
     def noise(self, sensor: str) -> float:
         """Return how many times larger the noise of a sensor is than it claims, as its innovations show."""
         return self._monitor.noise(sensor)
+
+    def learnt(self) -> LearntSnapshot:
+        """Return what was learnt of the sensors, some seconds ago; once closed, in the end. A reset forgets it."""
+        self._log_now()
+        return self._supervisor.learnt
 
     def take_events(self) -> list[Event]:
         """Return the events since the last call."""
@@ -271,7 +278,7 @@ class RealtimeEstimator(Intake):
         self._overload.shed(sensor, number, arrival_ns, self._buffer.latest_ns)
 
     def reset(self) -> None:
-        """Forget the state and begin anew, as at power-on; W stays where it is."""
+        """Forget the state and what was learnt, and begin anew; W stays where it is."""
         self._begin_anew(None)
 
     def set_datum(self, datum: Geodetic) -> None:

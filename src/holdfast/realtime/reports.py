@@ -7,6 +7,7 @@ from contextlib import suppress
 from struct import Struct
 from typing import NamedTuple
 
+from holdfast.integrity.learnt_snapshot import LearntSnapshot
 from holdfast.state import Event, Outcome
 
 _LENGTH = Struct("<I")
@@ -22,6 +23,7 @@ class Report(NamedTuple):
         waiting_for: what keeps it from starting.
         cpu_s: processor time of the process.
         fault: why it ends, if it ends by an error.
+        learnt: of the sensors; None where it is what the report before said.
     """
 
     events: Sequence[Event]
@@ -31,6 +33,7 @@ class Report(NamedTuple):
     waiting_for: str
     cpu_s: float
     fault: str = ""
+    learnt: LearntSnapshot | None = None
 
 
 class Outbox:

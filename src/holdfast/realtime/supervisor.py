@@ -13,6 +13,7 @@ from threading import Event as Flag
 from threading import Lock, Thread
 from time import monotonic, sleep
 
+from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.kernel.compiling import FOLDER
 from holdfast.realtime.layout import Board
 from holdfast.realtime.memory import Word
@@ -49,7 +50,7 @@ class Supervisor:
         self._on_report, self._on_fault = on_report, on_fault
         self._process: subprocess.Popen[bytes] | None = None
         self._inbox: Inbox | None = None
-        self._reported_fault = ""
+        self._reported_fault, self._is_successor = "", False
         self._hang_s = settings.config.realtime.hang_s
         self._began_s = self._beat_s = monotonic()
         self._beat = board.words[Word.HEARTBEAT]
@@ -66,6 +67,11 @@ class Supervisor:
         process = self._process
         return None if process is None or process.poll() is not None else process.pid
 
+    @property
+    def learnt(self) -> LearntSnapshot:
+        """What was learnt of the sensors, as of the last report."""
+        return self._settings.learnt
+
     def wake(self) -> None:
         """Signal the process that something has come; never blocks."""
         process = self._process
@@ -81,6 +87,8 @@ class Supervisor:
             if self._inbox is not None:
                 for report in self._inbox.receive():
                     self._reported_fault = report.fault or self._reported_fault
+                    if report.learnt is not None:
+                        self._settings = self._settings._replace(learnt=report.learnt)
                     self._on_report(report)
 
     def stop(self) -> None:
@@ -105,6 +113,9 @@ class Supervisor:
                 self._end(0.0)
                 self._on_fault(self._reported_fault or fault)
                 lived_s = now_s - self._began_s
+                if self._is_successor and lived_s < STEADY_S:  # it may have died of what was learnt before
+                    self._settings = self._settings._replace(learnt=NOTHING_LEARNT)
+                self._is_successor = True
                 self._pause_s = 0.0 if lived_s > STEADY_S else min(MAX_PAUSE_S, max(0.25, 2.0 * self._pause_s))
                 if self._stopping.wait(self._pause_s):
                     break

@@ -22,6 +22,7 @@ from holdfast.estimator.optimiser import Optimiser
 from holdfast.estimator.tracking import Update
 from holdfast.event_log import EventLog
 from holdfast.geometry.earth import Geodetic
+from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.messages import ImuSample
 from holdfast.parent import die_with_parent
 from holdfast.realtime.layout import Board
@@ -35,6 +36,7 @@ from holdfast.state import OptimisedState, Outcome
 POLL_S = 0.001  # while a measurement waits for the IMU, whose samples wake nobody
 IDLE_S = 0.05
 BATCH = 256  # measurements that are taken in before an update: it must end before someone thinks that this hangs
+LEARNT_NS = 5_000_000_000  # what was learnt is reported this often
 HISTORY_NS = 4_000_000_000  # of samples before the state at which a successor begins
 
 
@@ -44,11 +46,13 @@ class Settings(NamedTuple):
     Attributes:
         in_step: an update at every trigger, as in one process.
         cores: that the process may use; its parent may have been tied to one of them.
+        learnt: of the sensors, before this process.
     """
 
     config: Config
     in_step: bool
     cores: frozenset[int] | None
+    learnt: LearntSnapshot = NOTHING_LEARNT
 
 
 class Worker:
@@ -62,7 +66,8 @@ class Worker:
         self._sample, self._request = self._words[Word.SAMPLES], self._words[Word.BEGUN]
         self._buffer = ImuBuffer(self._config.imu)
         self._log = EventLog(self._config.imu_name)
-        self._optimiser = Optimiser(self._config, self._buffer, self._log)
+        self._optimiser = Optimiser(self._config, self._buffer, self._log, learnt=settings.learnt)
+        self._learnt_ns = 0  # when it was last reported
         self._datum: Geodetic | None = None
         self._waiting_for = ""
         self._reported_counts: dict[tuple[str, Outcome], int] = {}
@@ -79,6 +84,7 @@ class Worker:
                 is_wanted = self._sleep()
         while self.take_in():
             pass
+        self._report(is_last=True)
 
     @property
     def counts(self) -> dict[tuple[str, Outcome], int]:
@@ -138,6 +144,7 @@ class Worker:
         if request is None or isinstance(request, Geodetic):
             self._epoch = epoch
             self._optimiser.restart(request)
+            self._report(is_last=True)  # what is forgotten must not come back with a successor
             self._publish(None)
             return
         first = self._optimiser.add(request)
@@ -165,13 +172,17 @@ class Worker:
         record = Published(*counters, *trust, health, optimiser.gravity, self._datum, state)
         self._board.published.write(self._records.pack_published(record))
 
-    def _report(self) -> None:
-        counts, waiting_for = self.counts, self._optimiser.waiting_for
-        if self._took_ns or self._log.events or counts != self._reported_counts or waiting_for != self._waiting_for:
+    def _report(self, *, is_last: bool = False) -> None:
+        """Report what is new, and every now and then, or at the end of something, what was learnt."""
+        counts, waiting_for, learnt = self.counts, self._optimiser.waiting_for, None
+        if is_last or self._buffer.latest_ns - self._learnt_ns >= LEARNT_NS:
+            learnt, self._learnt_ns = self._optimiser.learnt(), self._buffer.latest_ns
+        is_news = counts != self._reported_counts or waiting_for != self._waiting_for
+        if self._took_ns or self._log.events or is_news or learnt is not None:
             self._reported_counts, self._waiting_for = counts, waiting_for
             taken = self._log.take_events(), counts, self._smoothed, self._took_ns
             self._smoothed, self._took_ns = [], []
-            self._reports.send(Report(*taken, waiting_for, process_time()))
+            self._reports.send(Report(*taken, waiting_for, process_time(), learnt=learnt))
         else:
             self._reports.flush()
 

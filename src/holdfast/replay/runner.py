@@ -13,6 +13,7 @@ from holdfast.config.model import Config
 from holdfast.errors import EstimatorError
 from holdfast.estimator.estimator import Estimator
 from holdfast.event_log import MeasurementRecord
+from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.messages import Message
 from holdfast.replay.held_out import HeldOutJudge, HoldOut, HoldOutFilter, Judgement
 from holdfast.replay.interrupts import Uninterrupted
@@ -52,6 +53,7 @@ class Replay:
         keep_track: keep the causal track in memory for a figure.
         realtime: the engine to be used instead of the estimator in one process; whoever made it closes it.
         batch: finds the optimum over the recording; not with `realtime`.
+        learnt: what was learnt of the sensors before; the engine has been given it.
         on_block: takes each stretch of it as soon as it is done.
         on_output: takes the output of each message.
     """
@@ -65,10 +67,11 @@ class Replay:
         *,
         realtime: "RealtimeEstimator | None" = None,
         batch: BatchSmoother | None = None,
+        learnt: LearntSnapshot = NOTHING_LEARNT,
         on_block: Callable[[Block], object] = lambda _: None,
         on_output: Callable[[Output], None] = lambda _: None,
     ) -> None:
-        self.estimator: Estimator | RealtimeEstimator = realtime or Estimator(config, batch)
+        self.estimator: Estimator | RealtimeEstimator = realtime or Estimator(config, batch, learnt=learnt)
         self._realtime, self._batch, self._on_block = realtime, batch, on_block
         self._on_output = on_output
         if outputs is not None and isinstance(self.estimator, Estimator):

@@ -18,7 +18,7 @@ from holdfast.report.figures import (
     time_line,
 )
 from holdfast.report.outages import LOST, outage_bands, outages, within
-from holdfast.report.page import Block, Cell, Clock, Figure, Page, Provenance, Section, Table, digest
+from holdfast.report.page import Block, Cell, Clock, Figure, Mark, Page, Provenance, Section, Table, digest
 from holdfast.report.run_record import RunRecord
 from holdfast.report.timeline import Interval, health_intervals, trust_intervals
 from holdfast.report.trajectory import trajectory
@@ -52,6 +52,7 @@ def single_run_page(run: RunRecord) -> Page:
         Section("Accuracy", [*_errors(run), *_held_out(run)]),
         Section("Consistency", consistency(run)),
         Section("Health", [*_health(run), *_measurements(run), *_loop_closures(run)]),
+        Section("Calibration", _learnt(run)),
         Section("Events", _events(run)),
         Section("Timing", _timing(run)),
     ]
@@ -183,6 +184,20 @@ def _loop_closures(run: RunRecord) -> list[Block]:
     caption = "Pairs of places that the optimum over the recording has tried to register, and what became of them."
     columns = ("result", "pairs")
     return [Table("loop-closures", "Loop closures", columns, rows, caption)] if rows else []
+
+
+def _learnt(run: RunRecord) -> list[Block]:
+    """Return what was learnt of the sensors beside what the configuration says."""
+    columns = "sensor", "what", "unit", "configured", "learnt", "sigma", "key", "looks wrong, write"
+    keys = "sensor", "what", "unit", "configured", "learnt", "sigma", "key", "write"
+    found = run.summary.get("learnt", [])
+    rows: list[list[Cell]] = [[one[key] for key in keys] for one in found]
+    marks: dict[tuple[int, int], Mark] = {(k, 4): "missed" for k, one in enumerate(found) if one["looks_wrong"]}
+    caption = (
+        "A key looks wrong where it is off by a factor of two, or a constant by three sigmas. The estimate has used "
+    )
+    caption += "what was learnt; with it in the file the next run begins there, as with --learnt."
+    return [Table("learnt", "What was learnt", columns, rows, caption, 4, marks)] if rows else []
 
 
 def _timing(run: RunRecord) -> list[Block]:

@@ -1,11 +1,18 @@
-"""Which constants of sensors the graph estimates, and what it knows of one."""
+"""Which constants of sensors the graph estimates, what it knows of one, and what it does of one learnt before."""
 
 from collections.abc import Mapping
+from math import radians
 from typing import NamedTuple
 
+import numpy as np
+
 from holdfast.messages import Array
+from holdfast.sensors.clock import IF_RIGHT_S, has_estimated_clock
+from holdfast.sensors.gnss import GnssModel
+from holdfast.sensors.nonholonomic import NonholonomicModel
 from holdfast.sensors.odometry import OdometryModel
 from holdfast.sensors.sensor import Parameter, Sensor
+from holdfast.sensors.twist import TwistModel
 
 
 class Constant(NamedTuple):
@@ -36,3 +43,47 @@ def priors_of(sensors: Mapping[str, Sensor]) -> dict[str, Parameter]:
         if prior is not None:
             found[prior.name(name)] = prior
     return found
+
+
+ANGLE_RAD, ARM_M, SCALE = radians(0.25), 0.01, 0.005  # by which a mount gives, and rolling radii change
+
+
+def change_of(sensor: Sensor) -> Array | None:
+    """Return by how much (p,) the constant of a sensor may be another one on the next day, as sigmas.
+
+    None where it has none, or one of the world instead of the machine.
+    """
+    if isinstance(sensor, OdometryModel):
+        return np.array([ANGLE_RAD, ANGLE_RAD, ANGLE_RAD, IF_RIGHT_S])
+    parameter: Parameter | None = getattr(sensor, "parameter", None)
+    if parameter is None:
+        return None
+    if has_estimated_clock(sensor):
+        return np.array([*np.full(len(parameter.mean) - 1, ARM_M), IF_RIGHT_S])
+    kinds = (GnssModel, ARM_M), (TwistModel, SCALE), (NonholonomicModel, ANGLE_RAD)
+    found = next((change for kind, change in kinds if isinstance(sensor, kind)), None)
+    return None if found is None else np.full(len(parameter.mean), found)
+
+
+def carried(prior: Parameter, mean: Array, sigmas: Array, change: Array, *, is_off: bool) -> Parameter:
+    """Return the prior of a constant that was learnt before; all arrays are (p,).
+
+    Its mean is what was learnt, its sigma is not below that and how much it may have changed. A clock that was
+    believed to be right keeps the prior of the configuration.
+
+    Args:
+        prior: what the configuration says.
+        mean: what was learnt.
+        sigmas: of that.
+        change: what `change_of` says.
+        is_off: the clock was believed to be off.
+    """
+    if_right = np.full(len(prior.mean), np.inf) if prior.if_right is None else prior.if_right
+    is_learnt = np.isinf(if_right) | is_off
+    left = np.where(is_learnt, np.inf, if_right)
+    return Parameter(
+        np.where(is_learnt, mean, prior.mean),
+        np.where(is_learnt, np.minimum(prior.sigmas, np.hypot(sigmas, change)), prior.sigmas),
+        left if np.isfinite(left).any() else None,
+        prior.shared,
+    )

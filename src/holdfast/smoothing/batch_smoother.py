@@ -12,7 +12,7 @@ from typing import NamedTuple
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
 from holdfast.estimator.imu_path import Received
-from holdfast.estimator.learnt import Learnt
+from holdfast.estimator.learnt_view import LearntView
 from holdfast.estimator.tracking import Update
 from holdfast.printable import quoted
 from holdfast.sensors.sensor import Joint, Measurement, Sensor
@@ -116,7 +116,7 @@ class BatchSmoother:
             self._solve(self._recorded.buffer.latest_ns, is_last=True)
         self._segment = self._machine = None
 
-    def update(self, update: Update, learnt: Learnt) -> None:
+    def update(self, update: Update, learnt: LearntView) -> None:
         """Take note of an optimisation; solve a window once it is full."""
         self._recorded.update(update, learnt)
         if self._segment is None and self._machine is not None:  # a window could not be solved

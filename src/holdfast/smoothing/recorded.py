@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from holdfast.config.model import Config
 from holdfast.estimator.imu_path import Received
-from holdfast.estimator.learnt import Learnt
+from holdfast.estimator.learnt_view import LearntView
 from holdfast.estimator.standstill import Standing
 from holdfast.estimator.tracking import Update
 from holdfast.graph.nodes import to_grid
@@ -57,7 +57,7 @@ class Recorded:
         self._noise: dict[str, tuple[list[int], list[float]]] = {}
         self._beside: dict[int, Beside] = {}
         self._mounted: dict[int, tuple[Array, Array]] = {}  # p_I_B and R_I_B, by the time of the sample
-        self._learnt: Learnt | None = None
+        self._learnt: LearntView | None = None
         self.settled_ns = 0
 
     def receive(self, received: Received) -> None:
@@ -77,7 +77,7 @@ class Recorded:
         beside = Beside(joint, self._colour(measurement))
         insort(self._waiting, _Waiting(measurement.stamp_ns, self._order, measurement, beside))
 
-    def update(self, update: Update, learnt: Learnt) -> None:
+    def update(self, update: Update, learnt: LearntView) -> None:
         """Take in what the causal estimator found."""
         state, self._learnt = update.state, learnt
         if not update.begins_anew:

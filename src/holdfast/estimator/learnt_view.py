@@ -8,7 +8,7 @@ from holdfast.sensors.noise import Colour
 from holdfast.sensors.sensor import Measurement
 
 
-class Learnt(NamedTuple):
+class LearntView(NamedTuple):
     """What the estimator knows of its sensors, read when it is asked.
 
     Attributes:

@@ -1,0 +1,203 @@
+"""What was learnt of the sensors beside what the configuration says, and which of its keys look wrong."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from math import degrees, radians, sqrt
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from holdfast.calibration.placing import moved
+from holdfast.config.document import path_text, yaml_text
+from holdfast.config.model import Config
+from holdfast.config.sensors import DriftingConfig, GnssConfig, HeadingConfig, NonholonomicConfig, TwistConfig
+from holdfast.integrity.calibration import SLACK_RAD, SLACK_S
+from holdfast.integrity.learnt_snapshot import Factor, LearntConstant, LearntNoiseScale, LearntOdometry, LearntSnapshot
+from holdfast.integrity.noise_scale import NoiseScale
+from holdfast.messages import Array
+from holdfast.sensors.clock import with_estimated_clock
+from holdfast.sensors.constants import priors_of
+from holdfast.sensors.registry import sensors_of
+
+SEEN = 0.55  # sigma of a logarithm above which a factor is not known: half of the prior's
+SIGMA = 3.0
+SLACK_M = 0.01
+FACTOR = 2.0
+SHOWN = 4  # lines at the end of a command
+AXES = "xyz"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One number that was learnt.
+
+    Attributes:
+        sensor: by name.
+        what: in words.
+        key: in the configuration; empty where it has none.
+        unit: of the numbers.
+        configured: what the configuration says; None where it says nothing.
+        learnt: beside that.
+        sigma: of `learnt`, where there is one.
+        looks_wrong: the key does.
+        write: what the key should be, where that is known.
+    """
+
+    sensor: str
+    what: str
+    key: str
+    unit: str
+    configured: float | None
+    learnt: float
+    sigma: float | None
+    looks_wrong: bool = False
+    write: str = ""
+
+
+def learnt_rows(learnt: LearntSnapshot, config: Config) -> list[Row]:
+    """Return everything that is known of what was learnt."""
+    rows: list[Row] = []
+    for name, sensor in sensors_of(config).items():
+        for constant in priors_of({name: with_estimated_clock(sensor)}):
+            if constant in learnt.constants:
+                rows += _of_constant(name, config, learnt.constants[constant], is_shared=constant != name)
+    for name, odometry in learnt.odometries.items():
+        section = config.sensors.get(name)
+        if isinstance(section, DriftingConfig):
+            rows += _of_odometry(name, section, odometry)
+    rows += _of_gyroscope(config, list(learnt.odometries.values()))
+    for name, noise in learnt.noise.items():
+        rows += _of_noise(name, config, noise)
+    return rows
+
+
+def plain_rows(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Return rows as plain data, for summary.json."""
+    return [asdict(row) for row in rows]
+
+
+def wrong_lines(rows: Sequence[Row]) -> list[str]:
+    """Return a few lines about keys that look wrong, one for each key."""
+    told: dict[str, str] = {}
+    for row in rows:
+        if row.looks_wrong and row.key not in told:
+            is_number = row.write.replace(".", "").replace("-", "").replace("e", "").isdigit()
+            is_now = f", is {row.configured:.4g}" if is_number and row.configured is not None else ""
+            told[row.key] = f"{row.key} looks wrong ({row.sensor}, {row.what}): {row.write or 'see the report'}{is_now}"
+    lines = list(told.values())
+    if len(lines) > SHOWN:
+        lines[SHOWN:] = [f"and {len(lines) - SHOWN} keys more that look wrong"]
+    return lines
+
+
+def _of_odometry(name: str, section: DriftingConfig, learnt: LearntOdometry) -> list[Row]:
+    rows = [
+        _factor_row(name, key, float(getattr(section, key)), _unit(section, key), factor)
+        for factor in learnt.factors()
+        for key in factor.keys
+        if factor.log_sigma <= SEEN
+    ]
+    # two factors may be on one key: the file should say the larger one
+    most = {key: max(row.learnt for row in rows if row.key == key) for key in {row.key for row in rows}}
+    return [row if not row.looks_wrong else _with_write(row, f"{most[row.key]:.3g}") for row in rows]
+
+
+def _of_gyroscope(config: Config, learnt: Sequence[LearntOdometry]) -> list[Row]:
+    seen = [factor for one in learnt if (factor := one.gyroscope()) is not None]
+    if not seen:
+        return []
+    factor = min(seen, key=lambda one: one.value)  # an error of the gyroscope shows against each of them
+    if factor.log_sigma > SEEN:
+        return []
+    return [
+        _factor_row(config.imu_name, key, float(getattr(config.imu, key)), _unit(config.imu, key), factor)
+        for key in factor.keys
+    ]
+
+
+def _factor_row(name: str, key: str, configured: float, unit: str, factor: Factor) -> Row:
+    value = configured * factor.value
+    write = f"{value:.3g}" if factor.is_wrong else ""
+    path = path_text(("sensors", name, key))
+    return Row(name, factor.what, path, unit, configured, value, value * factor.log_sigma, factor.is_wrong, write)
+
+
+def _of_noise(name: str, config: Config, learnt: LearntNoiseScale) -> list[Row]:
+    section, ratio = config.sensors.get(name), NoiseScale(learnt).ratio
+    floors = (GnssConfig, "min_sigma_m"), (HeadingConfig, "min_sigma_deg")
+    floor = next((key for kind, key in floors if isinstance(section, kind)), "")
+    key = path_text(("sensors", name, floor)) if floor else ""
+    is_wrong = bool(key) and ratio > FACTOR
+    write = "`holdfast calibrate` finds it" if is_wrong else ""
+    rows = [Row(name, "noise, times what it claims", key, "1", 1.0, ratio, None, is_wrong, write)]
+    if learnt.white_variance is not None:
+        rows.append(Row(name, "white part of what it claims", "", "1", None, sqrt(learnt.white_variance), None))
+    return rows
+
+
+def _of_constant(name: str, config: Config, learnt: LearntConstant, *, is_shared: bool) -> Iterator[Row]:
+    """Yield the rows of one sensor's constant, which ends with its clock if that is estimated."""
+    section, mean, sigmas = config.sensors[name], np.array(learnt.mean), np.array(learnt.sigmas)
+    if getattr(section, "time_offset_sigma_s", 0.0) > 0.0:
+        yield _of_clock(name, section.time_offset_s, float(mean[-1]), float(sigmas[-1]), is_off=learnt.is_off)
+        mean, sigmas = mean[:-1], sigmas[:-1]
+    if is_shared or not len(mean):
+        return
+    if isinstance(section, DriftingConfig) and section.mounting_sigma_deg > 0.0:
+        yield from _of_mounting(name, config, mean[:3], sigmas[:3])
+    elif isinstance(section, GnssConfig):
+        yield from _of_arm(name, config, mean, sigmas)
+    elif isinstance(section, TwistConfig):
+        yield Row(name, "scale factor", "", "1", 1.0, 1.0 + float(mean[0]), float(sigmas[0]))
+    elif isinstance(section, NonholonomicConfig):
+        for what, value, sigma in zip(("yaw", "pitch"), mean.tolist(), sigmas.tolist(), strict=True):
+            yield Row(name, f"mounting, {what}", "", "deg", 0.0, degrees(value), degrees(sigma))
+
+
+def _of_clock(name: str, configured_s: float, offset_s: float, sigma_s: float, *, is_off: bool) -> Row:
+    is_wrong = is_off and abs(offset_s) > SIGMA * sigma_s + SLACK_S
+    value, key = configured_s + offset_s, path_text(("sensors", name, "time_offset_s"))
+    return Row(name, "clock", key, "s", configured_s, value, sigma_s, is_wrong, f"{value:.4f}" if is_wrong else "")
+
+
+def _of_mounting(name: str, config: Config, rotation: Array, sigmas: Array) -> Iterator[Row]:
+    """Yield the rows of a mounting that is rotated by a vector (3,) [rad] about its own axes."""
+    off = float(np.linalg.norm(rotation))
+    sigma = float(np.linalg.norm(rotation / max(off, 1e-9) * sigmas))
+    correction = np.eye(4)
+    correction[:3, :3] = gtsam.Rot3.Expmap(rotation).matrix()
+    is_wrong = off > SIGMA * sigma + SLACK_RAD
+    key, write = _moved(name, config, correction)
+    for axis, value, of in zip(AXES, np.degrees(rotation).tolist(), np.degrees(sigmas).tolist(), strict=True):
+        is_most = is_wrong and abs(radians(value)) >= off / 2.0
+        yield Row(name, f"mounting, about its {axis}", key, "deg", 0.0, value, of, is_most, write if is_most else "")
+
+
+def _of_arm(name: str, config: Config, arm: Array, sigmas: Array) -> Iterator[Row]:
+    """Yield the rows of a lever arm (3,) [m] in the frame of the IMU."""
+    T_I_P = config.T_I(config.frame_of(name))
+    correction = np.eye(4)
+    correction[:3, 3] = T_I_P[:3, :3].T @ (arm - T_I_P[:3, 3])
+    key, write = _moved(name, config, correction)
+    for k, axis in enumerate(AXES):
+        configured, value, sigma = float(T_I_P[k, 3]), float(arm[k]), float(sigmas[k])
+        is_wrong = abs(value - configured) > SIGMA * sigma + SLACK_M
+        yield Row(name, f"lever arm, {axis}", key, "m", configured, value, sigma, is_wrong, write if is_wrong else "")
+
+
+def _moved(name: str, config: Config, correction: Array) -> tuple[str, str]:
+    """Return the key of the frame of a sensor, and what it is to be if the frame is moved (4, 4)."""
+    changes = moved(config, config.frame_of(name), correction)
+    if isinstance(changes, str) or not changes:
+        return "extrinsics", "" if not changes else str(changes)
+    return path_text(changes[0].path), yaml_text(changes[0].value)
+
+
+def _with_write(row: Row, write: str) -> Row:
+    return Row(**{**asdict(row), "write": write})
+
+
+def _unit(section: Any, key: str) -> str:
+    extra = type(section).model_fields[key].json_schema_extra
+    return str(extra["unit"]) if isinstance(extra, dict) else ""
