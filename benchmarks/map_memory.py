@@ -24,9 +24,10 @@ from holdfast.geometry.earth import Geodetic
 from holdfast.lidar_odometry.sweep import Sweep
 from holdfast.mapping.colours import colouring
 from holdfast.mapping.las import Grid, write_las
+from holdfast.mapping.options import SiteMapOptions
 from holdfast.mapping.picture import draw_above
 from holdfast.mapping.ply import write_ply
-from holdfast.mapping.site_map import MapBuilder, SiteMapOptions
+from holdfast.mapping.site_map import MapBuilder
 from holdfast.mapping.source import Scans
 from holdfast.recording.raw import RawBag
 from holdfast.recording.tum import TumWriter, read_tum

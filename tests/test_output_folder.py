@@ -132,6 +132,17 @@ def test_a_folder_that_goes_on_keeps_its_results_and_refuses_what_is_strange(out
         pass
 
 
+@pytest.mark.parametrize("command", ["batch", "paper"])
+def test_results_of_one_command_are_never_mixed_with_those_of_another(out, command):
+    write(out, "a.tum")
+    with pytest.raises(ConfigError, match="holds results of holdfast replay"), continued(out, command):
+        pass
+    assert names(out) == {"a.tum"}
+    with replaced(out, "demo"):
+        (out / "b.tum").write_text(RESULT)
+    assert names(out) == {"b.tum"}
+
+
 @pytest.mark.parametrize("output", ["bag", "bag/out", "bag/deeper/out", "bag/bag_0.mcap", "csv", "csv/out", "."])
 def test_nothing_is_written_into_a_recording(tmp_path, output, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -163,6 +174,20 @@ def test_results_may_stand_in_the_folder_of_a_simulation_but_not_take_its_place(
     write(site / "out", "a.tum", reads=[site])
     with pytest.raises(ConfigError, match=r"site: is or holds .*, which is read: give another output"):
         write(site, "a.tum", reads=[site / "recording.mcap"])
+
+
+def test_a_simulated_recording_is_replaced_by_another_one_only(tmp_path):
+    """`holdfast demo -o` deleted a recording, and a replay into the folder above all of them."""
+    site = tmp_path / "sites" / "quarry"
+    for name in ("a.mcap", "b.mcap"):
+        with replaced(site, "simulate"):
+            (site / name).write_text(RESULT)
+    assert names(site) == {"b.mcap"}
+    with pytest.raises(ConfigError, match="quarry: is a simulated recording"):
+        write(site, "a.tum")
+    with pytest.raises(ConfigError, match=r"sites: holds simulated recordings \(quarry\)"):
+        write(site.parent, "a.tum")
+    assert names(site) == {"b.mcap"}
 
 
 def test_the_configuration_that_is_read_is_never_replaced(out):

@@ -8,6 +8,8 @@ import numpy as np
 from holdfast.errors import MessageError
 
 LIMIT_NS = 2**63
+NEVER_NS = -LIMIT_NS
+"""Before all stamps: 0 is one like any other, to a clock that runs from the boot or has wrapped around."""
 TEXT_CHARACTERS = 40
 NUMBERS = (float, int, np.floating, np.integer)
 WHOLE = (int, np.integer)

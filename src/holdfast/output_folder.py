@@ -15,6 +15,7 @@ from shutil import rmtree
 from typing import NamedTuple
 
 from holdfast.errors import ConfigError
+from holdfast.printable import listed
 
 MARK = ".holdfast"
 BAG, BAG_KEY = "metadata.yaml", b"rosbag2_bagfile_information"
@@ -43,12 +44,13 @@ def replaced(folder: str | Path, command: str, reads: Iterable[str | Path] = ())
         reads: files and folders that are read meanwhile.
 
     Raises:
-        ConfigError: `folder` is a file, holds or is part of what is read, holds what Holdfast did not write, or is
-            being written by another process.
+        ConfigError: `folder` is a file, holds or is part of what is read, holds what Holdfast did not write or another
+            command simulated, or is being written by another process.
         OSError: it cannot be written.
         KeyboardInterrupt: as it came, with the folder in its text.
     """
     place = _checked(folder, reads)
+    _check_simulations(place, folder, command)
     with _locked(place, folder):  # nobody else replaces what is about to be moved
         earlier = _set_aside(place)
     place.mkdir(parents=True, exist_ok=True)
@@ -67,8 +69,17 @@ def replaced(folder: str | Path, command: str, reads: Iterable[str | Path] = ())
 
 @contextmanager
 def continued(folder: str | Path, command: str, reads: Iterable[str | Path] = ()) -> Iterator[None]:
-    """Make or take up again a folder whose results are kept and added to; arguments and errors as in `replaced`."""
+    """Make or take up again a folder whose results are kept and added to; arguments and errors as in `replaced`.
+
+    Raises:
+        ConfigError: also for results of another command.
+    """
     place = _checked(folder, reads)
+    mark = _read_mark(place) or NO_MARK
+    if mark.command and mark.command != command:
+        raise ConfigError(
+            f"{folder}: holds results of holdfast {mark.command}: give another folder, or remove this one first"
+        )
     place.mkdir(parents=True, exist_ok=True)
     with _owned(place, folder, command):
         yield
@@ -103,6 +114,19 @@ def _checked(folder: str | Path, reads: Iterable[str | Path]) -> Path:
     return place
 
 
+def _check_simulations(place: Path, name: str | Path, command: str) -> None:
+    """Refuse to replace simulated recordings by anything but another simulation."""
+    simulated = [one.name for one in place.iterdir() if _is_simulation(one)] if place.is_dir() else []
+    if simulated:
+        raise ConfigError(f"{name}: holds simulated recordings ({listed(simulated, SHOWN)}): give another folder")
+    if command != SIMULATE and _is_simulation(place):
+        raise ConfigError(f"{name}: is a simulated recording: give another folder, or one in it")
+
+
+def _is_simulation(folder: Path) -> bool:
+    return (_read_mark(folder) or NO_MARK).command == SIMULATE
+
+
 def _real(path: str | Path) -> Path:
     return Path(os.path.realpath(path))  # a loop of links is an error of whoever opens it
 
@@ -115,7 +139,7 @@ def _check_reads(place: Path, name: str | Path, reads: Iterable[str | Path]) -> 
         if place == source or place in source.parents:
             raise ConfigError(f"{name}: is or holds {read}, which is read: give another output")
         # results may stand in the folder of a simulation, which is no recorder's
-        if source in place.parents and (_read_mark(source) or NO_MARK).command != SIMULATE:
+        if source in place.parents and not _is_simulation(source):
             raise ConfigError(f"{name}: is in the recording {Path(read)}: give an output outside of it")
     bag = next((one for one in place.parents if _is_bag(one)), None)
     if bag is not None:

@@ -79,6 +79,21 @@ def folder(path):
     return change
 
 
+def later(file, by_ns):
+    """Move the stamps of a CSV file and their arrivals."""
+
+    def change():
+        head, *rows = Path(file).read_text().splitlines()
+        moved = [[str(int(cell) + by_ns) for cell in row.split(",")[:2]] + row.split(",")[2:] for row in rows]
+        Path(file).write_text("\n".join([head, *map(",".join, moved)]) + "\n")
+
+    return change
+
+
+def all_later(seconds):
+    return lambda: [later(f"csv/{name}.csv", seconds * 10**9)() for name in ("imu", "gnss", "lidar")]
+
+
 def nothing():
     """Break nothing: the command itself is wrong."""
 
@@ -251,6 +266,10 @@ NUMBERS = {
     "a huge status": cell(3, 5, "1e300", "csv/gnss.csv"),
     "a huge sigma": cell(3, 6, "1e300", "csv/gnss.csv"),
     "a pose beyond all space": cell(5, 2, "1e300", "csv/lidar.csv"),
+    "an arrival in 2255": cell(-1, 1, "9000000000000000000"),
+    "stamps beyond 2038": all_later(1_400_000_000),
+    "stamps before 1970": all_later(-3_000_000_000),
+    "stamps from the boot": all_later(-1_700_000_000),
     "lines that end as on Windows": recoded("csv/imu.csv", lambda text: text.replace("\n", "\r\n").encode()),
 }
 

@@ -28,6 +28,7 @@ from holdfast.live.inputs import Inputs
 from holdfast.recording.bag_file import Channel, Codec
 from holdfast.recording.covariance_csv import read_covariances
 from holdfast.recording.decode import FieldDecoder, UndecodableError
+from holdfast.recording.inspection import inspect
 from holdfast.recording.kinds import KINDS
 from holdfast.recording.kinds.scans import POINT_CLOUD
 from holdfast.recording.recorded_frames import read_frames
@@ -242,10 +243,9 @@ def _memory() -> str | None:
 
 
 def _read(path: Path) -> None:
-    """Read a recording in both ways: all headers, and what it holds as measurements."""
+    """Read a recording in both ways: as `holdfast info` does, and what it holds as measurements."""
     with open_recording(path) as recording:
-        for _ in recording.read_headers():
-            pass
+        inspect(recording)
         asked = [
             Subscription(info.topic, "sensor", kind.name, "turn" if kind.name == "joint" else None)
             for info in recording.topics

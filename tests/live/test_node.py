@@ -1,11 +1,17 @@
 """The live node without a network: what it obeys, and what it prints."""
 
+import re
+from itertools import cycle
+
 import pytest
 from bags import HUMBLE, fix, imu
 
+from holdfast.cli.live import _show
 from holdfast.config.load import parse_config
 from holdfast.live.dds import Sample
+from holdfast.live.line_limit import PERIOD_NS
 from holdfast.live.node import LiveNode
+from holdfast.live.watch import Finding
 from holdfast.recording.subscriptions import subscriptions
 from holdfast.state import NOTHING, Event, EventKind
 
@@ -95,3 +101,25 @@ def test_lines_of_one_kind_are_few_and_hold_no_control_character():
     engine.events = [Event(T0, EventKind.REJECTED, "gnss", f"{k} too\x1b[2J\nfast") for k in range(1000)]
     run_once(node, network, [])
     assert shown == [rf"gnss: rejected: {k} too\x1b[2J\nfast" for k in range(3)]
+
+
+def test_lines_about_a_flapping_topic_and_a_flood_of_commands_are_few_too(monkeypatch):
+    """A topic that fails and recovers all the time, or somebody who sends resets, filled the log."""
+    node, network, shown, engine = node_of("live: {commands: true}")
+    findings = cycle([{"/imu/data": Finding("silent", "is silent")}, {}])
+    monkeypatch.setattr(node._watch, "review", lambda *_: next(findings))
+    monkeypatch.setattr(node, "_statuses", lambda _: [])  # the engine of this test has no health
+    for k in range(100):
+        node._review(T0 + k)
+    assert shown == ["warning: /imu/data: is silent", "/imu/data: is well again"] * 3
+    shown.clear()
+    engine.reset = lambda: None
+    run_once(node, network, [Sample("/holdfast/reset", "std_msgs/msg/Empty", b"\0\1\0\0\0")] * 100)
+    assert shown == ["warning: /holdfast/reset: the estimator begins anew"] * 3
+    node._review(node._clock.now_ns() + PERIOD_NS)
+    assert shown[-1] == "/holdfast/reset: reset: 97 more such lines"
+
+
+def test_every_line_on_the_terminal_begins_with_the_time(capsys):
+    _show("gnss: late")
+    assert re.fullmatch(r"\d\d:\d\d:\d\d\.\d{3} gnss: late\n", capsys.readouterr().err)

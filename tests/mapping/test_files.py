@@ -10,9 +10,10 @@ from holdfast.errors import ConfigError
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.mapping.colours import VIRIDIS, coloured, colouring
 from holdfast.mapping.las import Grid, utm, write_las
+from holdfast.mapping.options import SiteMapOptions
 from holdfast.mapping.picture import draw_above, raster
 from holdfast.mapping.ply import write_ply
-from holdfast.mapping.site_map import MapBuilder, SiteMap, SiteMapOptions
+from holdfast.mapping.site_map import MapBuilder, SiteMap
 from holdfast.mapping.sorted_runs import Records
 
 pyproj = pytest.importorskip("pyproj")

@@ -10,7 +10,8 @@ from lorry_yard import T_I_L, drive, high_on_lorry, off_the_walls, on_lorry, swe
 from holdfast.errors import ConfigError, RecordingError
 from holdfast.mapping import site_map, sorted_runs
 from holdfast.mapping.claims import PoseCovariances
-from holdfast.mapping.site_map import MapBuilder, SiteMap, SiteMapOptions
+from holdfast.mapping.options import SiteMapOptions
+from holdfast.mapping.site_map import MapBuilder, SiteMap
 from holdfast.mapping.voxels import CELL_SHIFT, voxel_keys
 
 COUNT, WITH_LORRY = 100, 10

@@ -75,6 +75,22 @@ def test_stamps_of_another_clock_are_found_by_their_latency(tmp_path: Path) -> N
     assert any("stamps are 37.000 s from arrival on average" in problem for problem in problems)
 
 
+def test_one_arrival_that_no_clock_can_show_spoils_no_other(tmp_path: Path) -> None:
+    """An MCAP file keeps times of 64 bits without a sign: beyond 63 bits `info` ended in a traceback."""
+    rows = imu_rows(START_NS + k * 10 * MS for k in range(200))
+    rows[7] = ("/imu", 2**64 - 1, rows[7][2])
+    topics, problems, _ = look(tmp_path, rows)
+    assert topics["/imu"].count == 199
+    assert topics["/imu"].latency_mean_s == pytest.approx(0.002)
+    assert sum("1 message of /imu could not be decoded" in line for line in problems) == 1
+
+
+def test_an_arrival_in_another_century_is_told(tmp_path: Path) -> None:
+    rows = [("/imu", 2**63 - 1, imu_rows([-(2**31) * 10**9])[0][2])]
+    topics, _, _ = look(tmp_path, rows)
+    assert topics["/imu"].latency_mean_s == pytest.approx((2**63 - 1) * 1e-9 + 2**31)  # 65 bits of nanoseconds
+
+
 def test_two_frame_ids_on_one_topic_are_a_problem(tmp_path: Path) -> None:
     rows = [
         ("/imu", START_NS + k * 5 * MS, noisy(HUMBLE, START_NS + k * 5 * MS, frame_id=("a", "b")[k % 2]))

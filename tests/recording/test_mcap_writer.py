@@ -13,7 +13,7 @@ from rosbags.highlevel import AnyReader
 from holdfast.errors import RecordingError
 from holdfast.recording.mcap_writer import McapWriter
 from holdfast.recording.source import Subscription, open_recording
-from holdfast.ros.cdr import OdometryEncoder, TransformEncoder
+from holdfast.ros.cdr import OdometryEncoder, TransformEncoder, ros_time
 
 NAMES = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
 STAMPS = st.integers(0, 2**31 * 10**9 - 1)
@@ -73,8 +73,18 @@ def test_encoded_transforms_are_byte_identical_to_rosbags(stamp_ns, frames, data
 def test_encoders_refuse_what_does_not_fit() -> None:
     with pytest.raises(ValueError, match="1 poses for 2 frames"):
         TransformEncoder([("a", "b"), ("b", "c")]).encode([0], [([0, 0, 0], [0, 0, 0, 1])])
-    with pytest.raises(ValueError, match="32 bit seconds"):
-        TransformEncoder([("a", "b")]).encode([0, 2**31 * 10**9], [([0, 0, 0], [0, 0, 0, 1])])
+
+
+@pytest.mark.parametrize(
+    ("stamp_ns", "seconds"),
+    [(2**31 * 10**9 - 1, 2**31 - 1), (2**31 * 10**9, -(2**31)), (-1, -1), (2**63 - 1, 633437444)],
+)
+def test_seconds_wrap_in_2038_as_32_bits_do(stamp_ns, seconds) -> None:
+    """A replay of stamps beyond 2038 ended in a traceback."""
+    assert ros_time(stamp_ns) == (seconds, stamp_ns % 10**9)
+    (message,) = TransformEncoder([("a", "b")]).encode([stamp_ns], [([0, 0, 0], [0, 0, 0, 1])])
+    time = HUMBLE.deserialize_cdr(message, "tf2_msgs/msg/TFMessage").transforms[0].header.stamp
+    assert (time.sec, time.nanosec) == (seconds, stamp_ns % 10**9)
 
 
 def write_odometry(writer: McapWriter, count: int) -> None:

@@ -1,6 +1,8 @@
 """Bags of every kind, read in order of arrival."""
 
+import sqlite3
 import tracemalloc
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -225,6 +227,27 @@ def test_damaged_bags_are_refused_in_one_line_with_the_remedy(tmp_path: Path) ->
     sqlite.write_bytes(sqlite.read_bytes()[: sqlite.stat().st_size // 2])
     with pytest.raises(RecordingError, match=r"sqlite3 FILE \.recover") as caught, open_recording(sqlite) as recording:
         list(recording.read([IMU]))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("topics SET name = x'ff'", "cannot be opened"),
+        ("topics SET type = x'ff'", "cannot be opened"),
+        ("messages SET timestamp = 'soon'", "cannot be opened"),
+        ("messages SET timestamp = 1.5 WHERE id = 7", "cannot be opened"),
+        ("messages SET timestamp = 1e300 WHERE id = 7", "cannot be opened"),
+        ("messages SET timestamp = 'soon' WHERE id = 7", "is damaged after soon ns"),
+    ],
+)
+def test_columns_of_sqlite_that_hold_another_type_are_damage(tmp_path: Path, change: str, words: str) -> None:
+    """Sqlite keeps what it is given: a name of bytes or a time of text ended `info` in a traceback."""
+    file = bare(write_bag(tmp_path / "b", "db3", drive(store_of("db3"), 0.5)))
+    with closing(sqlite3.connect(file)) as database, database:
+        database.execute(f"UPDATE {change}")
+    with pytest.raises(RecordingError, match=words) as caught, open_recording(file) as recording:
+        list(recording.read_headers())
     assert "\n" not in str(caught.value)
 
 

@@ -13,6 +13,7 @@ import click
 from holdfast import __version__
 from holdfast.cli.terminal import guarded, shortened
 from holdfast.errors import HoldfastError
+from holdfast.printable import quoted
 
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -143,6 +144,13 @@ def _run() -> None:
         for line in str(error).split("\n"):
             click.echo(f"error: {shortened(line)}", err=True)
         sys.exit(error.exit_code)
+    except MemoryError:
+        click.echo("error: no memory is left on this machine for what was asked", err=True)
+        sys.exit(1)
+    except ImportError as error:
+        reason = quoted(" ".join(str(error).split()))
+        click.echo(f"error: a library cannot be loaded, for want of memory or of a file ({reason})", err=True)
+        sys.exit(1)
     except BrokenPipeError:
         sys.stderr.close()
         sys.exit(0)

@@ -1,12 +1,13 @@
 """`holdfast demo`: 3.7 km of real driving, estimated and judged in a few seconds, without a download."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from holdfast.cli.columns import aligned
 from holdfast.cli.progress import progress_bar
-from holdfast.cli.terminal import guarded_console
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import HoldfastError
 from holdfast.output_folder import replaced
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
     from holdfast.replay.runner import Replay
 
 OUTAGE_S = (380.0, 440.0)
+EARLY_S = 10.0
+SHOWN = 6  # columns for which a terminal has room
 CONFIG = """\
 # The KITTI drive that ships with gtsam (raw data 2011_10_03_0027): IMU and GNSS of an OXTS RT3003.
 sensors:
@@ -72,44 +75,32 @@ def demo(output: str) -> None:
         (folder / "config.yaml").write_text(CONFIG, encoding="utf-8")
         timing = summary["timing"]
         click.echo(f"\n{timing['recorded_s']:.0f} s of driving took {timing['wall_s']:.1f} s.")
-        _print_table(done.run)
+        print_errors(summary)
+        click.echo(_early(done.run))
         _draw(done.run, folder / "track.png")
     click.echo(f"written to {folder}: trajectories (TUM), estimates.mcap, events.jsonl, summary.json, config.yaml")
 
 
-def _print_table(run: "Replay") -> None:
+def print_errors(summary: Mapping[str, Any]) -> None:
+    """Print the errors at held-out fixes, as the report has them."""
+    from holdfast.report.held_out import COLUMNS, TRACKS, held_out_rows
+    from holdfast.report.page import shown
+
+    click.echo("Errors at fixes that the estimator never saw:")
+    for line in aligned([row[:SHOWN] for row in (COLUMNS, *(list(map(shown, row)) for row in held_out_rows(summary)))]):
+        click.echo(f"  {line}")
+    click.echo(TRACKS)
+    click.echo("imu_gap: the logger drew lines through the positions too: those fixes are no measurements.")
+    click.echo("recovery: 10 s after the outage; two fixes, 2 s apart here, must agree before GNSS is trusted again.")
+
+
+def _early(run: "Replay") -> str:
+    """Return how good the estimate was when the outage had just begun."""
     import numpy as np
-    from rich.table import Table
 
-    from holdfast.replay.summary import by_circumstance
-
-    table = Table(title="Error at fixes that the estimator never saw, horizontal [m]", title_justify="left")
-    for column in ("", "fixes", "RMS", "median", "p95", "max"):
-        table.add_column(column, justify="left" if not column else "right")
-    causal, smoothed = run.causal.judgements, run.smoothed.judgements
-    silent = {judgement.stamp_ns for judgement in causal if judgement.imu_silent}
-    parts = by_circumstance(causal, silent)
-    rows = [
-        ("as published, GNSS and IMU available", parts["nominal"]),
-        ("  ... in the IMU's drop-outs (*)", parts["imu_gap"]),
-        ("smoothed, 3 s later", by_circumstance(smoothed, silent)["nominal"]),
-        ("in the outage, first 10 s", _first(causal, 10.0)),
-        ("in the outage, whole minute", _first(causal, 60.0)),
-        ("after it, first 10 s (**)", parts["recovery"]),
-    ]
-    for name, judgements in rows:
-        if judgements:
-            e = np.array([np.hypot(j.error[0], j.error[1]) for j in judgements])
-            values = (np.sqrt(np.mean(e**2)), np.median(e), np.percentile(e, 95), e.max())
-            table.add_row(name, str(len(e)), *(f"{value:.2f}" for value in values))
-    guarded_console().print(table)
-    click.echo("(*) the logger drew lines through the positions too: those fixes are no measurements.")
-    click.echo("(**) two fixes, 2 s apart here, must agree with each other before GNSS is trusted again.")
-
-
-def _first(judgements: list, seconds: float) -> list:  # type: ignore[type-arg]
-    outage = [j for j in judgements if j.in_outage]
-    return [j for j in outage if j.stamp_ns - outage[0].stamp_ns <= seconds * 1e9]
+    outage = [one for one in run.causal.judgements if one.in_outage]
+    errors = [np.hypot(*one.error[:2]) for one in outage if one.stamp_ns - outage[0].stamp_ns <= EARLY_S * 1e9]
+    return f"In the first {EARLY_S:.0f} s of the outage the causal track is off by {max(errors):.2f} m at most."
 
 
 def _draw(run: "Replay", path: Path) -> None:

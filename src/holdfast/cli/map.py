@@ -13,10 +13,11 @@ from holdfast.cli.progress import progress_bar
 from holdfast.cli.writing import check_folder_of, naming_the_output, write_json
 from holdfast.errors import ConfigError, HoldfastError, RecordingError
 from holdfast.extras import needing
+from holdfast.mapping.options import SiteMapOptions
 
 if TYPE_CHECKING:
     from holdfast.mapping.las import Grid
-    from holdfast.mapping.site_map import MapBuilder, SiteMap, SiteMapOptions
+    from holdfast.mapping.site_map import MapBuilder, SiteMap
     from holdfast.mapping.source import Run, Scans
 
 _FILE = click.Path(path_type=Path, dir_okay=False)
@@ -71,14 +72,13 @@ def map(  # noqa: A001, PLR0917 (click passes the options by name)
     it was measured. What rays see through later is left out. Without -o, OUT/map.laz, map.ply, map.png and map.rrd are
     written; OUT/map.json has the numbers.
     """
+    options = SiteMapOptions(voxel_m, max_range_m, keep_above=keep_above)
     files = files or tuple(folder / name for name in DEFAULT_FILES)
     check_files(files, recording)
     from holdfast.mapping.las import Grid
-    from holdfast.mapping.site_map import SiteMapOptions
     from holdfast.mapping.source import Scans, read_run
     from holdfast.recording.raw import RawBag
 
-    options = SiteMapOptions(voxel_m, max_range_m, keep_above=keep_above)
     run = read_run(folder)
     if run.covariances is None and colour == "sigma":
         raise ConfigError(f"--colour sigma: {folder} holds no covariances (allowed: height, intensity)")

@@ -19,6 +19,7 @@ from holdfast.config.sensors import GnssConfig
 from holdfast.estimator.course import Course, course_of
 from holdfast.estimator.first_heading import Antennas, baseline_heading, pose_heading
 from holdfast.graph.alignment import BatchAligner, BiasPrior, Evidence, level_attitude, thin
+from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array, Message
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.noise import UNBOUNDED
@@ -79,7 +80,7 @@ class Initialising:
         self._bias = gtsam.imuBias.ConstantBias()
         self._standstills = 0  # that have this bias, less those that have another
         self._bias_sigmas = np.repeat([imu.accelerometer_bias_sigma, imu.gyroscope_bias_sigma], 3)
-        self._last_try_ns = self._newest_ns = 0
+        self._last_try_ns = self._newest_ns = NEVER_NS
         self._window_ns = round(config.initialisation.window_s * 1e9)
         noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
         self._aligner = BatchAligner(buffer, noise, self._points, of_role(sensors, Role.VELOCITY))
@@ -178,7 +179,7 @@ class Initialising:
         arm = self._points[positions[-1].sensor].p_I_P if positions else np.zeros(3)
         return course_of(positions, velocities, stamp_ns, arm)
 
-    def _of_first_receiver(self, since_ns: int = 0) -> list[Position]:
+    def _of_first_receiver(self, since_ns: int = NEVER_NS) -> list[Position]:
         """Return the positions of the first receiver that has any."""
         for name in self._points:
             found = [one for one in self._positions if one.sensor == name and one.stamp_ns >= since_ns]

@@ -9,6 +9,7 @@ import numpy as np
 
 from holdfast.config.model import StandstillConfig
 from holdfast.graph.smoother import Smoother
+from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.standstill import quiet_window
@@ -51,7 +52,7 @@ class StandstillUpdates:
         self._stands = stands
         self._half_ns = round(0.5e9 * config.window_s)
         self._period_ns = max(self._half_ns, MIN_PERIOD_NS)
-        self._next_ns = 0
+        self._next_ns = NEVER_NS
         self._added: deque[Standing] = deque()
 
     def add_to(self, smoothers: Iterable[Smoother]) -> list[int]:

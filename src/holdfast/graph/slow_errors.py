@@ -13,6 +13,7 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.graph.solver import Solver
+from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.noise import Colour
 
@@ -60,7 +61,7 @@ class SlowErrors:
         self._seen: dict[str, Seen] = {}  # by name: last, and when the newest epoch began
         self._begun_at: dict[str, Seen] = {}
         self._made = 0
-        self._used_ns = 0
+        self._used_ns = NEVER_NS
         self._new: dict[int, Array] = {}  # values that the solver has not taken in yet, by key
 
     def copy(self) -> "SlowErrors":

@@ -20,6 +20,7 @@ from holdfast.graph.slow_errors import SLOW, SlowErrors, sizes_of
 from holdfast.graph.solver import Placed, Solver
 from holdfast.graph.tail import BIAS_END, Tail, node_beside
 from holdfast.graph.window import Window
+from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.coloured import NAV_SIZE, SlowError
 from holdfast.sensors.constants import Constant
@@ -94,7 +95,7 @@ class Smoother:
         self._nodes = Timeline()
         self._links: dict[int, Link] = {}  # by the stamp of the left node
         self._bias_hat = state.bias  # of all preintegration: the result must not depend on when a link was made
-        self._settled_ns = 0
+        self._settled_ns = NEVER_NS
         self._new_navs: dict[int, gtsam.NavState] = {}  # not optimised yet, by stamp
         self._state = state
         # of the newest node, the bias and the newest slow errors if there are any, what is new included

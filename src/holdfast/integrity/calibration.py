@@ -8,6 +8,7 @@ import numpy as np
 
 from holdfast.event_log import EventLog
 from holdfast.graph.smoother import Smoother
+from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.clock import has_estimated_clock
 from holdfast.sensors.odometry import OdometryModel
@@ -52,7 +53,7 @@ class Calibration:
     def __init__(self, sensors: Mapping[str, Sensor], log: EventLog) -> None:
         self._sensors, self._log = sensors, log
         self._told: dict[tuple[str, str], float] = {}
-        self._reviewed_ns = 0
+        self._reviewed_ns = NEVER_NS
 
     def review(self, smoother: Smoother, now_ns: int) -> None:
         """Report what is new, once a second."""

@@ -18,6 +18,7 @@ from holdfast.integrity.noise_scale import LOWEST, NoiseScale
 from holdfast.integrity.receiver import Held, ReceiverGate, Trust, predict
 from holdfast.integrity.review import UsedPositions
 from holdfast.integrity.yaw_learning import WITNESS_NS, Witness
+from holdfast.measured_fields import NEVER_NS
 from holdfast.sensors.coloured import Compared, coloured, coloured_factor
 from holdfast.sensors.noise import correlation_inflation, shared_inflation
 from holdfast.sensors.sensor import Position, PositionSensor, State
@@ -58,7 +59,7 @@ class Positions:
         self._sensors = sensors
         self._baseline = BaselineTest(lever_arms)
         self._log = log
-        self._reviewed_ns = 0
+        self._reviewed_ns = NEVER_NS
         self._scales = scales
         self._consensus = {
             name: Consensus(config.max_speed_m_s, config.regain_after, believe_after_s) for name in sensors

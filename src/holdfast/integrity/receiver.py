@@ -14,6 +14,7 @@ from math import inf, sqrt
 import numpy as np
 
 from holdfast.config.model import GateConfig
+from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.sensor import Innovation, Position, State
 from holdfast.state import Outcome
@@ -90,7 +91,7 @@ class ReceiverGate:
         self._bad_in_a_row = 0
         self._last_good: Position | None = None
         self._last_ns: int | None = None
-        self._received_ns = 0
+        self._received_ns = NEVER_NS
         self._contradicting: list[Held] = []
         self._outliers = 0
         self.period_s = UNKNOWN_PERIOD_S

@@ -5,6 +5,7 @@ from math import inf
 import numpy as np
 
 from holdfast.graph.smoother import Smoother
+from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.clock import receiver_constants
 from holdfast.sensors.position import Motion, predicted_position
@@ -46,7 +47,7 @@ class UsedPositions:
         """Forget what left the window."""
         self._used = [one for one in self._used if one.stamp_ns >= oldest_ns]  # they are in the order of arrival
 
-    def of(self, sensor: str | None = None, since_ns: int = 0) -> list[Position]:
+    def of(self, sensor: str | None = None, since_ns: int = NEVER_NS) -> list[Position]:
         """Return the positions of a receiver, or of all, since a time."""
         return [one for one in self._used if sensor in (None, one.sensor) and one.stamp_ns >= since_ns]
 

@@ -11,6 +11,7 @@ from holdfast.graph.smoother import Smoother
 from holdfast.integrity.innovation import Change, InnovationGate
 from holdfast.integrity.noise_scale import LOWEST, NoiseScale
 from holdfast.integrity.residual import residual
+from holdfast.measured_fields import NEVER_NS
 from holdfast.sensors.coloured import Compared, coloured, coloured_factor
 from holdfast.sensors.noise import Colour, correlation_inflation, shared_inflation
 from holdfast.sensors.sensor import ConstraintSensor, Innovation, Joint, Measurement, Role, State, StateSensor
@@ -37,7 +38,7 @@ class JudgedSensor:
         self._sensor = sensor
         self._joint_at = joint_at
         self._log = log
-        self._used_ns = 0
+        self._used_ns = NEVER_NS
         self._scale = scale
 
     def judge(

@@ -174,19 +174,18 @@ class LiveNode:
     def _reset(self, sample: Sample, now_ns: int) -> None:
         self.outputs.clear_path()
         self._engine.reset()
-        self._log(Level.WARN, f"{sample.topic}: the estimator begins anew", now_ns)
+        self._report((sample.topic, "reset"), Level.WARN, f"{sample.topic}: the estimator begins anew", now_ns)
 
     def _set_datum(self, sample: Sample, now_ns: int) -> None:
         try:
             fix: Any = STORE.deserialize_cdr(sample.data, sample.type_name)
         except Exception as error:  # damaged bytes raise anything
-            self._log(Level.ERROR, f"{sample.topic}: cannot be read ({error})", now_ns)
+            self._report((sample.topic, "unreadable"), Level.ERROR, f"{sample.topic}: cannot be read ({error})", now_ns)
             return
         datum = Geodetic(fix.latitude, fix.longitude, fix.altitude)
         if not all(map(isfinite, datum)) or abs(datum.latitude_deg) > 90.0 or abs(datum.longitude_deg) > 360.0:
-            self._log(
-                Level.ERROR, f"{sample.topic}: {tuple(datum)} is no position on the Earth; nothing is changed", now_ns
-            )
+            text = f"{sample.topic}: {tuple(datum)} is no position on the Earth; nothing is changed"
+            self._report((sample.topic, "no position"), Level.ERROR, text, now_ns)
             return
         self.outputs.clear_path()
         self._engine.set_datum(datum)
@@ -196,7 +195,7 @@ class LiveNode:
         if self._datum is not None:
             self.outputs.datum(self._datum, now_ns)
             origin = f"{self._datum.latitude_deg:.8f}, {self._datum.longitude_deg:.8f}, {self._datum.altitude_m:.3f} m"
-            self._log(Level.INFO, f"the world's origin is {origin}", now_ns)
+            self._report(("world", "origin"), Level.INFO, f"the world's origin is {origin}", now_ns)
 
     # --- what is wrong -------------------------------------------------------------------------------------------
 
@@ -210,14 +209,14 @@ class LiveNode:
                 self._report((topic, finding.kind), Level.WARN, f"{topic}: {finding.text}", now_ns)
         for topic in self._findings.keys() - findings.keys():
             if self._findings[topic].kind != MALFORMED:
-                self._log(Level.INFO, f"{topic}: is well again", now_ns)
+                self._report((topic, "is well again"), Level.INFO, f"{topic}: is well again", now_ns)
         self._findings = findings
         for (source, kind), number in self._limit.end(now_ns):
             self._log(Level.INFO, f"{source or 'estimator'}: {kind}: {number} more such lines", now_ns)
         for feed in self._feeds:
             if complaint := feed.complaint():
                 self._complaints[feed.name] = complaint
-                self._log(Level.ERROR, complaint, now_ns)
+                self._report((feed.name, "complaint"), Level.ERROR, complaint, now_ns)
         self.outputs.diagnostics(self._statuses(now_ns), now_ns)
         self.outputs.path(now_ns)
 

@@ -12,6 +12,7 @@ from holdfast.live.dds import Network, Publish
 from holdfast.live.feed import Record
 from holdfast.live.idl import STORE
 from holdfast.live.path import DrivenPath
+from holdfast.ros.cdr import ros_time
 from holdfast.ros.messages import (
     DIAGNOSTICS,
     TRANSFORMS,
@@ -139,4 +140,4 @@ class Outputs:
         return STORE.types["std_msgs/msg/Header"](stamp=self._time(stamp_ns), frame_id=frame_id)
 
     def _time(self, stamp_ns: int) -> Any:
-        return STORE.types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+        return STORE.types["builtin_interfaces/msg/Time"](*ros_time(stamp_ns))

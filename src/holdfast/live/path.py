@@ -5,7 +5,7 @@ import struct
 import numpy as np
 
 from holdfast.messages import Array
-from holdfast.ros.cdr import ENCAPSULATION, NS_PER_S
+from holdfast.ros.cdr import ENCAPSULATION, ros_time
 
 MAX_POSES = 2000
 """150 kB, written once a second at most."""
@@ -60,18 +60,14 @@ class DrivenPath:
             self._rows[: self._count] = self._rows[::2].copy()
             self.step_m *= 2.0
         row = self._rows[self._count]
-        row["stamp"] = divmod(stamp_ns, NS_PER_S)
+        row["stamp"] = ros_time(stamp_ns)
         row["pose"][:3], row["pose"][3:] = position, quaternion_xyzw
         self._count += 1
         return True
 
     def encode(self, stamp_ns: int) -> bytes:
-        """Return the serialised message with all poses.
-
-        Raises:
-            struct.error: the stamp lies beyond the 32 bit seconds of ROS.
-        """
-        head = struct.pack("<iI", *divmod(stamp_ns, NS_PER_S)) + self._frame
+        """Return the serialised message with all poses."""
+        head = struct.pack("<iI", *ros_time(stamp_ns)) + self._frame
         head += bytes(-len(head) % 4) + struct.pack("<I", self._count)
         if not self._count:
             return ENCAPSULATION + head

@@ -7,6 +7,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from operator import index
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -88,22 +89,22 @@ class IndexedBagFile:
             self._reader.open()
             claimed = sum(chunk.uncompressed_size for chunk in self._chunks)
             check_size(path.stat().st_size, claimed, MAX_FILE_BYTES)
+            # end_time of rosbags is one past the last message
+            self.start_ns, self.end_ns = index(self._reader.start_time), index(self._reader.end_time) - 1
+            self.channels = [
+                Channel(
+                    connection.id,
+                    one_line(connection.topic),
+                    one_line(connection.msgtype),
+                    connection.msgdef,
+                    _publisher(connection.id, connection.ext),
+                    connection.msgcount,
+                )
+                for connection in self._reader.connections
+            ]
         except Exception as error:  # rosbags lets TypeError, struct.error and others escape on damaged files
             self.close()
             raise self._damaged("cannot be opened", error) from None
-        # end_time of rosbags is one past the last message
-        self.start_ns, self.end_ns = self._reader.start_time, self._reader.end_time - 1
-        self.channels = [
-            Channel(
-                connection.id,
-                one_line(connection.topic),
-                one_line(connection.msgtype),
-                connection.msgdef,
-                _publisher(connection.id, connection.ext),
-                connection.msgcount,
-            )
-            for connection in self._reader.connections
-        ]
         log = path.with_name(path.name + "-wal")
         if path.suffix == ".db3" and log.exists() and log.stat().st_size > 0:
             self.warnings.append(
@@ -127,7 +128,7 @@ class IndexedBagFile:
         arrival_ns = self.start_ns
         try:
             for connection, arrival_ns, raw in self._reader.messages(connections, begin_ns, end_ns):
-                yield arrival_ns, connection.id, raw
+                yield index(arrival_ns), connection.id, raw  # sqlite keeps text and fractions in a column of integers
         except Exception as error:  # as above: many kinds, all of them damage
             raise self._damaged(f"is damaged after {arrival_ns} ns", error) from None
 

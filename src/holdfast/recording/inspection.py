@@ -13,7 +13,7 @@ from holdfast.recording.kinds import Findings, Kind, kinds_of
 from holdfast.recording.source import Header, Recording
 
 GAP_PERIODS = 5
-NS_PER_S = 1e9
+NS_PER_S = 1_000_000_000
 
 Stamps = NDArray[np.int64]
 
@@ -125,7 +125,7 @@ def inspect(
 
 def _find(topic: str, type_name: str, log: _TopicLog, start_ns: int) -> TopicFindings:
     stamps = np.array(log.stamps, dtype=np.int64)
-    latency_s = (np.array(log.arrivals, dtype=np.int64) - stamps) / NS_PER_S
+    latency_s = _seconds_between(stamps, np.array(log.arrivals, dtype=np.int64))
     steps = np.diff(stamps)
     ordered = np.unique(stamps)
     gaps, longest_s, at_s = _gaps(ordered, start_ns)
@@ -154,6 +154,11 @@ def _find(topic: str, type_name: str, log: _TopicLog, start_ns: int) -> TopicFin
     )
 
 
+def _seconds_between(before: Stamps, after: Stamps) -> NDArray[np.float64]:
+    """Return differences (N,) [s]: in nanoseconds they may have 65 bits, as floats the times lack the last 256 ns."""
+    return (after // NS_PER_S - before // NS_PER_S) + (after % NS_PER_S - before % NS_PER_S) / NS_PER_S
+
+
 def _kind_of(type_name: str, values: Findings | None) -> str | None:
     """Return what a topic is: an Imu message without rates and forces, and so without findings, is a heading."""
     kinds = [kind for kind in kinds_of(type_name) if kind.check is None or values is not None]
@@ -167,7 +172,7 @@ def _gaps(ordered: Stamps, start_ns: int) -> tuple[int, float | None, float | No
         return 0, None, None
     longest = int(periods.argmax())
     number = int((periods > GAP_PERIODS * np.median(periods)).sum())
-    return number, float(periods[longest]) / NS_PER_S, max(0.0, float(ordered[longest] - start_ns) / NS_PER_S)
+    return number, float(periods[longest]) / NS_PER_S, max(0.0, (int(ordered[longest]) - start_ns) / NS_PER_S)
 
 
 def are_interleaved(stamps: Stamps) -> bool:

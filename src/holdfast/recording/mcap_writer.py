@@ -61,9 +61,9 @@ class McapWriter(Closing):
             channel = self._register(topic, type_name)
         if not isinstance(message, bytes):
             message = bytes(self._store.serialize_cdr(message, type_name))
-        self._writer.add_message(
-            channel, log_time_ns, message, log_time_ns if publish_time_ns is None else publish_time_ns
-        )
+        publish_time_ns = log_time_ns if publish_time_ns is None else publish_time_ns
+        # the times of the file have no sign
+        self._writer.add_message(channel, max(log_time_ns, 0), message, max(publish_time_ns, 0))
 
     def note(self, name: str, data: dict[str, str]) -> None:
         """Write something about the file itself, as metadata that readers of messages do not see."""

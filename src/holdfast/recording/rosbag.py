@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from holdfast.errors import RecordingError
+from holdfast.measured_fields import is_stamp
 from holdfast.messages import Message
 from holdfast.printable import listed
 from holdfast.recording.bag_file import BagFile, Channel, Codec, IndexedBagFile
@@ -234,6 +235,9 @@ class RosbagRecording(Closing):
         skipped = SkippedMessages()
         try:
             for arrival_ns, route, raw in messages:
+                if not is_stamp(arrival_ns):
+                    skipped.add(route.topic, arrival_ns, ValueError("its time of arrival has more than 64 bits"))
+                    continue
                 stamp_ns, frame_id, message = None, "", None
                 try:
                     if route.codec is not None and route.codec.has_header:

@@ -13,6 +13,7 @@ import gtsam
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
 from holdfast.event_log import MeasurementRecord
+from holdfast.measured_fields import NEVER_NS
 from holdfast.recording.mcap_writer import McapWriter
 from holdfast.recording.tum import TumWriter
 from holdfast.replay.measurements import MEASUREMENTS, MeasurementWriter
@@ -58,9 +59,9 @@ class Outputs:
         self._bases: list[BaseState] = []
         self._optimised: list[tuple[int, gtsam.NavState]] = []
         self._smoothed: list[tuple[int, gtsam.NavState]] = []
-        self._last_node_ns = -1
+        self._last_node_ns = NEVER_NS
         self._newest: Estimate | None = None
-        self._diagnosed_ns = 0
+        self._diagnosed_ns = NEVER_NS
         self._mounted = not self._messages.has_mounts
 
     def __enter__(self) -> Self:

@@ -299,7 +299,7 @@ def _held_out(run: RunRecord) -> dict[str, Cell]:
     found: dict[str, Cell] = {}
     for track, parts in run.summary["held_out"].items():
         for part, errors in (parts or {}).items():
-            name = f"held out, {track}, {part.replace('_', ' ')}"
+            name = f"held out, {track}, {part}"
             found[f"{name}: horizontal RMS [m]"] = errors["horizontal_m"]["rms"]
             found[f"{name}: horizontal max [m]"] = errors["horizontal_m"]["max"]
             found[f"{name}: vertical RMS [m]"] = errors["vertical_m"]["rms"]

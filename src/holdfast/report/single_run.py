@@ -17,6 +17,7 @@ from holdfast.report.figures import (
     quantiles,
     time_line,
 )
+from holdfast.report.held_out import COLUMNS, TRACKS, held_out_rows
 from holdfast.report.outages import LOST, outage_bands, outages, within
 from holdfast.report.page import Block, Cell, Clock, Figure, Mark, Page, Provenance, Section, Table, digest
 from holdfast.report.run_record import RunRecord
@@ -105,26 +106,8 @@ def _errors(run: RunRecord) -> list[Block]:
 
 def _held_out(run: RunRecord) -> list[Block]:
     """Return the errors at the positions that were held back from the estimator."""
-    rows: list[list[Cell]] = [
-        [track, part, of["horizontal_m"]["count"], *(of["horizontal_m"][key] for key in ("rms", "p95", "max")),
-         *(of["vertical_m"][key] for key in ("rms", "max")), of["nees_per_dof"]]
-        for track, parts in run.summary["held_out"].items()
-        for part, of in (parts or {}).items()
-    ]  # fmt: skip
-    head = (
-        "track",
-        "when",
-        "positions",
-        "horizontal RMS [m]",
-        "p95 [m]",
-        "max [m]",
-        "vertical RMS [m]",
-        "max [m]",
-        "NEES / 3",
-    )
-    caption = "The positions have errors of their own. Causal: as published; smoothed: as it left the window; "
-    caption += "batch: the optimum over the recording."
-    return [Table("held-out", "Errors at held-out positions", head, rows, caption)] if rows else []
+    rows, caption = held_out_rows(run.summary), f"The positions have errors of their own. {TRACKS}"
+    return [Table("held-out", "Errors at held-out positions", COLUMNS, rows, caption)] if rows else []
 
 
 def _health(run: RunRecord) -> list[Block]:

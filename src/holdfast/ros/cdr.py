@@ -13,7 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little endian
 NS_PER_S = 1_000_000_000
-MAX_STAMP_NS = 2**31 * NS_PER_S
+WRAP_S = 2**32
+
+
+def ros_time(stamp_ns: Any) -> tuple[Any, Any]:
+    """Return the seconds and nanoseconds of ROS for a time [ns] or (N,) times; seconds wrap in 2038, as 32 bits do."""
+    seconds, nanoseconds = stamp_ns // NS_PER_S, stamp_ns % NS_PER_S
+    return (seconds + WRAP_S // 2) % WRAP_S - WRAP_S // 2, nanoseconds
 
 
 class _Template:
@@ -66,10 +72,8 @@ class _Messages:
 
     def new(self, stamps_ns: Sequence[int]) -> NDArray[np.void]:
         """Return messages with these stamps, the numbers of part k to be filled in as `numbers{k}` (N, count)."""
-        if not (min(stamps_ns) >= -MAX_STAMP_NS and max(stamps_ns) < MAX_STAMP_NS):
-            raise ValueError(f"a stamp of {max(stamps_ns, key=abs)} ns is beyond the 32 bit seconds of ROS")
         messages = np.frombuffer(bytearray(self._message * len(stamps_ns)), dtype=self._dtype)
-        seconds, nanoseconds = np.divmod(np.array(stamps_ns, dtype=np.int64), NS_PER_S)
+        seconds, nanoseconds = ros_time(np.array(stamps_ns, dtype=np.int64))
         for k in range(self._parts):
             messages[f"sec{k}"], messages[f"nanosec{k}"] = seconds, nanoseconds
         return messages
@@ -110,9 +114,6 @@ class OdometryEncoder:
             linear: (N, 3) [m/s] in the child frame.
             angular: (N, 3) [rad/s] in the child frame.
             twist_covariances: (N, 36) in ROS order.
-
-        Raises:
-            ValueError: a stamp lies beyond the 32 bit seconds of ROS.
         """
         messages = self._messages.new(stamps_ns)
         numbers = messages["numbers0"]
@@ -148,7 +149,7 @@ class TransformEncoder:
             poses: (translations (N, 3) [m], quaternions (N, 4) x, y, z, w) of `T_parent_child` per frame, in order.
 
         Raises:
-            ValueError: there are not as many poses as frames, or a stamp lies beyond the 32 bit seconds of ROS.
+            ValueError: there are not as many poses as frames.
         """
         if len(poses) != self._count:
             raise ValueError(f"{len(poses)} poses for {self._count} frames")

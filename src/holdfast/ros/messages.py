@@ -7,7 +7,7 @@ import numpy as np
 
 from holdfast.chassis.covariances import BaseUncertainty
 from holdfast.config.model import Config
-from holdfast.ros.cdr import OdometryEncoder
+from holdfast.ros.cdr import OdometryEncoder, ros_time
 from holdfast.ros.frame_transforms import FrameTransforms
 from holdfast.ros.outputs import base_odometry, odometry, seen_from
 from holdfast.ros.rows import Rows
@@ -131,7 +131,7 @@ def bias_status(estimate: Estimate) -> Status:
 def diagnostic_array(types: Mapping[str, Any], stamp_ns: int, statuses: Sequence[Status]) -> Any:
     """Return a diagnostic_msgs/DiagnosticArray made of `types`, the classes of the standard messages by name."""
     key_value, status_type = types["diagnostic_msgs/msg/KeyValue"], types["diagnostic_msgs/msg/DiagnosticStatus"]
-    stamp = types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+    stamp = types["builtin_interfaces/msg/Time"](*ros_time(stamp_ns))
     return types[DIAGNOSTICS](
         header=types["std_msgs/msg/Header"](stamp=stamp, frame_id=""),
         status=[
