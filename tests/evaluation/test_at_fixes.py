@@ -25,7 +25,7 @@ def scene(position_sigma=0.1, attitude_sigma=0.0, fix_sigma=0.05, count=6000, se
     P = np.eye(9) * 1e-12
     P[:3, :3] = np.eye(3) * attitude_sigma**2
     P[3:6, 3:6] = np.eye(3) * position_sigma**2
-    still = Inertial(np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count, dtype=bool))
+    still = Inertial(np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count, dtype=bool), np.zeros((count, 3)))
     states = States(track, np.zeros((count, 3)))
     published = Published(states, states, np.tile(P, (count, 1, 1)), still, np.ones(count, dtype=bool))
     error = fix_sigma * rng.standard_normal((count, 3))

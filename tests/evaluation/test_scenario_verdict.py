@@ -1,6 +1,6 @@
 """The verdict on a made-up run whose errors are known: what is good, what is an outage, and what each score says."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -66,7 +66,7 @@ def evidence(position=None, *, yaw=None, trusted=None, velocity=None, antennas=N
         world=world,
         odometry=States(poses, velocities),
         covariances=np.tile(np.diag([1e-3] * 3 + [0.01] * 3 + [0.02] * 3) ** 2, (n, 1, 1)),
-        inertial=Inertial(rates, -poses.positions / 400.0, received),
+        inertial=Inertial(rates, -poses.positions / 400.0, received, np.zeros((n, 3))),
         trusted=np.ones(n, dtype=bool) if trusted is None else trusted,
         chassis=chassis,
     )
@@ -274,6 +274,16 @@ def test_a_fiftieth_of_a_degree_is_the_bound_of_the_odometry_frame(size_deg, fou
     assert all("O steps by up to 0.021 deg at 30.00 s" in line for line in lines)
 
 
+@pytest.mark.parametrize(("learnt_deg_s", "found"), [(0.0, 1), (0.1, 1), (0.3, 0)])
+def test_a_step_may_be_larger_by_half_of_what_was_learnt_of_the_bias_meanwhile(learnt_deg_s, found):
+    """0.3 deg/s over 10 ms are 0.003 deg."""
+    published, _ = evidence()
+    q = published.odometry.poses.quaternions
+    q[3000:] = (Rotation.from_euler("z", 0.021, degrees=True) * Rotation.from_quat(q[3000:])).as_quat()
+    published.inertial.gyroscope_bias[3000:, 2] = np.radians(learnt_deg_s)
+    assert len(list(violations(published, START))) == found
+
+
 def test_stamps_that_go_back_are_found():
     published, _ = evidence()
     published.world.poses.stamps_ns[500:] -= 10_000_000
@@ -298,5 +308,5 @@ def rows(published, kept):
         for v in [one.velocities[kept]]
     ]
     one = published.inertial
-    inertial = Inertial(one.angular_velocity[kept], one.acceleration[kept], one.received[kept])
+    inertial = Inertial(*(getattr(one, field.name)[kept] for field in fields(one)))
     return Published(*states, published.covariances[kept], inertial, published.trusted[kept])

@@ -25,7 +25,7 @@ def smooth():
     yaw, rate = np.sin(0.6 * t), 0.6 * np.cos(0.6 * t)
     poses = Trajectory((t * 1e9).round().astype(np.int64), positions, Rotation.from_euler("z", yaw[:, None]).as_quat())
     rates = np.stack([np.zeros(COUNT), np.zeros(COUNT), rate], axis=1)
-    return States(poses, velocities), Inertial(rates, accelerations, np.arange(COUNT) > 0)
+    return States(poses, velocities), Inertial(rates, accelerations, np.arange(COUNT) > 0, np.zeros((COUNT, 3)))
 
 
 def moved(states, row, shift):

@@ -21,11 +21,13 @@ class Inertial:
         angular_velocity: (N, 3) in I [rad/s].
         acceleration: (N, 3) of I in O, gravity removed [m/s^2].
         received: (N,) the IMU had no drop-out from the stamp before to this one.
+        gyroscope_bias: (N, 3) that was removed [rad/s].
     """
 
     angular_velocity: Array
     acceleration: Array
     received: NDArray[np.bool_]
+    gyroscope_bias: Array
 
 
 def steps(odometry: States, inertial: Inertial) -> tuple[Array, Array]:

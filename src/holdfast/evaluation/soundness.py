@@ -46,6 +46,9 @@ def violations(published: Published, start_ns: int) -> Iterator[str]:
     lasted_s = np.diff(times_s, prepend=times_s[:1])
     most_m = np.maximum(MAX_STEP_M, ROUNDING * FLOW_M_S * lasted_s)
     most_deg = np.maximum(MAX_STEP_DEG, ROUNDING * FLOW_DEG_S * lasted_s)
+    # a bias is learnt at one end of a step or the other: the rate between them is known to half of the difference
+    bias = published.inertial.gyroscope_bias
+    most_deg += 0.5 * lasted_s * np.degrees(np.linalg.norm(np.diff(bias, axis=0, prepend=bias[:1]), axis=1))
     for values, limits, unit in ((moved * 1e3, most_m * 1e3, "mm"), (turned, most_deg, "deg")):
         beyond = np.flatnonzero(values > limits)
         if len(beyond):

@@ -198,6 +198,7 @@ class PublishedRecorder:
             angular_velocity=_stack([e.angular_velocity for e in kept], 3),
             acceleration=_stack([e.T_W_O.rotation().unrotate(a) for e, a in zip(kept, in_world, strict=True)], 3),
             received=self._received(rows, kept),
+            gyroscope_bias=_stack([e.bias_gyro for e in kept], 3),
         )
 
     def _chassis(self, rows: Sequence[int], kept: list[Estimate]) -> Chassis | None:
