@@ -2,10 +2,12 @@
 
 Each number beside its truth: error, claimed sigma and their ratio, over seeds; and held-out errors before and after.
 The truth is what the scenario says of its sensors; the calibration sees the recording and the configuration alone.
+With `--causal` it is what the estimator has learnt of mountings and clocks at the end of one replay.
 """
 
 import argparse
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from dataclasses import dataclass
 from math import degrees, hypot, nan, sqrt
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,19 +16,23 @@ from time import process_time
 import gtsam
 import numpy as np
 
-from holdfast.calibration.calibrate import Calibration, calibrated
+from holdfast.calibration.calibrate import calibrated
+from holdfast.calibration.learnt_table import learnt_rows
 from holdfast.config.load import load_config
 from holdfast.config.model import Config
 from holdfast.sim.configuration import configuration
 from holdfast.sim.scenario import load_scenario
 from holdfast.sim.simulation import Simulation
-from holdfast.trial.run import CONFIG, RECORDING, write_simulation
+from holdfast.trial.run import CONFIG, RECORDING, estimate, write_simulation
 
 SCENARIOS = ("offset-clocks", "wrong-mount", "rough")
 IMU_KEYS = ("gyroscope_noise_density", "accelerometer_noise_density")
 
+Key = tuple[str, str]
+"""What a calibration says of the sensor, and the key."""
 
-def truths(simulation: Simulation, config: Config) -> Iterator[tuple[tuple[str, str], float]]:
+
+def truths(simulation: Simulation, config: Config) -> Iterator[tuple[Key, float]]:
     """Yield what is true of the numbers that a calibration names: by what it says of the sensor and by the key."""
     sheets = simulation.scenario.sensors
     for name in config.sensors:
@@ -53,7 +59,7 @@ def truths(simulation: Simulation, config: Config) -> Iterator[tuple[tuple[str, 
                 yield (f"{name}, along {axis} of the IMU", "translation_m"), float(off)
 
 
-def _rotation(simulation: Simulation, config: Config, name: str) -> Iterator[tuple[tuple[str, str], float]]:
+def _rotation(simulation: Simulation, config: Config, name: str) -> Iterator[tuple[Key, float]]:
     true, given = (gtsam.Rot3(of.T_I(of.frame_of(name))[:3, :3]) for of in (_true_config(simulation), config))
     off = np.degrees(gtsam.Rot3.Logmap(given.between(true)))
     for axis, value in zip("xyz", off.tolist(), strict=True):
@@ -65,16 +71,50 @@ def _true_config(simulation: Simulation) -> Config:
     return configuration(simulation.scenario.model_copy(update={"written": {}}), simulation.seed)
 
 
+@dataclass(frozen=True, slots=True)
+class Found:
+    """One number that was found: its name and key as in `truths`, and its sigma."""
+
+    key: Key
+    value: float
+    sigma: float
+
+
+def calibrate(folder: Path, given: Config, lever_arms: bool) -> list[Found]:
+    """Return what `holdfast calibrate` finds, and print its held-out errors."""
+    found = calibrated([str(folder / RECORDING)], given, with_lever_arms=lever_arms)
+    for held in found.held_out:
+        nominal, outage = (held.rms(in_outage=lost) * 1e3 for lost in (False, True))
+        print(f"{held.label}: {nominal:.1f} mm with GNSS, {outage:.1f} mm in cut outages")
+    return [Found((one.what, str(one.path[-1])), one.after, one.sigma) for one in found.estimates if one.is_observable]
+
+
+def learn(folder: Path, given: Config) -> list[Found]:
+    """Return what the estimator has learnt of mountings and clocks at the end of a recording; a shared clock once."""
+    found, clocks = [], set()
+    for row in learnt_rows(estimate(folder, given).estimator.learnt(), given):
+        if row.what == "clock" and row.sigma is not None:
+            if (row.learnt, row.sigma) not in clocks:
+                found.append(Found((row.sensor, "time_offset_s"), row.learnt, row.sigma))
+            clocks.add((row.learnt, row.sigma))
+        elif row.what.startswith("mounting, ") and row.sigma is not None:
+            about = row.what.removeprefix("mounting, ")
+            found.append(Found((f"{row.sensor}, {about}", "rotation"), row.learnt, row.sigma))
+    return found
+
+
 def run(
-    scenario: str, seed: int, duration_s: float | None, lever_arms: bool
-) -> tuple[Calibration, Mapping[tuple[str, str], float]]:
-    """Simulate and calibrate once; return what was found, and the truth."""
+    scenario: str, seed: int, duration_s: float | None, *, lever_arms: bool, is_causal: bool
+) -> list[tuple[Key, float, float]]:
+    """Simulate and find once; return key, error and sigma of each number whose truth is known."""
     loaded = load_scenario(scenario, {} if duration_s is None else {"duration_s": duration_s})
-    with TemporaryDirectory() as folder:
-        simulation = write_simulation(loaded, seed, Path(folder))
-        given = load_config(Path(folder) / CONFIG)
-        found = calibrated([str(Path(folder) / RECORDING)], given, with_lever_arms=lever_arms)
-    return found, dict(truths(simulation, given))
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        simulation = write_simulation(loaded, seed, folder)
+        given = load_config(folder / CONFIG)
+        found = learn(folder, given) if is_causal else calibrate(folder, given, lever_arms)
+    truth = dict(truths(simulation, given))
+    return [(one.key, one.value - truth[one.key], one.sigma) for one in found if one.key in truth]
 
 
 def main() -> None:
@@ -84,19 +124,17 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--duration", type=float, default=None, help="of the recordings [s]")
     parser.add_argument("--lever-arms", action="store_true")
+    parser.add_argument("--causal", action="store_true", help="what one replay has learnt")
     arguments = parser.parse_args()
     for scenario in arguments.scenarios or SCENARIOS:
-        errors: dict[tuple[str, str], list[tuple[float, float]]] = {}
+        errors: dict[Key, list[tuple[float, float]]] = {}
         began_s = process_time()
         for seed in range(arguments.first, arguments.first + arguments.seeds):
-            found, truth = run(scenario, seed, arguments.duration, arguments.lever_arms)
-            for one in found.estimates:
-                key = one.what, str(one.path[-1])
-                if key in truth and one.is_observable:
-                    errors.setdefault(key, []).append((one.after - truth[key], one.sigma))
-            for held in found.held_out:
-                nominal, outage = (held.rms(in_outage=lost) * 1e3 for lost in (False, True))
-                print(f"{scenario} {seed}: {held.label}: {nominal:.1f} mm with GNSS, {outage:.1f} mm in cut outages")
+            print(f"{scenario} {seed}", flush=True)
+            for key, error, claimed in run(
+                scenario, seed, arguments.duration, lever_arms=arguments.lever_arms, is_causal=arguments.causal
+            ):
+                errors.setdefault(key, []).append((error, claimed))
         print(f"{scenario}: {process_time() - began_s:.0f} s of processor time")
         print(f"  {'number':34s} {'key':28s} {'RMS error':>10s} {'sigma':>10s} {'ratio':>6s} {'within 3':>8s}")
         inside = total = 0

@@ -5,6 +5,7 @@ from math import log
 from holdfast.event_log import EventLog
 from holdfast.integrity.learnt_snapshot import WRONG, Factor
 from holdfast.integrity.odometries import Odometries
+from holdfast.measured_fields import NEVER_NS
 from holdfast.state import EventKind
 
 REVIEW_NS = 10_000_000_000
@@ -21,7 +22,7 @@ class NoiseReview:
     def __init__(self, imu: str, log: EventLog) -> None:
         self._imu, self._log = imu, log
         self._told: dict[tuple[str, str], float] = {}
-        self._reviewed_ns = 0
+        self._reviewed_ns = NEVER_NS
 
     def review(self, odometries: Odometries, now_ns: int) -> None:
         """Report what is new, every ten seconds."""

@@ -23,6 +23,7 @@ from holdfast.estimator.tracking import Update
 from holdfast.event_log import EventLog
 from holdfast.geometry.earth import Geodetic
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
+from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import ImuSample
 from holdfast.parent import die_with_parent
 from holdfast.realtime.layout import Board
@@ -67,7 +68,7 @@ class Worker:
         self._buffer = ImuBuffer(self._config.imu)
         self._log = EventLog(self._config.imu_name)
         self._optimiser = Optimiser(self._config, self._buffer, self._log, learnt=settings.learnt)
-        self._learnt_ns = 0  # when it was last reported
+        self._learnt_ns = NEVER_NS  # when it was last reported
         self._datum: Geodetic | None = None
         self._waiting_for = ""
         self._reported_counts: dict[tuple[str, Outcome], int] = {}
