@@ -6,17 +6,19 @@ With `--causal` it is what the estimator has learnt of mountings and clocks at t
 """
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from math import degrees, hypot, nan, sqrt
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import process_time
+from typing import TypeVar
 
 import gtsam
 import numpy as np
 
-from holdfast.calibration.calibrate import calibrated
+from holdfast.calibration.calibrate import Calibration, calibrated
 from holdfast.calibration.learnt_table import learnt_rows
 from holdfast.config.load import load_config
 from holdfast.config.model import Config
@@ -28,6 +30,7 @@ from holdfast.trial.run import CONFIG, RECORDING, estimate, write_simulation
 SCENARIOS = ("offset-clocks", "wrong-mount", "rough")
 IMU_KEYS = ("gyroscope_noise_density", "accelerometer_noise_density")
 
+Result = TypeVar("Result")
 Key = tuple[str, str]
 """What a calibration says of the sensor, and the key."""
 
@@ -80,15 +83,6 @@ class Found:
     sigma: float
 
 
-def calibrate(folder: Path, given: Config, lever_arms: bool) -> list[Found]:
-    """Return what `holdfast calibrate` finds, and print its held-out errors."""
-    found = calibrated([str(folder / RECORDING)], given, with_lever_arms=lever_arms)
-    for held in found.held_out:
-        nominal, outage = (held.rms(in_outage=lost) * 1e3 for lost in (False, True))
-        print(f"{held.label}: {nominal:.1f} mm with GNSS, {outage:.1f} mm in cut outages")
-    return [Found((one.what, str(one.path[-1])), one.after, one.sigma) for one in found.estimates if one.is_observable]
-
-
 def learn(folder: Path, given: Config) -> list[Found]:
     """Return what the estimator has learnt of mountings and clocks at the end of a recording; a shared clock once."""
     found, clocks = [], set()
@@ -104,17 +98,29 @@ def learn(folder: Path, given: Config) -> list[Found]:
 
 
 def run(
-    scenario: str, seed: int, duration_s: float | None, *, lever_arms: bool, is_causal: bool
-) -> list[tuple[Key, float, float]]:
-    """Simulate and find once; return key, error and sigma of each number whose truth is known."""
+    scenario: str, seed: int, duration_s: float | None, find: Callable[[Path, Config], Result]
+) -> tuple[Result, Mapping[Key, float]]:
+    """Simulate once; return what is found in the folder with the given configuration, and the truth."""
     loaded = load_scenario(scenario, {} if duration_s is None else {"duration_s": duration_s})
     with TemporaryDirectory() as name:
         folder = Path(name)
         simulation = write_simulation(loaded, seed, folder)
         given = load_config(folder / CONFIG)
-        found = learn(folder, given) if is_causal else calibrate(folder, given, lever_arms)
-    truth = dict(truths(simulation, given))
-    return [(one.key, one.value - truth[one.key], one.sigma) for one in found if one.key in truth]
+        return find(folder, given), dict(truths(simulation, given))
+
+
+def calibrate(folder: Path, given: Config, *, lever_arms: bool = False) -> Calibration:
+    """Return what `holdfast calibrate` finds."""
+    return calibrated([str(folder / RECORDING)], given, with_lever_arms=lever_arms)
+
+
+def calibrate_and_print(folder: Path, given: Config, *, lever_arms: bool) -> list[Found]:
+    """Return the numbers that `holdfast calibrate` finds, and print its held-out errors."""
+    found = calibrate(folder, given, lever_arms=lever_arms)
+    for held in found.held_out:
+        nominal, outage = (held.rms(in_outage=lost) * 1e3 for lost in (False, True))
+        print(f"{held.label}: {nominal:.1f} mm with GNSS, {outage:.1f} mm in cut outages")
+    return [Found((one.what, str(one.path[-1])), one.after, one.sigma) for one in found.estimates if one.is_observable]
 
 
 def main() -> None:
@@ -126,15 +132,16 @@ def main() -> None:
     parser.add_argument("--lever-arms", action="store_true")
     parser.add_argument("--causal", action="store_true", help="what one replay has learnt")
     arguments = parser.parse_args()
+    find = learn if arguments.causal else partial(calibrate_and_print, lever_arms=arguments.lever_arms)
     for scenario in arguments.scenarios or SCENARIOS:
         errors: dict[Key, list[tuple[float, float]]] = {}
         began_s = process_time()
         for seed in range(arguments.first, arguments.first + arguments.seeds):
             print(f"{scenario} {seed}", flush=True)
-            for key, error, claimed in run(
-                scenario, seed, arguments.duration, lever_arms=arguments.lever_arms, is_causal=arguments.causal
-            ):
-                errors.setdefault(key, []).append((error, claimed))
+            found, truth = run(scenario, seed, arguments.duration, find)
+            for one in found:
+                if one.key in truth:
+                    errors.setdefault(one.key, []).append((one.value - truth[one.key], one.sigma))
         print(f"{scenario}: {process_time() - began_s:.0f} s of processor time")
         print(f"  {'number':34s} {'key':28s} {'RMS error':>10s} {'sigma':>10s} {'ratio':>6s} {'within 3':>8s}")
         inside = total = 0

@@ -7,14 +7,14 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
-from calibration import run
+from calibration import calibrate, learn, run
 
 pytestmark = pytest.mark.slow
 CLOCKS = ("gnss", "gnss_right", "heading", "lidar")
 
 
 def rows(scenario, seed, duration_s=100.0):
-    found, truth = run(scenario, seed, duration_s, lever_arms=False)
+    found, truth = run(scenario, seed, duration_s, calibrate)
     return found, {
         (one.what, str(one.path[-1])): (one, truth[one.what, str(one.path[-1])])
         for one in found.estimates
@@ -52,3 +52,10 @@ def test_the_zero_of_the_encoder_and_the_drift_of_the_lidar_are_found_on_rough_g
     for key in ("drift_m_per_sqrt_m", "translation_sigma_m"):
         one, true = by_key["lidar", key]
         assert one.is_observable and one.after == pytest.approx(true, rel=0.5)
+
+
+@pytest.mark.parametrize("scenario", ["wrong-mount", "offset-clocks"])
+def test_what_one_replay_learns_of_mountings_and_clocks_is_true(scenario):
+    found, truth = run(scenario, 15, 100.0, learn)
+    assert {key for _, key in (one.key for one in found)} == {"time_offset_s", "rotation"}
+    assert all(abs(one.value - truth[one.key]) <= 3.0 * one.sigma for one in found)

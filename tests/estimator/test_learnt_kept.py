@@ -96,7 +96,7 @@ def test_a_new_datum_does_not_make_it_forget_but_a_reset_does():
 def test_a_reset_forgets_a_file_too(known):
     estimator, _ = run(machine(), messages(4.0), known)
     estimator.reset()
-    assert estimator.learnt_view() == NOTHING_LEARNT
+    assert estimator.learnt() == NOTHING_LEARNT
 
 
 def test_an_estimate_that_was_wrong_keeps_noise_but_no_constants():
