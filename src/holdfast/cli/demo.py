@@ -83,13 +83,13 @@ def demo(output: str) -> None:
 
 def print_errors(summary: Mapping[str, Any]) -> None:
     """Print the errors at held-out fixes, as the report has them."""
-    from holdfast.report.held_out import COLUMNS, TRACKS, held_out_rows
+    from holdfast.report.held_out import COLUMNS, held_out_rows, tracks_in_words
     from holdfast.report.page import shown
 
     click.echo("Errors at fixes that the estimator never saw:")
     for line in aligned([row[:SHOWN] for row in (COLUMNS, *(list(map(shown, row)) for row in held_out_rows(summary)))]):
         click.echo(f"  {line}")
-    click.echo(TRACKS)
+    click.echo(tracks_in_words(summary))
     click.echo("imu_gap: the logger drew lines through the positions too: those fixes are no measurements.")
     click.echo("recovery: 10 s after the outage; two fixes, 2 s apart here, must agree before GNSS is trusted again.")
 

@@ -16,7 +16,7 @@ COLUMNS = (
     "max [m]",
     "NEES / 3",
 )
-TRACKS = "Causal: as published; smoothed: as it left the window; batch: the optimum over the recording."
+TRACKS = {"causal": "as published", "smoothed": "as it left the window", "batch": "the optimum over the recording"}
 
 
 def held_out_rows(summary: Mapping[str, Any]) -> list[list[Cell]]:
@@ -27,3 +27,9 @@ def held_out_rows(summary: Mapping[str, Any]) -> list[list[Cell]]:
         for track, parts in summary["held_out"].items()
         for part, of in (parts or {}).items()
     ]  # fmt: skip
+
+
+def tracks_in_words(summary: Mapping[str, Any]) -> str:
+    """Return what the tracks are that a summary knows, as a sentence."""
+    known = [track for track in TRACKS if summary["held_out"].get(track)]
+    return "; ".join(f"{track}: {TRACKS[track]}" for track in known) + "."

@@ -17,7 +17,7 @@ from holdfast.report.figures import (
     quantiles,
     time_line,
 )
-from holdfast.report.held_out import COLUMNS, TRACKS, held_out_rows
+from holdfast.report.held_out import COLUMNS, held_out_rows, tracks_in_words
 from holdfast.report.outages import LOST, outage_bands, outages, within
 from holdfast.report.page import Block, Cell, Clock, Figure, Mark, Page, Provenance, Section, Table, digest
 from holdfast.report.run_record import RunRecord
@@ -106,7 +106,10 @@ def _errors(run: RunRecord) -> list[Block]:
 
 def _held_out(run: RunRecord) -> list[Block]:
     """Return the errors at the positions that were held back from the estimator."""
-    rows, caption = held_out_rows(run.summary), f"The positions have errors of their own. {TRACKS}"
+    rows, caption = (
+        held_out_rows(run.summary),
+        f"The positions have errors of their own. {tracks_in_words(run.summary)}",
+    )
     return [Table("held-out", "Errors at held-out positions", COLUMNS, rows, caption)] if rows else []
 
 
