@@ -46,7 +46,7 @@ def main() -> int:
         with open_recording(folder) as recording:
             messages = recording.read(subscriptions(config))
             events: Counter[EventKind] = Counter()
-            rows = list(run(config, messages, arguments.hours * 60.0, arguments.rate, arguments.row_minutes, events))
+            rows = list(run(config, messages, arguments, events))
     grown = growth(rows)
     for name, factor in grown.items():
         print(f"{name}: {factor - 1.0:+.1%} from the second row to the last")
@@ -55,14 +55,10 @@ def main() -> int:
     return int(has_grown or any(events[kind] for kind in FALSE_ALARMS))
 
 
-def run(  # noqa: PLR0917 (the options of the command, and where events go)
-    config: Config,
-    messages: Iterable[Message],
-    minutes: float,
-    rate: float,
-    row_minutes: float,
-    events: Counter[EventKind],
+def run(
+    config: Config, messages: Iterable[Message], arguments: argparse.Namespace, events: Counter[EventKind]
 ) -> Iterator[tuple[float, ...]]:
+    minutes, row_minutes = arguments.hours * 60.0, arguments.row_minutes
     print(HEADER, flush=True)
     with RealtimeEstimator(config) as engine:
         engine.wait_until_ready()
@@ -70,7 +66,7 @@ def run(  # noqa: PLR0917 (the options of the command, and where events go)
         gc.freeze()
         took_ns: list[int] = []
         next_row = row_minutes
-        for worked, message in played(messages, rate):
+        for worked, message in played(messages, arguments.rate):
             began_ns = time.perf_counter_ns()
             output = engine.process(message)
             if output.estimate is not None:

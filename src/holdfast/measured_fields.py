@@ -96,3 +96,8 @@ def got(value: object) -> str:
 
 def _cut(text: str) -> str:
     return text if len(text) <= TEXT_CHARACTERS else text[:TEXT_CHARACTERS] + "..."
+
+
+def no_message(given: object) -> MessageError:
+    """Return the error about something that was given for a message."""
+    return MessageError(f"message: must be one of holdfast's messages, {got(given)}")

@@ -14,7 +14,7 @@ def fed(true, *, count=400, seed=0, configured=(A_DEGREE, A_DEGREE, A_DEGREE), s
     scales, rng = scales or YawScales(), np.random.default_rng(seed)
     sigmas = [np.sqrt(one.at(k**2)) for one, k in zip(configured, true, strict=True)]
     for gyroscope, odometry, heading in rng.normal(0.0, sigmas, (count, 3)):
-        scales.learn_from_three(heading - gyroscope, heading - odometry, *configured, 1.0)
+        scales.learn_from_three((heading - gyroscope, heading - odometry), *configured, 1.0)
     return scales
 
 
@@ -80,7 +80,7 @@ def test_what_no_scale_is_of_teaches_nothing():
 def test_an_outlier_tells_no_more_than_a_bad_turn():
     scales = fed((1.0, 1.0, 1.0), count=100)
     before = scales.values
-    scales.learn_from_three(3.0, 0.01, A_DEGREE, A_DEGREE, A_DEGREE, 1.0)
+    scales.learn_from_three((3.0, 0.01), A_DEGREE, A_DEGREE, A_DEGREE, 1.0)
     scales.learn_from_two(3.0, A_DEGREE, A_DEGREE, 1.0)
     assert max(np.array(scales.values) / before) < 1.5  # a turn by 3 rad would be 170 sigma
 

@@ -103,8 +103,9 @@ def _run(  # noqa: PLR0917 (of the two above)
     batch_s: tuple[float, float] | None,
     learnt: AnyPath | None = None,
 ) -> Result:
-    for name, path in (("recording", recording), ("learnt", learnt)):
-        if not isinstance(path, str | PathLike) and (path is not None or path is recording):
+    given = {"recording": recording} | ({} if learnt is None else {"learnt": learnt})
+    for name, path in given.items():
+        if not isinstance(path, str | PathLike):
             raise ConfigError(f"{name}: must be a path, not {type(path).__name__}")
     loaded, kept = resolved(config), Kept()
     rules = _rules(hold_out or {}, outage or {}, loaded)

@@ -1,7 +1,7 @@
 """What was learnt of the sensors beside what the configuration says, and which of its keys look wrong."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from math import degrees, radians, sqrt
 from typing import Any
 
@@ -13,7 +13,14 @@ from holdfast.config.document import path_text, yaml_text
 from holdfast.config.model import Config
 from holdfast.config.sensors import DriftingConfig, GnssConfig, HeadingConfig, NonholonomicConfig, TwistConfig
 from holdfast.integrity.calibration import SLACK_RAD, SLACK_S
-from holdfast.integrity.learnt_snapshot import Factor, LearntConstant, LearntNoiseScale, LearntOdometry, LearntSnapshot
+from holdfast.integrity.learnt_snapshot import (
+    Factor,
+    LearntConstant,
+    LearntNoiseScale,
+    LearntOdometry,
+    LearntSnapshot,
+    gyroscope_factor,
+)
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.messages import Array
 from holdfast.sensors.clock import with_estimated_clock
@@ -66,7 +73,7 @@ def learnt_rows(learnt: LearntSnapshot, config: Config) -> list[Row]:
         section = config.sensors.get(name)
         if isinstance(section, DriftingConfig):
             rows += _of_odometry(name, section, odometry)
-    rows += _of_gyroscope(config, list(learnt.odometries.values()))
+    rows += _of_gyroscope(config, learnt.odometries.values())
     for name, noise in learnt.noise.items():
         rows += _of_noise(name, config, noise)
     return rows
@@ -100,15 +107,12 @@ def _of_odometry(name: str, section: DriftingConfig, learnt: LearntOdometry) -> 
     ]
     # two factors may be on one key: the file should say the larger one
     most = {key: max(row.learnt for row in rows if row.key == key) for key in {row.key for row in rows}}
-    return [row if not row.looks_wrong else _with_write(row, f"{most[row.key]:.3g}") for row in rows]
+    return [row if not row.looks_wrong else replace(row, write=f"{most[row.key]:.3g}") for row in rows]
 
 
-def _of_gyroscope(config: Config, learnt: Sequence[LearntOdometry]) -> list[Row]:
-    seen = [factor for one in learnt if (factor := one.gyroscope()) is not None]
-    if not seen:
-        return []
-    factor = min(seen, key=lambda one: one.value)  # an error of the gyroscope shows against each of them
-    if factor.log_sigma > SEEN:
+def _of_gyroscope(config: Config, learnt: Iterable[LearntOdometry]) -> list[Row]:
+    factor = gyroscope_factor(learnt)
+    if factor is None or factor.log_sigma > SEEN:
         return []
     return [
         _factor_row(config.imu_name, key, float(getattr(config.imu, key)), _unit(config.imu, key), factor)
@@ -192,10 +196,6 @@ def _moved(name: str, config: Config, correction: Array) -> tuple[str, str]:
     if isinstance(changes, str) or not changes:
         return "extrinsics", "" if not changes else str(changes)
     return path_text(changes[0].path), yaml_text(changes[0].value)
-
-
-def _with_write(row: Row, write: str) -> Row:
-    return Row(**{**asdict(row), "write": write})
 
 
 def _unit(section: Any, key: str) -> str:

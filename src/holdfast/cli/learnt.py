@@ -1,3 +1,11 @@
-"""What the commands say of `--learnt`."""
+"""The option `--learnt` of the commands that estimate."""
 
-LEARNT_HELP = "What was learnt of the sensors: read if it is there, written at the end. A day begins where one ended."
+import click
+
+learnt_option = click.option(
+    "--learnt",
+    "learnt_path",
+    type=click.Path(),
+    metavar="FILE",
+    help="What was learnt of the sensors: read if it is there, written at the end. A day begins where one ended.",
+)

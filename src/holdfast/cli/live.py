@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import click
 
 from holdfast.cli import end_if_interrupted
-from holdfast.cli.learnt import LEARNT_HELP
+from holdfast.cli.learnt import learnt_option
 from holdfast.errors import ConfigError, EstimatorError
 from holdfast.extras import needing
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     metavar="[FILE.rrd|URL]",
     help="Show it in Rerun (extra viz): in a window, in a file, or in a viewer at rerun+http://HOST:9876/proxy.",
 )
-@click.option("--learnt", "learnt_path", type=click.Path(), metavar="FILE", help=LEARNT_HELP)
+@learnt_option
 @click.option("--duration", "duration_s", type=float, metavar="SECONDS", help="End after so long. [default: Ctrl-C]")
 def live(
     config_path: str,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from holdfast.cli.learnt import LEARNT_HELP
+from holdfast.cli.learnt import learnt_option
 from holdfast.cli.progress import reading_bar
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
@@ -34,7 +34,7 @@ SLOWEST_RATE = 1e-6
 @click.option("--realtime", is_flag=True, help="At the pace of the recording, through the engine of two processes.")
 @click.option("--hold-out", multiple=True, metavar="SENSOR=N", help="Hold back every N-th message, to judge by it.")
 @click.option("--outage", multiple=True, metavar="SENSOR=START:END", help="Hold back all messages of this time [s].")
-@click.option("--learnt", type=click.Path(), metavar="FILE", help=LEARNT_HELP)
+@learnt_option
 @click.option("--strict", is_flag=True, help="Refuse a recording that lacks a sensor of the configuration.")
 @click.option("--child", is_flag=True, hidden=True, help="Of `batch`: the folder is ready; end with standard input.")
 def replay(  # noqa: PLR0917 (click passes the options by name)
@@ -47,7 +47,7 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     realtime: bool,
     hold_out: tuple[str, ...],
     outage: tuple[str, ...],
-    learnt: str | None,
+    learnt_path: str | None,
     strict: bool,
     child: bool,
 ) -> None:
@@ -80,8 +80,8 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     check_window(start_s, duration_s, rate)
     config = None if config_path is None else load_config(config_path)
     reads = [recording] if config_path is None else [recording, config_path]
-    if learnt is not None:
-        check_learnt_file(learnt, output, reads)
+    if learnt_path is not None:
+        check_learnt_file(learnt_path, output, reads)
     folder = nullcontext() if child else replaced(output, "replay", reads)
     with open_recording(recording) as opened, naming_the_output(output):
         guess = None
@@ -99,7 +99,7 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
             rules=rules,
             rate=rate,
             realtime=realtime,
-            learnt=None if learnt is None else Path(learnt),
+            learnt=None if learnt_path is None else Path(learnt_path),
             command=command_line(),
         )
         with folder:

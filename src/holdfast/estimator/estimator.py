@@ -8,7 +8,7 @@ from collections import Counter
 from dataclasses import replace
 
 from holdfast.config.model import Config
-from holdfast.errors import ConfigError, MessageError
+from holdfast.errors import ConfigError
 from holdfast.estimator.density import Density
 from holdfast.estimator.imu_path import ImuPath
 from holdfast.estimator.intake import Intake
@@ -17,7 +17,7 @@ from holdfast.estimator.optimiser import Optimiser
 from holdfast.event_log import EventLog, MeasurementRecord
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
-from holdfast.measured_fields import got
+from holdfast.measured_fields import no_message
 from holdfast.messages import ImuSample, JointAngle, Message
 from holdfast.sensors.constants import Constant
 from holdfast.sensors.imu import ImuBuffer
@@ -132,7 +132,7 @@ class Estimator(Intake):
             MessageError: it is no message.
         """
         if not hasattr(message, "sensor"):
-            raise MessageError(f"message: must be one of holdfast's messages, {got(message)}")
+            raise no_message(message)
         if isinstance(message, ImuSample) and message.sensor == self._imu:
             output = self._process_imu(message)
         elif message.sensor in self.config.sensors:

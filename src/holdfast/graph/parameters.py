@@ -23,7 +23,7 @@ RIGHT, OFF = 0.0, -log(3.0)  # log ratio of the densities under what was configu
 HELD = 0.02  # of the error that counts as right: as if there were none
 REFUTED = 3.0  # sigmas of what was learnt before a restart
 REFRESHED_NS = 1_000_000_000  # a marginal is read this often
-NEVER_NS = 1 << 62  # when it is read next, where whoever solves asks for it
+NOT_AGAIN_NS = 1 << 62  # when it is read next, where whoever solves asks for it
 
 
 class Known(NamedTuple):
@@ -80,7 +80,7 @@ class Parameters:
             prior, start = self._carried[name], None
         known = self._known.get(name)
         if known is None or known.key not in solver:
-            known = self._insert(solver, name, known, prior, stamp_ns, start)
+            known = self._insert(solver, name, prior, stamp_ns, start)
         elif known.is_solved:
             known = known._replace(value=solver.vector(known.key))
             if stamp_ns - known.read_ns >= self._refreshed_ns:
@@ -107,7 +107,7 @@ class Parameters:
             if known is None or known.key not in solver:
                 continue
             value, covariance = solver.vector(known.key), solver.covariance(known.key)
-            read = known._replace(value=value, covariance=covariance, read_ns=NEVER_NS)
+            read = known._replace(value=value, covariance=covariance, read_ns=NOT_AGAIN_NS)
             self._known[name] = _believed(solver, read, prior)
             has_changed |= (self._known[name].right is None) != (known.right is None)
         return has_changed
@@ -140,9 +140,8 @@ class Parameters:
         )
         return known._replace(carried=None)
 
-    def _insert(  # noqa: PLR0917 (a variable, its name, and where it begins)
-        self, solver: Solver, name: str, before: Known | None, prior: Parameter, stamp_ns: int, start: Array | None
-    ) -> Known:
+    def _insert(self, solver: Solver, name: str, prior: Parameter, stamp_ns: int, start: Array | None) -> Known:
+        before = self._known.get(name)
         mean, covariance = prior.mean, np.diag(prior.sigmas**2)
         value = mean if start is None else start
         if before is not None:

@@ -42,4 +42,4 @@ def witness_of(
         across = np.array([-y, x, 0.0]) / squared
         beyond_rad.append(float(across @ (there.y - here.y)))
         variances.append(float(across @ (one.covariance + other.covariance) @ across))
-    return Witness.of(beyond_rad, variances) if beyond_rad else None
+    return Witness.of(beyond_rad, variances)

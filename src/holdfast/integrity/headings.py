@@ -73,7 +73,7 @@ class Headings:
             if not isinstance(found, Outcome):
                 beyond_rad.append(remainder(float(found.y[0]), tau))
                 variances.append(float(found.R[0, 0]))
-        return Witness.of(beyond_rad, variances) if beyond_rad else None
+        return Witness.of(beyond_rad, variances)
 
     def admit(self, trial: Smoother, since_ns: int, now_ns: int) -> bool:
         """Let the headings since a time out of quarantine, into a smoother that has just accepted the fixes since then.

@@ -4,7 +4,7 @@ What is carried over is a prior of bounded strength: a sensor may have changed b
 entirely other one, and what was known of it is forgotten as what is learnt now. So it is learnt again within minutes.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from math import exp, log
 from typing import NamedTuple, Self
 
@@ -134,6 +134,12 @@ class LearntOdometry(Section):
         return self.yaw.factor("gyroscope, yaw", GYROSCOPE, *keys)
 
 
+def gyroscope_factor(odometries: Iterable[LearntOdometry]) -> Factor | None:
+    """Return the factor that is used for the gyroscope: an error of it shows against each of the odometries."""
+    seen = [factor for one in odometries if (factor := one.gyroscope()) is not None]
+    return min(seen, key=lambda one: one.value, default=None)
+
+
 class LearntNoiseScale(Section):
     """What is learnt of the noise of one sensor that claims its own."""
 
@@ -183,10 +189,15 @@ def unless_another(known: Array, configured: Array) -> Array:
         known: logarithm of what was known before, up to a constant.
         configured: that of what is believed of a sensor of which only the configuration is known.
     """
-    weights = [np.exp(one - one.max()) for one in (known, configured)]
-    before, anew = (one / one.sum() for one in weights)
-    mixed: Array = np.log((1.0 - ANOTHER) * before + ANOTHER * anew)
+    mixed: Array = np.log((1.0 - ANOTHER) * probabilities(known) + ANOTHER * probabilities(configured))
     return mixed
+
+
+def probabilities(log_weights: Array) -> Array:
+    """Return the probabilities on a grid (...) of which logarithms are known up to a constant."""
+    weights = np.exp(log_weights - log_weights.max())
+    normalised: Array = weights / weights.sum()
+    return normalised
 
 
 NOTHING_LEARNT = LearntSnapshot()

@@ -3,7 +3,7 @@
 from math import log
 
 from holdfast.event_log import EventLog
-from holdfast.integrity.learnt_snapshot import WRONG, Factor
+from holdfast.integrity.learnt_snapshot import WRONG, Factor, gyroscope_factor
 from holdfast.integrity.odometries import Odometries
 from holdfast.measured_fields import NEVER_NS
 from holdfast.state import EventKind
@@ -33,10 +33,9 @@ class NoiseReview:
         for name, one in learnt.items():
             for factor in one.factors():
                 self._report(name, factor, now_ns)
-        # an error of the gyroscope shows against each of them
-        seen = [found for one in learnt.values() if (found := one.gyroscope()) is not None]
-        if seen:
-            self._report(self._imu, min(seen, key=lambda one: one.value), now_ns)
+        gyroscope = gyroscope_factor(learnt.values())
+        if gyroscope is not None:
+            self._report(self._imu, gyroscope, now_ns)
 
     def _report(self, name: str, factor: Factor, now_ns: int) -> None:
         told = self._told.get((name, factor.what))

@@ -12,12 +12,7 @@ import gtsam
 import numpy as np
 
 from holdfast.graph.smoother import Smoother
-from holdfast.integrity.learnt_snapshot import (
-    LOWEST_DRIFT,
-    LOWEST_NOISE,
-    LOWEST_TILT,
-    LearntOdometry,
-)
+from holdfast.integrity.learnt_snapshot import LOWEST_DRIFT, LOWEST_NOISE, LOWEST_TILT, LearntOdometry
 from holdfast.integrity.scale_posterior import ScalePosterior
 from holdfast.integrity.yaw_learning import HeadingWitness, YawLearning
 from holdfast.messages import Array

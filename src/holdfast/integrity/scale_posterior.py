@@ -4,7 +4,7 @@ from math import log
 
 import numpy as np
 
-from holdfast.integrity.learnt_snapshot import LearntScale, unless_another
+from holdfast.integrity.learnt_snapshot import LearntScale, probabilities, unless_another
 from holdfast.messages import Array
 
 LOWEST, HIGHEST, POINTS = 0.05, 10.0, 160
@@ -51,11 +51,9 @@ class ScalePosterior:
 
     def _moments(self) -> tuple[float, float]:
         """Return mean and variance of the logarithm."""
-        log_posterior = _LOG_PRIOR + self._log_likelihood
-        weights = np.exp(log_posterior - log_posterior.max())
-        weights /= weights.sum()
+        weights = probabilities(_LOG_PRIOR + self._log_likelihood)
         mean = float(weights @ _LOG_SCALES)
-        return mean, weights @ (_LOG_SCALES - mean) ** 2
+        return mean, float(weights @ (_LOG_SCALES - mean) ** 2)
 
     def learn(self, squared: float, size: int, scaled: float, other: float, weight: float) -> None:
         """Take in one residual.

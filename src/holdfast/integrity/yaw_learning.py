@@ -34,8 +34,10 @@ class Witness(NamedTuple):
     slow: float
 
     @classmethod
-    def of(cls, beyond_rad: Sequence[float], claimed: Sequence[float]) -> "Witness":
-        """Return what headings of the same half second say together, which differ by little, given their variances."""
+    def of(cls, beyond_rad: Sequence[float], claimed: Sequence[float]) -> "Witness | None":
+        """Return what headings of the same half second say together, given their variances; None if there are none."""
+        if not beyond_rad:
+            return None
         variance = fmean(claimed)
         return cls(fmean(beyond_rad), (1.0 - SLOW_SHARE) * variance / len(claimed), SLOW_SHARE * variance)
 
@@ -140,4 +142,4 @@ class YawLearning:
         headings = Turned(white + slow, LEAST_RAD**2)
         seen = remainder(here.witness.beyond_rad - then.witness.beyond_rad, tau)
         beyond = seen - by_gyroscope, seen - by_odometry
-        self._scales.learn_from_three(*beyond, gyroscope, odometry, headings, weight)
+        self._scales.learn_from_three(beyond, gyroscope, odometry, headings, weight)

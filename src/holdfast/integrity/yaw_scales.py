@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from holdfast.integrity.learnt_snapshot import LearntYaw, unless_another
+from holdfast.integrity.learnt_snapshot import LearntYaw, probabilities, unless_another
 from holdfast.messages import Array
 
 LOWEST, HIGHEST, POINTS = 0.05, 20.0, 19
@@ -68,8 +68,7 @@ class YawScales:
     def values(self) -> tuple[float, float, float]:
         """The scales: the root of the mean of the square of each, which weighs the three best against each other."""
         if self._values is None:
-            weights = np.exp(self._log_likelihood + _JOINT_PRIOR)
-            weights /= weights.sum()
+            weights = probabilities(self._log_likelihood + _JOINT_PRIOR)
             self._values = (
                 _root_mean_square(weights.sum(axis=(1, 2))),
                 _root_mean_square(weights.sum(axis=(0, 2))),
@@ -81,9 +80,7 @@ class YawScales:
         """Return what is believed of the three, of which that of the odometry has a unit; None for nothing."""
         if not self._has_learnt:
             return None
-        log_weights = self._log_likelihood + _JOINT_PRIOR
-        weights = np.exp(log_weights - log_weights.max())
-        weights /= weights.sum()
+        weights = probabilities(self._log_likelihood + _JOINT_PRIOR)
         mean = np.einsum("abc,abci->i", weights, _GRID)
         off = _GRID - mean
         covariance = np.einsum("abc,abci,abcj->ij", weights, off, off)
@@ -96,24 +93,17 @@ class YawScales:
         variances = gyroscope.along(0) + odometry.along(1)
         self._take(np.log(variances) + min(apart_rad**2, most) / variances, weight)
 
-    def learn_from_three(  # noqa: PLR0917 (two residuals, and what each of three is worth)
-        self,
-        beyond_gyroscope_rad: float,
-        beyond_odometry_rad: float,
-        gyroscope: Turned,
-        odometry: Turned,
-        headings: Turned,
-        weight: float,
+    def learn_from_three(
+        self, beyond_rad: tuple[float, float], gyroscope: Turned, odometry: Turned, headings: Turned, weight: float
     ) -> None:
         """Take in what headings have turned beyond gyroscope and odometry.
 
         `weight` is below 1 where residuals have errors in common.
         """
-        residuals = beyond_gyroscope_rad, beyond_odometry_rad
         expected = [one.at(k**2) for one, k in zip((gyroscope, odometry, headings), self.values, strict=True)]
-        shrunk = min(1.0, 2.0 * MAX_RATIO / max(float(_squared(residuals, *expected)), 1e-9))
+        shrunk = min(1.0, 2.0 * MAX_RATIO / max(float(_squared(beyond_rad, *expected)), 1e-9))
         g, o, h = gyroscope.along(0), odometry.along(1), headings.along(2)
-        self._take(np.log(g * o + h * (g + o)) + shrunk * _squared(residuals, g, o, h), weight)
+        self._take(np.log(g * o + h * (g + o)) + shrunk * _squared(beyond_rad, g, o, h), weight)
 
     def _take(self, doubled: Array, weight: float) -> None:
         """Take in minus twice a logarithm of the likelihood."""

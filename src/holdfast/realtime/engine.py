@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Self
 
 from holdfast.config.model import Config
-from holdfast.errors import ConfigError, EstimatorError, MessageError
+from holdfast.errors import ConfigError, EstimatorError
 from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import ImuPath, Received
 from holdfast.estimator.intake import Intake
@@ -19,7 +19,7 @@ from holdfast.event_log import EventLog
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.kernel.imu_path import HAS_NEWS
-from holdfast.measured_fields import got
+from holdfast.measured_fields import no_message
 from holdfast.messages import ImuSample, JointAngle, Message
 from holdfast.realtime.event_log import EngineLog
 from holdfast.realtime.follower import StateFollower
@@ -236,7 +236,7 @@ class RealtimeEstimator(Intake):
         try:
             name = message.sensor
         except AttributeError:
-            raise MessageError(f"message: must be one of holdfast's messages, {got(message)}") from None
+            raise no_message(message) from None
         if name == self._answering and isinstance(message, ImuSample):
             readings = message.specific_force, message.angular_velocity
             return self._answer(message.stamp_ns, message.arrival_ns, *readings) or self._finish(message)

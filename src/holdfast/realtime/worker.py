@@ -85,7 +85,7 @@ class Worker:
                 is_wanted = self._sleep()
         while self.take_in():
             pass
-        self._report(is_last=True)
+        self._report(with_learnt=True)
 
     @property
     def counts(self) -> dict[tuple[str, Outcome], int]:
@@ -145,7 +145,7 @@ class Worker:
         if request is None or isinstance(request, Geodetic):
             self._epoch = epoch
             self._optimiser.restart(request)
-            self._report(is_last=True)  # what is forgotten must not come back with a successor
+            self._report(with_learnt=True)  # what is forgotten must not come back with a successor
             self._publish(None)
             return
         first = self._optimiser.add(request)
@@ -173,10 +173,10 @@ class Worker:
         record = Published(*counters, *trust, health, optimiser.gravity, self._datum, state)
         self._board.published.write(self._records.pack_published(record))
 
-    def _report(self, *, is_last: bool = False) -> None:
-        """Report what is new, and every now and then, or at the end of something, what was learnt."""
+    def _report(self, *, with_learnt: bool = False) -> None:
+        """Report what is new; and every now and then, or if wanted, what was learnt."""
         counts, waiting_for, learnt = self.counts, self._optimiser.waiting_for, None
-        if is_last or self._buffer.latest_ns - self._learnt_ns >= LEARNT_NS:
+        if with_learnt or self._buffer.latest_ns - self._learnt_ns >= LEARNT_NS:
             learnt, self._learnt_ns = self._optimiser.learnt(), self._buffer.latest_ns
         is_news = counts != self._reported_counts or waiting_for != self._waiting_for
         if self._took_ns or self._log.events or is_news or learnt is not None:

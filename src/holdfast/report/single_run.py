@@ -106,10 +106,8 @@ def _errors(run: RunRecord) -> list[Block]:
 
 def _held_out(run: RunRecord) -> list[Block]:
     """Return the errors at the positions that were held back from the estimator."""
-    rows, caption = (
-        held_out_rows(run.summary),
-        f"The positions have errors of their own. {tracks_in_words(run.summary)}",
-    )
+    rows = held_out_rows(run.summary)
+    caption = f"The positions have errors of their own. {tracks_in_words(run.summary)}"
     return [Table("held-out", "Errors at held-out positions", COLUMNS, rows, caption)] if rows else []
 
 
@@ -174,8 +172,8 @@ def _loop_closures(run: RunRecord) -> list[Block]:
 
 def _learnt(run: RunRecord) -> list[Block]:
     """Return what was learnt of the sensors beside what the configuration says."""
-    columns = "sensor", "what", "unit", "configured", "learnt", "sigma", "key", "looks wrong, write"
     keys = "sensor", "what", "unit", "configured", "learnt", "sigma", "key", "write"
+    columns = *keys[:-1], "looks wrong, write"
     found = run.summary.get("learnt", [])
     rows: list[list[Cell]] = [[one[key] for key in keys] for one in found]
     marks: dict[tuple[int, int], Mark] = {(k, 4): "missed" for k, one in enumerate(found) if one["looks_wrong"]}

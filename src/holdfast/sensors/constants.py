@@ -14,6 +14,8 @@ from holdfast.sensors.odometry import OdometryModel
 from holdfast.sensors.sensor import Parameter, Sensor
 from holdfast.sensors.twist import TwistModel
 
+ANGLE_RAD, ARM_M, SCALE = radians(0.25), 0.01, 0.005  # by which a mount gives, and rolling radii change
+
 
 class Constant(NamedTuple):
     """What is known of a constant (p,) of a sensor, such as its mounting and its clock.
@@ -43,9 +45,6 @@ def priors_of(sensors: Mapping[str, Sensor]) -> dict[str, Parameter]:
         if prior is not None:
             found[prior.name(name)] = prior
     return found
-
-
-ANGLE_RAD, ARM_M, SCALE = radians(0.25), 0.01, 0.005  # by which a mount gives, and rolling radii change
 
 
 def change_of(sensor: Sensor) -> Array | None:

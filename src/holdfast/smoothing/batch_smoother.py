@@ -23,6 +23,8 @@ from holdfast.smoothing.segment import Segment
 from holdfast.state import OptimisedState
 
 WINDOW_S, OVERLAP_S = 300.0, 120.0
+DROPPED_NS = 10_000_000_000  # before a start, older samples are dropped this often
+BEFORE_START_NS = 60_000_000_000  # samples that are kept while nothing has started
 
 
 def check_lengths(window_s: float, overlap_s: float, names: tuple[str, str] = ("window_s", "overlap_s")) -> None:
@@ -35,10 +37,6 @@ def check_lengths(window_s: float, overlap_s: float, names: tuple[str, str] = ("
         if not isinstance(given_s, int | float) or not least_s <= given_s <= most_s:
             shown = f"{given_s:g}" if isinstance(given_s, int | float) else quoted(given_s)
             raise ConfigError(f"{name} {shown}: must be from {least_s} to {most_s} s")
-
-
-DROPPED_NS = 10_000_000_000  # before a start, older samples are dropped this often
-BEFORE_START_NS = 60_000_000_000  # samples that are kept while nothing has started
 
 
 class Failure(NamedTuple):

@@ -179,14 +179,14 @@ class _Slow:
         return error
 
 
-def candidate(  # noqa: PLR0917 (a measurement and what it rests on)
+def candidate(
     smoother: Smoother,
     sensor: Sensor,
     measurement: Measurement,
     joint: Joint | None,
     scale: float,
-    colour: Colour | None = None,
     *,
+    colour: Colour | None = None,
     is_right: bool = True,
 ) -> Candidate:
     """Return a measurement on its node, which exists, not in the problem yet.

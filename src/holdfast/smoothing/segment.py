@@ -134,8 +134,10 @@ class Segment:
     def _take_candidate(self, measurement: Measurement) -> None:
         sensor, beside = self._sensors[measurement.sensor], self._recorded.beside(measurement)
         scale, used = self._recorded.noise(measurement), self._recorded.was_used(measurement)
-        known = beside.joint, scale, beside.colour
-        one = candidate(self._smoother, sensor, measurement, *known, is_right=used is not False)
+        is_right = used is not False
+        one = candidate(
+            self._smoother, sensor, measurement, beside.joint, scale, colour=beside.colour, is_right=is_right
+        )
         if used is None:
             one.compare(self._batch, self._recorded.covariance(measurement.stamp_ns))
             used = one.nis < one.limit
