@@ -2,7 +2,7 @@
 
 Each number beside its truth: error, claimed sigma and their ratio, over seeds; and held-out errors before and after.
 The truth is what the scenario says of its sensors; the calibration sees the recording and the configuration alone.
-With `--causal` it is what the estimator has learnt of mountings and clocks at the end of one replay.
+With `--causal` it is what the estimator has learnt of mountings, clocks and the encoder at the end of one replay.
 """
 
 import argparse
@@ -84,14 +84,16 @@ class Found:
 
 
 def learn(folder: Path, given: Config) -> list[Found]:
-    """Return what the estimator has learnt of mountings and clocks at the end of a recording; a shared clock once."""
+    """Return what the estimator has learnt of constants at the end of a recording; a shared clock once."""
     found, clocks = [], set()
     for row in learnt_rows(estimate(folder, given).estimator.learnt(), given):
         if row.what == "clock" and row.sigma is not None:
             if (row.learnt, row.sigma) not in clocks:
                 found.append(Found((row.sensor, "time_offset_s"), row.learnt, row.sigma))
             clocks.add((row.learnt, row.sigma))
-        elif row.what.startswith("mounting, ") and row.sigma is not None:
+        elif row.what == "zero" and row.sigma is not None:
+            found.append(Found((f"zero of {row.sensor}", "zero_offset_deg"), row.learnt, row.sigma))
+        elif row.what.startswith("mounting, about its") and row.sigma is not None:
             about = row.what.removeprefix("mounting, ")
             found.append(Found((f"{row.sensor}, {about}", "rotation"), row.learnt, row.sigma))
     return found

@@ -15,13 +15,13 @@ from holdfast.calibration.learnt_table import learnt_rows, plain_rows, wrong_lin
 from holdfast.errors import ConfigError
 from holdfast.integrity.learnt_snapshot import (
     NOTHING_LEARNT,
-    LearntConstant,
     LearntNoiseScale,
     LearntOdometry,
     LearntScale,
     LearntSnapshot,
     LearntYaw,
 )
+from holdfast.sensors.constants import LearntConstant
 
 TURNED = (0.02, -0.01, 0.03)
 YAW = LearntYaw(log_means=(0.0, 1.5, 0.0), log_covariance=((0.1, 0.0, 0.0), (0.0, 0.06, 0.0), (0.0, 0.0, 0.1)))

@@ -55,7 +55,7 @@ def test_the_zero_of_the_encoder_and_the_drift_of_the_lidar_are_found_on_rough_g
 
 
 @pytest.mark.parametrize("scenario", ["wrong-mount", "offset-clocks"])
-def test_what_one_replay_learns_of_mountings_and_clocks_is_true(scenario):
+def test_what_one_replay_learns_of_mountings_clocks_and_the_encoder_is_true(scenario):
     found, truth = run(scenario, 15, 100.0, learn)
-    assert {key for _, key in (one.key for one in found)} == {"time_offset_s", "rotation"}
+    assert {key for _, key in (one.key for one in found)} == {"time_offset_s", "rotation", "zero_offset_deg"}
     assert all(abs(one.value - truth[one.key]) <= 3.0 * one.sigma for one in found)

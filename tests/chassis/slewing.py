@@ -15,6 +15,7 @@ from holdfast.event_log import EventLog
 from holdfast.kernel.imu_path import NO_ENCODER
 from holdfast.kernel.turn_joint import at
 from holdfast.messages import ImuSample, JointAngle
+from holdfast.sensors.learnt_joint import NOTHING_OF_JOINT
 from holdfast.sim.configuration import configuration
 from holdfast.sim.scenario import load_scenario
 from holdfast.sim.simulation import START_NS, simulate
@@ -131,9 +132,9 @@ def chassis_at(base, estimate, force=AT_REST):
 class Chassis:
     """`BaseKinematics` with a log of its own."""
 
-    def __init__(self, config):
+    def __init__(self, config, learnt=NOTHING_OF_JOINT):
         self.log = EventLog("imu")
-        self.base = BaseKinematics(config, self.log)
+        self.base = BaseKinematics(config, self.log, learnt)
 
     @property
     def counts(self):

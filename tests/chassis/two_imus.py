@@ -11,6 +11,7 @@ from slewing import NO_BIAS, NO_COVARIANCE, T_W_O, Chassis, machine, ns
 
 from holdfast.config.model import Config
 from holdfast.messages import ImuSample, JointAngle
+from holdfast.sensors.learnt_joint import NOTHING_OF_JOINT
 from holdfast.sensors.mount import Mount
 from holdfast.state import _E, Estimate
 
@@ -78,10 +79,13 @@ class TwoImus:
         ground: what moves the machine.
         wrong: what the configuration does not know.
         has_base: there is a base IMU.
+        learnt: what was learnt before.
         sections: changes of the sections of joint and base IMU.
     """
 
-    def __init__(self, seed, duration_s=40.0, ground=Ground(), wrong=Wrong(), has_base=True, **sections):
+    def __init__(  # noqa: PLR0917 (a machine)
+        self, seed, duration_s=40.0, ground=Ground(), wrong=Wrong(), has_base=True, learnt=NOTHING_OF_JOINT, **sections
+    ):
         noise = {"noise_deg": float(np.degrees(ENCODER_NOISE_RAD))}
         given = machine(base_imu=has_base, joint=noise).model_dump(exclude_unset=True)
         for name, section in sections.items():
@@ -91,7 +95,7 @@ class TwoImus:
         self.times_s = np.arange(0.0, duration_s, 1.0 / RATE_HZ)
         self._motion = np.random.default_rng(seed + 1000)
         self._phases = replace(ground), self._motion.bit_generator.state
-        self.chassis = Chassis(self.config)
+        self.chassis = Chassis(self.config, learnt)
 
     def _signals(self, times_s):
         """Rate, its derivative and specific force of the chassis at the joint, in J; the joint's angle and its own."""

@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from holdfast.graph.parameters import MAX_SIZE, REFRESHED_NS, Parameters, parameter_letter
+from holdfast.graph.parameters import MAX_SIZE, REFRESHED_NS, WALK_NS, Parameters, parameter_letter
 from holdfast.graph.window import Window
 from holdfast.sensors.sensor import Parameter
 
@@ -160,3 +160,19 @@ def test_a_start_is_where_it_is_linearised_first_and_changes_nothing_that_is_kno
     window.solve(0)
     parameters.mark_solved()
     assert parameters.use(window, "marker", PRIOR, 0, np.array([9.0, 9.0])).value == pytest.approx(PRIOR.mean)
+
+
+def test_one_that_walks_is_another_variable_in_time_and_less_certain():
+    window, parameters = empty(), Parameters()
+    walking = PRIOR._replace(walk=np.array([0.01, 0.02]))
+    first = parameters.use(window, "imu", walking, 0)
+    measure(window, first.key, [1.5, -2.0])
+    window.solve(-1)
+    parameters.mark_solved()
+    before = parameters.use(window, "imu", walking, WALK_NS - 1)
+    after = parameters.use(window, "imu", walking, WALK_NS)
+    assert before.key == first.key != after.key
+    np.testing.assert_array_equal(after.value, before.value)
+    window.solve(-1)
+    grown = window.covariance(after.key) - window.covariance(before.key)
+    np.testing.assert_allclose(grown, np.diag(walking.walk**2) * WALK_NS * 1e-9, atol=1e-9)

@@ -24,13 +24,16 @@ from holdfast.errors import ConfigError
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntOdometry, LearntSnapshot
 from holdfast.output_folder import check_output_file
 from holdfast.sensors.clock import with_estimated_clock
-from holdfast.sensors.constants import priors_of
+from holdfast.sensors.constants import priors_of, priors_of_imu
+from holdfast.sensors.learnt_joint import NOTHING_OF_JOINT
+from holdfast.sensors.mount import Mount
 from holdfast.sensors.registry import sensors_of
 
 ALLOWED = "a file that --learnt has written"
 POSE = "pose"  # of the frame in that of the IMU, from `extrinsics`
 CLOCK_KEYS = {"time_offset_s", "time_offset_sigma_s"}
 MOUNT_KEYS = {POSE, "mounting_sigma_deg", "lever_arm_sigma_m", "scale_sigma"}
+JOINT_KEYS = {"zero_offset_deg", "zero_offset_sigma_deg", "mounting_sigma_deg"}
 NOISE_WORDS = "sigma", "drift", "density", "ratio", "correlation", "constant"
 NO_NOISE = {"gate_sigma", "jump_sigma"}  # thresholds, in sigmas
 POSE_DIGITS = 9
@@ -115,7 +118,20 @@ def check_learnt_file(path: str | Path, folder: str | Path, reads: Collection[st
 
 def _configured(config: Config) -> dict[str, dict[str, Any]]:
     """Return the numbers by which things are learnt, by sensor."""
-    return {name: _numbers(config, name, config.sensors[name]) for name in (config.imu_name, *sensors_of(config))}
+    found = {name: _numbers(config, name, config.sensors[name]) for name in (config.imu_name, *sensors_of(config))}
+    return found | _numbers_of_joint(config)
+
+
+def _numbers_of_joint(config: Config) -> dict[str, dict[str, Any]]:
+    """Return those of the encoder and the base IMU, where both are: how each unit sits on the joint among them."""
+    if config.turn_joint is None or config.joint is None or config.base_imu is None or not config.has_base():
+        return {}
+    (encoder, joint), (base, imu) = config.joint, config.base_imu
+    mount, found = Mount(config, config.frame_of(base)), {}
+    for name, section, T in ((encoder, joint, mount.T_I_A), (base, imu, mount.T_J_S)):
+        data = section.model_dump(mode="json", include=JOINT_KEYS)
+        found[name] = {"kind": section.kind, **data, POSE: T.matrix()[:3].round(POSE_DIGITS).ravel().tolist()}
+    return found
 
 
 def _numbers(config: Config, name: str, section: SensorConfig) -> dict[str, Any]:
@@ -139,6 +155,7 @@ def _fitting(file: LearntFile, config: Config) -> Loaded:
     for name, before in file.configured.items():
         if name not in config.sensors:
             warnings.append(f"{name}: is not configured: what was learnt of it is ignored")
+        if name not in now:
             continue
         differences = _differences(before, now[name])
         changed[name] = differences
@@ -157,7 +174,9 @@ def _fitting(file: LearntFile, config: Config) -> Loaded:
         if constant in owners and all(_holds(changed.get(name), constant == name) for name in owners[constant])
     }
     noise = {name: one for name, one in file.learnt.noise.items() if name in known}
-    return Loaded(LearntSnapshot(odometries=odometries, noise=noise, constants=constants), warnings)
+    at_joint = [changed.get(one[0]) for one in (config.joint, config.base_imu) if one is not None]
+    joint = file.learnt.joint if at_joint == [{}, {}] else NOTHING_OF_JOINT
+    return Loaded(LearntSnapshot(odometries=odometries, noise=noise, constants=constants, joint=joint), warnings)
 
 
 def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, str]:
@@ -178,7 +197,7 @@ def _holds(changed: Mapping[str, str] | None, is_its_own: bool) -> bool:
 
 def _owners(config: Config) -> dict[str, list[str]]:
     """Return the sensors that have each constant, by the name under which the graph knows it."""
-    found: dict[str, list[str]] = {}
+    found = {name: [name] for name in priors_of_imu(config)}
     for name, sensor in sensors_of(config).items():
         for constant in priors_of({name: with_estimated_clock(sensor)}):
             found.setdefault(constant, []).append(name)

@@ -2,20 +2,26 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from math import degrees, radians, sqrt
+from math import degrees, fmod, hypot, radians, sqrt
 from typing import Any
 
 import gtsam
 import numpy as np
 
-from holdfast.calibration.placing import moved
+from holdfast.calibration.placing import moved, placed
 from holdfast.config.document import path_text, yaml_text
 from holdfast.config.model import Config
-from holdfast.config.sensors import DriftingConfig, GnssConfig, HeadingConfig, NonholonomicConfig, TwistConfig
+from holdfast.config.sensors import (
+    DriftingConfig,
+    GnssConfig,
+    HeadingConfig,
+    JointConfig,
+    NonholonomicConfig,
+    TwistConfig,
+)
 from holdfast.integrity.calibration import SLACK_RAD, SLACK_S
 from holdfast.integrity.learnt_snapshot import (
     Factor,
-    LearntConstant,
     LearntNoiseScale,
     LearntOdometry,
     LearntSnapshot,
@@ -24,12 +30,15 @@ from holdfast.integrity.learnt_snapshot import (
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.messages import Array
 from holdfast.sensors.clock import with_estimated_clock
-from holdfast.sensors.constants import priors_of
+from holdfast.sensors.constants import LearntConstant, priors_of, priors_of_imu
+from holdfast.sensors.learnt_joint import LearntJoint
 from holdfast.sensors.registry import sensors_of
+from holdfast.sensors.sensor import Parameter
 
 SEEN = 0.55  # sigma of a logarithm above which a factor is not known: half of the prior's
+OBSERVED = 0.5  # of the sigma of a prior, below which something has been learnt
 SIGMA = 3.0
-SLACK_M = 0.01
+SLACK_M, SLACK_ZERO_RAD = 0.01, 1e-3
 FACTOR = 2.0
 SHOWN = 4  # lines at the end of a command
 AXES = "xyz"
@@ -69,11 +78,15 @@ def learnt_rows(learnt: LearntSnapshot, config: Config) -> list[Row]:
         for constant in priors_of({name: with_estimated_clock(sensor)}):
             if constant in learnt.constants:
                 rows += _of_constant(name, config, learnt.constants[constant], is_shared=constant != name)
+    for name, prior in priors_of_imu(config).items():
+        if name in learnt.constants:
+            rows += _of_imu(name, prior, learnt.constants[name])
     for name, odometry in learnt.odometries.items():
         section = config.sensors.get(name)
         if isinstance(section, DriftingConfig):
             rows += _of_odometry(name, section, odometry)
     rows += _of_gyroscope(config, learnt.odometries.values())
+    rows += _of_joint(config, learnt.joint)
     for name, noise in learnt.noise.items():
         rows += _of_noise(name, config, noise)
     return rows
@@ -159,6 +172,13 @@ def _of_constant(name: str, config: Config, learnt: LearntConstant, *, is_shared
             yield Row(name, f"mounting, {what}", "", "deg", 0.0, degrees(value), degrees(sigma))
 
 
+def _of_imu(name: str, prior: Parameter, learnt: LearntConstant) -> Iterator[Row]:
+    """Yield the scale factors of the gyroscope about the axes that the machine has turned about."""
+    for axis, ratio, sigma, before in zip(AXES, learnt.mean, learnt.sigmas, prior.sigmas.tolist(), strict=True):
+        if sigma < OBSERVED * before:
+            yield Row(name, f"scale factor of the gyroscope, {axis}", "", "1", 1.0, 1.0 + ratio, sigma)
+
+
 def _of_clock(name: str, configured_s: float, offset_s: float, sigma_s: float, *, is_off: bool) -> Row:
     is_wrong = is_off and abs(offset_s) > SIGMA * sigma_s + SLACK_S
     value, key = configured_s + offset_s, path_text(("sensors", name, "time_offset_s"))
@@ -167,15 +187,55 @@ def _of_clock(name: str, configured_s: float, offset_s: float, sigma_s: float, *
 
 def _of_mounting(name: str, config: Config, rotation: Array, sigmas: Array) -> Iterator[Row]:
     """Yield the rows of a mounting that is rotated by a vector (3,) [rad] about its own axes."""
-    off = float(np.linalg.norm(rotation))
-    sigma = float(np.linalg.norm(rotation / max(off, 1e-9) * sigmas))
     correction = np.eye(4)
     correction[:3, :3] = gtsam.Rot3.Expmap(rotation).matrix()
-    is_wrong = off > SIGMA * sigma + SLACK_RAD
-    key, write = _moved(name, config, correction)
-    for axis, value, of in zip(AXES, np.degrees(rotation).tolist(), np.degrees(sigmas).tolist(), strict=True):
+    yield from _of_rotation(name, "mounting, about its", rotation, sigmas, _moved(name, config, correction))
+
+
+def _of_rotation(name: str, what: str, rotation: Array, sigmas: Array, told: tuple[str, str]) -> Iterator[Row]:
+    """Yield the rows of a rotation (n,) [rad] about the first axes, given its key and what to write there."""
+    off = float(np.linalg.norm(rotation))
+    sigma = float(np.linalg.norm(rotation / max(off, 1e-9) * sigmas))
+    is_wrong, (key, write) = off > SIGMA * sigma + SLACK_RAD, told
+    for axis, value, of in zip(AXES, np.degrees(rotation).tolist(), np.degrees(sigmas).tolist(), strict=False):
         is_most = is_wrong and abs(radians(value)) >= off / 2.0
-        yield Row(name, f"mounting, about its {axis}", key, "deg", 0.0, value, of, is_most, write if is_most else "")
+        yield Row(name, f"{what} {axis}", key, "deg", 0.0, value, of, is_most, write if is_most else "")
+
+
+def _of_joint(config: Config, learnt: LearntJoint) -> Iterator[Row]:
+    """Yield the rows of the encoder, and of cabin's and chassis' unit, each tilted about x and y of the joint."""
+    if config.joint is None or config.base_imu is None or config.turn_joint is None:
+        return
+    base, base_imu = config.base_imu
+    if learnt.zero is not None:
+        sigma = hypot(learnt.zero.sigmas[0], radians(base_imu.mounting_sigma_deg))  # its yaw looks like a zero
+        yield _of_zero(*config.joint, learnt.zero.mean[0], sigma)
+    what, ratio = "mounting, about the joint's", config.imu.gyroscope_error_ratio
+    if learnt.cabin_tilt is not None:
+        tilt, R = _tilt(learnt.cabin_tilt)
+        T = config.turn_joint.matrix()
+        T[:3, :3] = R @ T[:3, :3]
+        changes = placed(("turn_joint",), config.turn_joint, T)
+        told = (path_text(changes[0].path), yaml_text(changes[0].value)) if changes else ("turn_joint", "")
+        yield from _of_rotation(config.imu_name, what, tilt, np.hypot(learnt.cabin_tilt.sigmas, ratio), told)
+    if learnt.base_tilt is not None:
+        tilt, R = _tilt(learnt.base_tilt)
+        correction, R_J_S = np.eye(4), config.T(config.turn_joint.parent, config.frame_of(base))[:3, :3]
+        correction[:3, :3] = R_J_S.T @ R @ R_J_S
+        told = _moved(base, config, correction)
+        yield from _of_rotation(base, what, tilt, np.hypot(learnt.base_tilt.sigmas, ratio), told)
+
+
+def _of_zero(name: str, section: JointConfig, off_rad: float, sigma_rad: float) -> Row:
+    value, key = section.zero_offset_deg + degrees(off_rad), path_text(("sensors", name, "zero_offset_deg"))
+    is_wrong = abs(off_rad) > SIGMA * sigma_rad + SLACK_ZERO_RAD
+    write = f"{fmod(value, 360.0):.3f}" if is_wrong else ""
+    return Row(name, "zero", key, "deg", section.zero_offset_deg, value, degrees(sigma_rad), is_wrong, write)
+
+
+def _tilt(learnt: LearntConstant) -> tuple[Array, Array]:
+    """Return a tilt (2,) [rad], and as a rotation matrix (3, 3)."""
+    return np.array(learnt.mean), gtsam.Rot3.Expmap(np.array([*learnt.mean, 0.0])).matrix()
 
 
 def _of_arm(name: str, config: Config, arm: Array, sigmas: Array) -> Iterator[Row]:

@@ -11,12 +11,16 @@ from holdfast.chassis.encoder import JointModel
 from holdfast.config.sensors import InertialConfig
 from holdfast.event_log import EventLog
 from holdfast.kernel import layout
+from holdfast.messages import Array
+from holdfast.sensors.constants import ANGLE_RAD, LearntConstant
+from holdfast.sensors.learnt_joint import LearntJoint
 from holdfast.state import EventKind
 
 REVIEW_NS = 1_000_000_000
 SIGMA = 4.0  # it is tested every second
 SLACK_RAD, TILT_SLACK_RAD = 1e-3, 5e-3  # errors that nobody need correct
 NEWS, FINER = 0.25, 0.3  # of what was told last, and of its sigma
+FITTING_SIGMA = 3.0  # within which a tilt is that of before
 
 GAIN_SIGMA = 3.0  # nothing is known of the angle before
 TILT_SIGMA_RAD = 0.05  # of either inertial measurement unit
@@ -54,6 +58,29 @@ def fill_zero(zero: Any, encoder: JointModel, gyro: BaseGyro | None, imu: Inerti
         zero["floor"][k], zero["variance"][k] = LEAST_NOISE * noise**2, FIRST_NOISE * noise**2
 
 
+def tilts(zero: Any, before: LearntJoint) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Return the tilts (2,) of cabin's and chassis' unit about x and y [rad], each with its variances (2,) [rad^2].
+
+    Args:
+        zero: a `ZERO`.
+        before: what was learnt before, which counts where it fits.
+    """
+    x, variances = zero["x"][0], zero["P"][0].diagonal()
+    # a rotation phi of the unit lets a rate about the vertical appear along (-phi_y, phi_x) of it: (58)
+    cabin = _with_before(np.array([-x[5], x[4]]), variances[5:3:-1], before.cabin_tilt)
+    return cabin, _with_before(np.array([x[7], -x[6]]), variances[7:5:-1], before.base_tilt)
+
+
+def _with_before(tilt: Array, variances: Array, before: LearntConstant | None) -> tuple[Array, Array]:
+    if before is None:
+        return tilt, variances
+    kept, of_kept = np.array(before.mean), np.square(before.sigmas) + ANGLE_RAD**2
+    if (np.abs(tilt - kept) > FITTING_SIGMA * np.sqrt(variances + of_kept)).any():
+        return tilt, variances
+    share = of_kept / (of_kept + variances)
+    return kept + share * (tilt - kept), share * variances
+
+
 class _Finding(NamedTuple):
     """An angle that is otherwise than configured, of a sensor: off and its sigma [rad], and what to tell."""
 
@@ -80,12 +107,12 @@ class ZeroReport:
         self._told: dict[str, tuple[float, float]] = {}  # by sensor, with sigma [rad]
         self._was_contradictory = False
 
-    def review(self, stamp_ns: int) -> None:
-        """Report what is new, once a second."""
+    def review(self, stamp_ns: int, before: LearntJoint) -> None:
+        """Report what is new, once a second, with what was learnt before."""
         if stamp_ns - self._reviewed_ns < REVIEW_NS:
             return
         self._reviewed_ns = stamp_ns
-        for one in self._findings():
+        for one in self._findings(before):
             told, of_told = self._told.get(one.sensor, (0.0, np.inf))
             is_sure = abs(one.off_rad) > SIGMA * one.sigma_rad + one.slack_rad
             if is_sure and (abs(one.off_rad - told) > NEWS * abs(told) or one.sigma_rad < FINER * of_told):
@@ -99,7 +126,7 @@ class ZeroReport:
             )
         self._was_contradictory = is_contradictory
 
-    def _findings(self) -> Iterator[_Finding]:
+    def _findings(self, before: LearntJoint) -> Iterator[_Finding]:
         zero, (encoder, base, cabin) = self._zero, self._names
         off_rad, sigma_rad = float(zero["correction_rad"]), sqrt(float(zero["correction_variance"]))
         off_deg = degrees(off_rad)
@@ -108,10 +135,10 @@ class ZeroReport:
             f"add {off_deg:.3f} to zero_offset_deg, or {-off_deg:.3f} to the yaw of {base}"
         )
         yield _Finding(encoder, off_rad, sigma_rad, SLACK_RAD, text)
-        x, variances = zero["x"][0].tolist(), zero["P"][0].diagonal().tolist()
-        # a rotation phi of the unit lets a rate about the vertical appear along (-phi_y, phi_x) of it: (58)
-        for sensor, roll, pitch, k in ((base, x[7], -x[6], 6), (cabin, -x[5], x[4], 4)):
-            tilt, sigma = hypot(roll, pitch), sqrt(0.5 * (variances[k] + variances[k + 1]) + self._ratio**2)
+        of_cabin, of_base = tilts(zero, before)
+        for sensor, (found, variances) in ((base, of_base), (cabin, of_cabin)):
+            (roll, pitch), sigma = found.tolist(), sqrt(0.5 * float(variances[0] + variances[1]) + self._ratio**2)
+            tilt = hypot(roll, pitch)
             text = (
                 f"tilted by {degrees(tilt):.1f} deg against the axis of the joint otherwise than configured, "
                 f"sigma {degrees(sigma):.1f} deg: roll {degrees(roll):+.2f}, pitch {degrees(pitch):+.2f} deg"

@@ -15,6 +15,7 @@ from holdfast.config.model import Config
 from holdfast.event_log import EventLog
 from holdfast.kernel import layout
 from holdfast.messages import Array, ImuSample, JointAngle
+from holdfast.sensors.learnt_joint import NOTHING_OF_JOINT, LearntJoint
 from holdfast.sensors.mount import Mount
 from holdfast.state import EncoderState, EventKind, Outcome
 
@@ -57,12 +58,13 @@ class BaseKinematics:
     Args:
         config: of the estimator; without a chassis that is joined to the IMU nothing is done.
         log: where counts and events go: what became of each reading, when the encoder fails and works again.
+        learnt: what was learnt of the turn joint before.
     """
 
-    def __init__(self, config: Config, log: EventLog) -> None:
+    def __init__(self, config: Config, log: EventLog, learnt: LearntJoint = NOTHING_OF_JOINT) -> None:
         self._log = log
         self._encoder_name = config.joint[0] if config.joint else ""
-        self._joint = _turn_joint(config, log)
+        self._joint = _turn_joint(config, log, learnt)
         mount: Any = np.zeros(1, layout.MOUNT)
         if config.has_base():
             mount = BaseGeometry(config).record(has_joint=self._joint is not None)
@@ -87,6 +89,15 @@ class BaseKinematics:
         """Return a reading of the encoder with the zero that was learnt."""
         return reading if self._joint is None else self._joint.corrected(reading)
 
+    def learnt(self) -> LearntJoint:
+        """Return what is known now of the turn joint that holds over a restart."""
+        return NOTHING_OF_JOINT if self._joint is None else self._joint.learnt()
+
+    def keep_learnt(self) -> None:
+        """Keep what was learnt of the turn joint when the clock goes back next."""
+        if self._joint is not None:
+            self._joint.keep_learnt()
+
     def count(self) -> None:
         """Count what became of the readings that an estimate has taken in."""
         if self._joint is not None:
@@ -107,7 +118,7 @@ class BaseKinematics:
         return encoder
 
 
-def _turn_joint(config: Config, log: EventLog) -> TurnJoint | None:
+def _turn_joint(config: Config, log: EventLog, learnt: LearntJoint) -> TurnJoint | None:
     if config.turn_joint is None or config.joint is None or not config.has_base():
         return None
     gyro = None
@@ -116,4 +127,4 @@ def _turn_joint(config: Config, log: EventLog) -> TurnJoint | None:
         T_J_S = config.T(config.turn_joint.parent, config.frame_of(name)).copy()
         T_J_S[:3, 3] -= config.turn_joint.matrix()[:3, 3]
         gyro = BaseGyro(base_imu, T_J_S)
-    return TurnJoint(JointModel(config.joint[1]), gyro, config, log)
+    return TurnJoint(JointModel(config.joint[1]), gyro, config, log, learnt)

@@ -13,12 +13,14 @@ import numpy as np
 from holdfast.chassis.base_gyro import BaseGyro
 from holdfast.chassis.encoder import JointModel
 from holdfast.chassis.encoder_zero import ZeroReport, fill_zero
+from holdfast.chassis.kept_joint import begin_with, learnt_joint
 from holdfast.config.model import Config
 from holdfast.event_log import EventLog
 from holdfast.kernel import layout
 from holdfast.kernel.joint_filter import ANY_RATE_RAD2_S2, LAG_SIGMA_S, LAG_WALK_S_SQRT_S, MAX_LAG_S
 from holdfast.kernel.turn_joint import ABSENT, CORRECTED_S, add_reading
 from holdfast.messages import ImuSample, JointAngle, as_doubles
+from holdfast.sensors.learnt_joint import NOTHING_OF_JOINT, LearntJoint
 from holdfast.sensors.sensor import StampFilter
 from holdfast.state import EncoderState, Outcome
 
@@ -80,15 +82,23 @@ class TurnJoint:
         gyro: model of the base IMU's gyroscope, None where there is none.
         config: of the estimator.
         log: where it is counted what became of each reading.
+        learnt: what was learnt before.
     """
 
-    def __init__(self, encoder: JointModel, gyro: BaseGyro | None, config: Config, log: EventLog) -> None:
-        self._model, self._gyro, self._log = encoder, gyro, log
+    def __init__(
+        self,
+        encoder: JointModel,
+        gyro: BaseGyro | None,
+        config: Config,
+        log: EventLog,
+        learnt: LearntJoint = NOTHING_OF_JOINT,
+    ) -> None:
+        self._model, self._gyro, self._config, self._log = encoder, gyro, config, log
         self._sensors = config.base_imu[0] if config.base_imu else "", config.joint[0] if config.joint else ""
-        record = joint_record(encoder, gyro, config)
-        fill_zero(record[0]["zero"], encoder, gyro, config.imu)
-        self.record: Any = np.repeat(record, 2)
+        self.record: Any = np.zeros(2, layout.JOINT)
         self._one = self.record[0]
+        self._begin_with(learnt)
+        self.record[0] = self.record[1]
         self._numbers = memoryview(self.record.view(np.int64).data)  # the same, five times faster to read
         self._last = max(self._sensors)  # of two at one stamp
         self.rotations: Any = np.zeros(ROTATIONS, layout.ROTATION)
@@ -96,6 +106,22 @@ class TurnJoint:
         self._stamps = StampFilter()
         names = self._sensors[1], self._sensors[0], config.imu_name
         self._zero = ZeroReport(self._one["zero"], names, config.imu.gyroscope_error_ratio, log)
+
+    def _begin_with(self, learnt: LearntJoint) -> None:
+        """Begin with what was learnt when the clock goes back next, or for the first time."""
+        first = joint_record(self._model, self._gyro, self._config)
+        fill_zero(first[0]["zero"], self._model, self._gyro, self._config.imu)
+        if self._gyro is not None:
+            begin_with(first, learnt, self._model, self._gyro)
+        self.record[1], self._learnt = first[0], learnt
+
+    def learnt(self) -> LearntJoint:
+        """Return what is known now that holds over a restart."""
+        return self._learnt if self._gyro is None else learnt_joint(self._one["zero"], self._learnt)
+
+    def keep_learnt(self) -> None:
+        """Keep what was learnt when the clock goes back next."""
+        self._begin_with(self.learnt())
 
     @property
     def encoder(self) -> EncoderState | None:
@@ -126,7 +152,7 @@ class TurnJoint:
             return
         order, is_angle = int(message.sensor == self._last), int(isinstance(message, JointAngle))
         add_reading(self.record, self.rotations, self.waiting, stamp_ns, order, is_angle, value, rate, force)
-        self._zero.review(stamp_ns)
+        self._zero.review(stamp_ns, self._learnt)
 
     def corrected(self, reading: JointAngle) -> JointAngle:
         """Return a reading with the zero that was learnt, as far as that has come in."""

@@ -49,8 +49,8 @@ def ablate(scenario: str, output: Path, seeds: int, jobs: int, only: tuple[str, 
 
     SCENARIO is a shipped one or a YAML file, as for `holdfast simulate`. Every variation changes the configuration that
     goes with the scenario: default, paper (the preset), single-graph, relative-scans, frozen-fallback, imu-nodes,
-    lag-1.5s, lag-6s, no-innovation, no-drift-monitor, no-standstill, frame-at-recovery, one-antenna, no-heading,
-    no-lidar.
+    lag-1.5s, lag-6s, no-innovation, no-drift-monitor, no-gyroscope-scale, no-standstill, frame-at-recovery,
+    one-antenna, no-heading, no-lidar.
 
     Prints means over the seeds and writes table.csv, table.json (every score of every seed) and the recordings.
     """

@@ -118,6 +118,7 @@ class GraphConfig(Section):
     fallback_odometry: Literal["anchored", "frozen"] = Field(
         "anchored", description="the odometry's frame drifts, or (the paper, Eq. 10) stays where it was at the loss"
     )
+    gyroscope_scale: bool = Field(True, description="the scale factors of the gyroscope are estimated")
     position_integration_sigma: float = quantity(
         "m/sqrt(s)", 1e-4, gt=0, le=1, doc="what linear interpolation between IMU samples leaves"
     )

@@ -11,7 +11,13 @@ from typing import Any
 
 _PAPER: dict[str, Any] = {
     "frames": {"odometry_policy": "at_recovery"},
-    "graph": {"nodes": "imu", "lag_s": 6.0, "main_odometry": "relative", "fallback_odometry": "frozen"},
+    "graph": {
+        "nodes": "imu",
+        "lag_s": 6.0,
+        "main_odometry": "relative",
+        "fallback_odometry": "frozen",
+        "gyroscope_scale": False,
+    },
     "gate": {
         "innovation": False,
         "baseline": False,

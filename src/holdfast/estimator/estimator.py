@@ -40,7 +40,7 @@ class Estimator(Intake):
         self._imu = config.imu_name
         self._log = EventLog(self._imu)
         self._buffer = ImuBuffer(config.imu)
-        self._path = ImuPath(config, self._buffer, self._log)
+        self._path = ImuPath(config, self._buffer, self._log, learnt.joint)
         self._optimiser = Optimiser(
             config, self._buffer, self._log, listener, Density(config, self._log), learnt=learnt
         )
@@ -105,8 +105,8 @@ class Estimator(Intake):
         return self._optimiser.constants()
 
     def learnt(self) -> LearntSnapshot:
-        """Return what was learnt of the sensors: noise, drift, mountings, clocks; a reset forgets it."""
-        return self._optimiser.learnt()
+        """Return what was learnt of the sensors: noise, drift, mountings, clocks, the encoder; a reset forgets it."""
+        return self._optimiser.learnt().with_joint(self._path.learnt())
 
     def stamp(self, time_ns: int) -> int:
         """Return the stamp that the IMU's clock showed at a time of the estimator's own, which never steps."""
@@ -152,7 +152,7 @@ class Estimator(Intake):
 
     def reset(self) -> None:
         """Forget the state and what was learnt, and begin anew; W stays where it is."""
-        self._path.stop()
+        self._path.forget()
         self._optimiser.restart()
 
     def set_datum(self, datum: Geodetic) -> None:

@@ -25,6 +25,7 @@ from holdfast.kernel.imu_path import (
 from holdfast.kernel.samples import IS_LINE, STEPPED
 from holdfast.messages import Array, ImuSample, JointAngle, Message, as_doubles
 from holdfast.sensors.imu import NEWEST, ImuBuffer
+from holdfast.sensors.learnt_joint import NOTHING_OF_JOINT, LearntJoint
 from holdfast.state import BaseState, Estimate, EventKind, OptimisedState, Outcome, Output
 
 DOUBLE = np.dtype(np.float64)
@@ -86,9 +87,12 @@ class ImuPath:
         config: of the estimator.
         buffer: of the IMU's samples.
         log: where counts and events go.
+        learnt: what was learnt of the turn joint before.
     """
 
-    def __init__(self, config: Config, buffer: ImuBuffer, log: EventLog) -> None:
+    def __init__(
+        self, config: Config, buffer: ImuBuffer, log: EventLog, learnt: LearntJoint = NOTHING_OF_JOINT
+    ) -> None:
         self._config = config
         self._buffer, self._numbers = buffer, buffer.numbers
         self._log = log
@@ -98,11 +102,11 @@ class ImuPath:
         self._copy_row = self._predictor.copy_row
         self.clock = Clock(buffer, log)
         self.flags = self._usual_flags = NO_FLAGS
-        self._carry_chassis()
+        self._carry_chassis(learnt)
 
-    def _carry_chassis(self) -> None:
-        """Begin with a chassis of which nothing is known."""
-        self._chassis = BaseKinematics(self._config, self._log)
+    def _carry_chassis(self, learnt: LearntJoint) -> None:
+        """Begin with a chassis of which no more is known."""
+        self._chassis = BaseKinematics(self._config, self._log, learnt)
         self._predictor.carry(self._chassis)
         self._usual_flags, self._has_base, self._encoder = NO_FLAGS, False, self._chassis.encoder
 
@@ -194,6 +198,7 @@ class ImuPath:
     def _begin_anew(self, sample: ImuSample) -> Received:
         """Take in a sample of which nobody knows how long after the one before it was measured."""
         self.stop()
+        self._chassis.keep_learnt()
         self.clock = Clock(self._buffer, self._log)
         return self._take(sample, begins_anew=True)
 
@@ -225,7 +230,7 @@ class ImuPath:
             reason = "the state of the chassis is not finite: begun anew"
             self._log.report(EventKind.OPTIMISER_FAULT, stamp_ns, "", reason)
             self._chassis.count()
-            self._carry_chassis()
+            self._carry_chassis(NOTHING_OF_JOINT)  # it may have come of what was learnt
         elif flags & FROM_IMU and not flags & UNUSUAL and not self.clock.has_stepped:
             self._usual_flags, self._has_base, self._encoder = flags, base is not None, encoder
         return Received(*brought, estimate, True, base)
@@ -258,3 +263,13 @@ class ImuPath:
     def stop(self) -> None:
         """Give no estimates until the next start."""
         self._predictor.stop()
+
+    def forget(self) -> None:
+        """Give no estimates until the next start, and forget what was learnt of the turn joint."""
+        self.stop()
+        self._chassis.count()
+        self._carry_chassis(NOTHING_OF_JOINT)
+
+    def learnt(self) -> LearntJoint:
+        """Return what is known now of the turn joint that holds over a restart."""
+        return self._chassis.learnt()

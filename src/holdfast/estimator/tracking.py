@@ -30,7 +30,7 @@ from holdfast.integrity.recovery import Recovery
 from holdfast.integrity.states import JointAt, States
 from holdfast.integrity.yaw_learning import Witness
 from holdfast.sensors.clock import with_estimated_clock
-from holdfast.sensors.constants import Constant, priors_of
+from holdfast.sensors.constants import Constant, priors_of, priors_of_imu
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.noise import Colour
 from holdfast.sensors.sensor import ConstraintSensor, Measurement, Role, Sensor, of_role
@@ -119,10 +119,10 @@ class Tracking:
         self._constrained_ns = state.stamp_ns
         self._late: set[str] = set()  # sensors whose last measurement was too late
         self._epochs = Epochs()
-        self._calibration = Calibration(sensors, log)
+        self._calibration = Calibration(sensors, config.imu_name, log)
         self._noise_review = NoiseReview(config.imu_name, log)
-        self._priors = priors_of(sensors)
-        self._machine_constants = constants_of_machine(sensors, lever_arms.doubts())
+        self._priors = priors_of(sensors) | priors_of_imu(config)
+        self._machine_constants = constants_of_machine(config, sensors, lever_arms.doubts())
         self.queue = MeasurementQueue()
         known = carried_priors(carried.constants, self._priors, self._machine_constants)
         self.graph = DualGraph(config, buffer, gravity, self._odometries.new_tracks(), state, carried=known)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import gtsam
 
 from holdfast.graph.solver import Placed
+from holdfast.sensors.imu import Turning
 
 NODE_RESOLUTION_NS = 100_000
 NODE, FRAME, BIAS = "x", "l", "b"  # letters of the keys of nodes, of frames of odometries, and of biases
@@ -29,6 +30,7 @@ class Link:
     bias_key: int
     is_gap: bool
     placed: Placed
+    turning: Turning
 
     @property
     def keys(self) -> tuple[int, int]:

@@ -5,7 +5,7 @@ A constant is known for longer than a window lives: one that is begun anew takes
 
 from collections.abc import Callable, Mapping
 from copy import copy
-from math import log
+from math import log, sqrt
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -23,6 +23,7 @@ RIGHT, OFF = 0.0, -log(3.0)  # log ratio of the densities under what was configu
 HELD = 0.02  # of the error that counts as right: as if there were none
 REFUTED = 3.0  # sigmas of what was learnt before a restart
 REFRESHED_NS = 1_000_000_000  # a marginal is read this often
+WALK_NS = 10_000_000_000  # a parameter that walks is another variable after so long
 NOT_AGAIN_NS = 1 << 62  # when it is read next, where whoever solves asks for it
 
 
@@ -30,7 +31,7 @@ class Known(NamedTuple):
     """A parameter: its key, estimate (p,) and covariance (p, p), and whether the solver has solved it.
 
     `right` is the factor that holds it where it was configured, if it is believed to be right; `carried` that which
-    says what was learnt of it before a restart.
+    says what was learnt of it before a restart. `begun_ns` is when it became a variable.
     """
 
     key: int
@@ -38,6 +39,7 @@ class Known(NamedTuple):
     covariance: Array
     is_solved: bool
     read_ns: int
+    begun_ns: int
     right: Placed | None = None
     carried: Placed | None = None
 
@@ -87,6 +89,8 @@ class Parameters:
                 known = known._replace(covariance=solver.covariance(known.key), read_ns=stamp_ns)
                 known = _believed(solver, known, prior)
                 known = self._unless_refuted(solver, name, known, configured)
+        if prior.walk is not None and stamp_ns - known.begun_ns >= WALK_NS:
+            known = self._walked(solver, known, prior.walk, stamp_ns)
         solver.keep(known.key, stamp_ns)
         self._known[name] = known
         return known
@@ -95,6 +99,14 @@ class Parameters:
         """Return the estimate (p,) of a sensor's parameter and its sigmas (p,), None while there is none."""
         known = self._known.get(name)
         return None if known is None else (known.value, np.sqrt(np.diag(known.covariance)))
+
+    def belief(self, name: str, prior: Parameter) -> tuple[Array, Array]:
+        """Return the estimate (p,) and covariance (p, p) of a parameter: those of its prior while there is none."""
+        known = self._known.get(name)
+        if known is not None:
+            return known.value, known.covariance
+        prior = self._carried.get(name, prior)
+        return prior.mean, np.diag(prior.sigmas**2)
 
     def review(self, solver: Solver, priors: Mapping[str, Parameter]) -> bool:
         """Read the parameters of some names from a solver that has converged; return whether it must once more.
@@ -140,6 +152,17 @@ class Parameters:
         )
         return known._replace(carried=None)
 
+    def _walked(self, solver: Solver, known: Known, walk: Array, stamp_ns: int) -> Known:
+        """Return a parameter as it is after it has walked on."""
+        self._made += 1
+        key: int = gtsam.symbol(parameter_letter(len(walk)), self._made)
+        sigmas = walk * sqrt((stamp_ns - known.begun_ns) * 1e-9)
+        solver.insert(key, known.value, stamp_ns)
+        solver.keep(known.key, stamp_ns)
+        model = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+        solver.add(gtsam.BetweenFactorVector(known.key, key, np.zeros(len(walk)), model))
+        return Known(key, known.value, known.covariance + np.diag(sigmas**2), False, stamp_ns, stamp_ns)
+
     def _insert(self, solver: Solver, name: str, prior: Parameter, stamp_ns: int, start: Array | None) -> Known:
         before = self._known.get(name)
         mean, covariance = prior.mean, np.diag(prior.sigmas**2)
@@ -150,7 +173,7 @@ class Parameters:
         key: int = gtsam.symbol(parameter_letter(len(mean)), self._made)
         solver.insert(key, value, stamp_ns)
         placed = solver.add(gtsam.PriorFactorVector(key, mean, gtsam.noiseModel.Gaussian.Covariance(covariance)))
-        known = Known(key, value, covariance, False, stamp_ns)
+        known = Known(key, value, covariance, False, stamp_ns, stamp_ns)
         if before is None and prior is self._carried.get(name):
             known = known._replace(carried=placed)
         is_right = prior.if_right is not None if before is None else before.right is not None

@@ -13,6 +13,7 @@ import gtsam
 import numpy as np
 
 from holdfast.config.model import Config
+from holdfast.graph.biases import EPOCH_NS, Biases
 from holdfast.graph.nodes import BIAS, FRAME, NODE, Link, Timeline, to_grid
 from holdfast.graph.parameters import MAX_SIZE, REFRESHED_NS, Parameters, parameter_letter
 from holdfast.graph.prior import joint_prior
@@ -24,13 +25,12 @@ from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.coloured import NAV_SIZE, SlowError
 from holdfast.sensors.constants import Constant
-from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.imu import NOT_TURNED, ImuBuffer, Turning
 from holdfast.sensors.noise import FREE_VARIANCE, Colour
 from holdfast.sensors.preintegration import ImuNoise, MotionModel, preintegrate
 from holdfast.sensors.sensor import Joint, Measurement, Parameter, State
 from holdfast.state import OptimisedState, is_finite
 
-BIAS_EPOCH_NS = 1_000_000_000
 SETTLE_MARGIN_NS = 1_000_000_000  # a node is read this long before it leaves the window; updates are not further apart
 LINEAR = 1e6  # a threshold that is never reached
 FREE = FREE_VARIANCE**0.5  # sigma of what a factor says nothing about
@@ -72,12 +72,11 @@ class Smoother:
     ) -> None:
         imu = config.imu
         self._known = known
-        self._config = config.graph
+        self._machine, self._config = config, config.graph
         self._lag_ns = round(config.graph.lag_s * 1e9)
         self.imu = buffer
         self.imu_noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
         self._motion_model = MotionModel(config.motion_model, gravity)
-        self._bias_walk = np.repeat([imu.accelerometer_random_walk, imu.gyroscope_random_walk], 3)
         self._greatest_bias = np.repeat([imu.accelerometer_range, imu.gyroscope_range], 3)
         self._new_solver = new_solver or (lambda: Window(self._relinearize_thresholds()))
         self._parameters = Parameters(max(REFRESHED_NS, self._lag_ns // 3), carried)
@@ -90,8 +89,7 @@ class Smoother:
         self._slow_errors = SlowErrors(self._slow_sizes)
         self._window = self._new_solver()
         self._measured: dict[int, tuple[Measurement, Placed]] = {}  # by the identity of the measurement
-        self._epoch_ns = to_grid(state.stamp_ns)
-        self._bias_epoch = -1  # the newest
+        self._biases = Biases(self._machine, self._parameters)
         self._nodes = Timeline()
         self._links: dict[int, Link] = {}  # by the stamp of the left node
         self._bias_hat = state.bias  # of all preintegration: the result must not depend on when a link was made
@@ -100,9 +98,9 @@ class Smoother:
         self._state = state
         # of the newest node, the bias and the newest slow errors if there are any, what is new included
         self._tail = Tail(state.covariance)  # new nodes included
-        key = self._nodes.insert(self._epoch_ns)
-        bias_key = self._bias_key(self._epoch_ns, state.bias)
-        self._insert(key, self._epoch_ns, state.nav)
+        begun_ns = to_grid(state.stamp_ns)
+        key, bias_key = self._nodes.insert(begun_ns), self._biases.begin(self._window, begun_ns, state.bias)
+        self._insert(key, begun_ns, state.nav)
         self.add(joint_prior(key, bias_key, state))
 
     def clone(self) -> "Smoother":
@@ -113,6 +111,7 @@ class Smoother:
         other = copy(self)
         other._window, counterpart = self._window.copy()
         other._nodes, other._parameters = self._nodes.copy(), self._parameters.copy(other._window, counterpart)
+        other._biases = self._biases.copy(other._parameters, counterpart, self._window)
         other._links = {start: replace(link, placed=counterpart(link.placed)) for start, link in self._links.items()}
         held = ((key, one, placed) for key, (one, placed) in self._measured.items() if self._holds(placed))
         other._measured = {key: (one, counterpart(placed)) for key, one, placed in held}
@@ -268,6 +267,18 @@ class Smoother:
             model = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([FREE, FREE, sigma_m_s], 3))
             self.enter(standing, gtsam.PriorFactorNavState(key, still, model))
 
+    def bias(self, link: Link) -> tuple[gtsam.imuBias.ConstantBias, Array]:
+        """Return the bias in a link, without errors in proportion to the turning, and its covariance (6, 6)."""
+        return self._biases.without_error(self._window, link.bias_key)
+
+    def seen_bias(self, turning: Turning) -> gtsam.imuBias.ConstantBias:
+        """Return the newest bias together with the errors in proportion to a turning."""
+        return self._biases.seen(self._state.bias, turning.rate)
+
+    def turning_covariance(self, angle_rad: Array) -> Array:
+        """Return the covariance (3, 3) of errors in proportion to the turning, after one by angles (3,) [rad]."""
+        return self._biases.error(angle_rad)[1]
+
     def nav(self, stamp_ns: int) -> gtsam.NavState:
         """Return the current estimate of the node at a time, which must exist."""
         return self._nav(to_grid(stamp_ns))
@@ -303,8 +314,8 @@ class Smoother:
         if self.oldest_ns < since_ns < self.newest_ns:
             self.node(since_ns)
         for link in [link for link in self._links.values() if link.end_ns > since_ns and not link.is_gap]:
-            self._window.retract(link.placed)
-            self._join(link.start_ns, link.end_ns, link.bias_key, True, self._nav(link.start_ns))
+            self._unlink(link)
+            self._join(link.start_ns, link.end_ns, True, self._nav(link.start_ns))
 
     def move(self, correction: gtsam.Pose3, position_sigma_m: float) -> None:
         """Start anew at the newest state, moved by a correction in W, its position in doubt; what waits is lost."""
@@ -340,6 +351,7 @@ class Smoother:
         expected, allowed_m_s = self._nav(self.newest_ns).velocity(), self._velocity_step_m_s()
         try:
             self._slow_errors.keep(self._window, self.newest_ns)
+            self._biases.prepare(self._window)
             self._window.solve(horizon)
             state, tail = self._read_newest()
             step_m_s = float(np.linalg.norm(state.nav.velocity() - expected))
@@ -361,11 +373,11 @@ class Smoother:
     def _read_newest(self) -> tuple[OptimisedState, Tail]:
         """Return the newest state, and its covariance with that of the newest slow errors behind it."""
         stamp, key = self.newest_ns, self._nodes.key(self.newest_ns)
-        bias_key = gtsam.symbol(BIAS, self._bias_epoch)
-        nav, bias = self._window.nav(key), self._window.bias(bias_key)
         slow = self._slow_errors.newest
         slow_keys = [slow.key] if slow is not None and slow.key in self._window else []
-        tail = Tail(self._window.covariance(key, bias_key, *slow_keys))
+        nav = self._window.nav(key)
+        bias, covariance = self._biases.without_error(self._window, self._biases.newest_key, [key], slow_keys)
+        tail = Tail(covariance)
         state = OptimisedState(stamp, nav, bias, tail.state, self._angular_velocity(stamp, nav, bias))
         if not state.is_finite():
             raise ValueError("the optimised state is not finite")
@@ -414,57 +426,52 @@ class Smoother:
 
     def _extend(self, stamp_ns: int, is_gap: bool) -> int:
         left_ns = self.newest_ns
-        nav, bias = self._nav(left_ns), self._state.bias
+        nav = self._nav(left_ns)
         key = self._nodes.insert(stamp_ns)
-        pim = self._join(left_ns, stamp_ns, self._bias_key(left_ns, bias), is_gap, nav)
+        pim, link = self._join(left_ns, stamp_ns, is_gap, nav)
         H_nav, H_bias = np.zeros((9, 9), order="F"), np.zeros((9, 6), order="F")
-        self._insert(key, stamp_ns, pim.predict(nav, bias, H_nav, H_bias))
-        self._tail = self._tail.moved(H_nav, H_bias, pim.residualCovariance())
+        seen = self._biases.seen(self._state.bias, link.turning.rate)
+        self._insert(key, stamp_ns, pim.predict(nav, seen, H_nav, H_bias))
+        added = pim.residualCovariance()
+        if stamp_ns - left_ns > EPOCH_NS:
+            H_rate = H_bias[:, 3:]
+            added = added + H_rate @ self._biases.error(link.turning.rate)[1] @ H_rate.T
+        self._tail = self._tail.moved(H_nav, H_bias, added)
         return key
 
     def _split(self, stamp_ns: int) -> int:
         """Make a node between two others: the link that spans it is replaced by two."""
         left_ns = self._nodes.before(stamp_ns)
         nav, old = self._nav(left_ns), self._links.pop(left_ns)
-        self._window.retract(old.placed)
+        self._unlink(old)
         key = self._nodes.insert(stamp_ns)
-        predicted = self._join(left_ns, stamp_ns, old.bias_key, old.is_gap, nav).predict(nav, self._state.bias)
+        pim, first = self._join(left_ns, stamp_ns, old.is_gap, nav)
+        predicted = pim.predict(nav, self._biases.seen(self._state.bias, first.turning.rate))
         self._insert(key, stamp_ns, predicted)
-        # the epoch in which the second half begins, as if the node had come in its turn
-        bias_key = gtsam.symbol(BIAS, (stamp_ns - self._epoch_ns) // BIAS_EPOCH_NS)
-        bias_key = bias_key if bias_key in self._window else old.bias_key
-        self._join(stamp_ns, old.end_ns, bias_key, old.is_gap, predicted)
+        self._join(stamp_ns, old.end_ns, old.is_gap, predicted)
         return key
 
+    def _unlink(self, link: Link) -> None:
+        self._window.retract(link.placed)
+        self._biases.release(link.bias_key, link.turning)
+
     def _join(
-        self, start_ns: int, end_ns: int, bias_key: int, is_gap: bool, nav: gtsam.NavState
-    ) -> gtsam.PreintegratedImuMeasurements:
+        self, start_ns: int, end_ns: int, is_gap: bool, nav: gtsam.NavState
+    ) -> tuple[gtsam.PreintegratedImuMeasurements, Link]:
         """Link two existing neighbours; `nav` is the state at the first. Return what leads from one to the other."""
-        bias = self._state.bias
+        bias, turning = self._state.bias, NOT_TURNED
         if is_gap:
             rate = self._angular_velocity(start_ns, nav, bias)
             pim = self._motion_model.preintegrate((end_ns - start_ns) * 1e-9, nav, rate, bias)
         else:
             seen = self.imu.density(start_ns, end_ns)
             pim = preintegrate(self.imu.steps(start_ns, end_ns), self.imu_noise, nav.attitude(), self._bias_hat, seen)
+            turning = self.imu.turning(start_ns, end_ns)
+        bias_key = self._biases.use(self._window, start_ns, turning, bias)
         factor = gtsam.ImuFactor2(self._nodes.key(start_ns), self._nodes.key(end_ns), bias_key, pim)
-        self._links[start_ns] = Link(start_ns, end_ns, bias_key, is_gap, self.add(factor))
-        self._window.keep(bias_key, end_ns)
-        return pim
-
-    def _bias_key(self, stamp_ns: int, bias: gtsam.imuBias.ConstantBias) -> int:
-        """Return the key of the bias that holds at a time; a new one walks on from the one before."""
-        epoch = (stamp_ns - self._epoch_ns) // BIAS_EPOCH_NS
-        key: int = gtsam.symbol(BIAS, epoch)
-        if epoch > self._bias_epoch:
-            self._window.insert(key, bias, stamp_ns)
-            if self._bias_epoch >= 0:
-                sigmas = self._bias_walk * np.sqrt((epoch - self._bias_epoch) * BIAS_EPOCH_NS * 1e-9)
-                walk = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
-                zero = gtsam.imuBias.ConstantBias()
-                self.add(gtsam.BetweenFactorConstantBias(gtsam.symbol(BIAS, self._bias_epoch), key, zero, walk))
-            self._bias_epoch = epoch
-        return key
+        link = self._links[start_ns] = Link(start_ns, end_ns, bias_key, is_gap, self.add(factor), turning)
+        self._biases.keep(self._window, bias_key, end_ns)
+        return pim, link
 
     def _insert(self, key: int, stamp_ns: int, predicted: gtsam.NavState) -> None:
         nav = self._known(stamp_ns) or predicted

@@ -1,6 +1,6 @@
-"""Which mountings and clocks are otherwise than configured, as the graph has found: told once it is sure."""
+"""What is otherwise than configured, mountings, clocks, the gyroscope, as the graph has found: told once it is sure."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from math import degrees
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ from holdfast.state import EventKind
 
 REVIEW_NS = 1_000_000_000
 SIGMA = 4.0  # it is tested every second
-SLACK_S, SLACK_RAD = 2e-3, 5e-3  # an error that nobody need correct
+SLACK_S, SLACK_RAD, SLACK_RATIO = 2e-3, 5e-3, 3e-3  # an error that nobody need correct
 NEWS = 0.25  # of what was told last
 
 
@@ -26,7 +26,7 @@ class Finding(NamedTuple):
 
     Attributes:
         what: which of its constants.
-        off: by how much [s or rad].
+        off: by how much [s, rad or 1].
         sigma: of that.
         slack: below it nothing is told.
     """
@@ -47,11 +47,12 @@ class Calibration:
 
     Args:
         sensors: the models, by name.
+        imu: name of the primary IMU.
         log: where events go.
     """
 
-    def __init__(self, sensors: Mapping[str, Sensor], log: EventLog) -> None:
-        self._sensors, self._log = sensors, log
+    def __init__(self, sensors: Mapping[str, Sensor], imu: str, log: EventLog) -> None:
+        self._sensors, self._imu, self._log = sensors, imu, log
         self._told: dict[tuple[str, str], float] = {}
         self._reviewed_ns = NEVER_NS
 
@@ -63,13 +64,18 @@ class Calibration:
         for name, sensor in self._sensors.items():
             parameter = getattr(sensor, "parameter", None)
             estimate = smoother.parameter_estimate(name if parameter is None else parameter.name(name))
-            if estimate is None:
-                continue
-            for finding, in_words in _findings(sensor, *estimate):
-                told = self._told.get((name, finding.what))
-                if finding.is_sure and (told is None or abs(finding.off - told) > NEWS * told):
-                    self._told[name, finding.what] = finding.off
-                    self._log.report(EventKind.CALIBRATION, now_ns, name, in_words)
+            if estimate is not None:
+                self._tell(name, _findings(sensor, *estimate), now_ns)
+        scale = smoother.parameter_estimate(self._imu)
+        if scale is not None:
+            self._tell(self._imu, _findings_of_gyroscope(*scale), now_ns)
+
+    def _tell(self, name: str, findings: Iterable[tuple[Finding, str]], now_ns: int) -> None:
+        for finding, in_words in findings:
+            told = self._told.get((name, finding.what))
+            if finding.is_sure and (told is None or abs(finding.off - told) > NEWS * told):
+                self._told[name, finding.what] = finding.off
+                self._log.report(EventKind.CALIBRATION, now_ns, name, in_words)
 
 
 def _findings(sensor: Sensor, value: Array, sigmas: Array) -> Iterator[tuple[Finding, str]]:
@@ -92,3 +98,14 @@ def _findings(sensor: Sensor, value: Array, sigmas: Array) -> Iterator[tuple[Fin
             f"rotated by {x:.2f}, {y:.2f}, {z:.2f} deg about its own axes"
         )
         yield Finding("mounting", off_rad, sigma_rad, SLACK_RAD), text
+
+
+def _findings_of_gyroscope(scale: Array, sigmas: Array) -> Iterator[tuple[Finding, str]]:
+    """Yield the scale factors of the gyroscope with what is to be told of them."""
+    for axis, off, sigma in zip("xyz", scale.tolist(), sigmas.tolist(), strict=True):
+        more_or_less = "more" if off > 0.0 else "less"
+        text = (
+            f"its gyroscope shows {100.0 * abs(off):.2f} % {more_or_less} about {axis} than it turns, "
+            f"sigma {100.0 * sigma:.2f} %"
+        )
+        yield Finding(f"scale {axis}", abs(off), sigma, SLACK_RATIO), text

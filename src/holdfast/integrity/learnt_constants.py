@@ -4,20 +4,21 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
-from holdfast.integrity.learnt_snapshot import LearntConstant
+from holdfast.config.model import Config
 from holdfast.messages import Array
-from holdfast.sensors.constants import Constant, carried, change_of, priors_of
+from holdfast.sensors.constants import RATIO, Constant, LearntConstant, carried, change_of, priors_of, priors_of_imu
 from holdfast.sensors.sensor import Parameter, Sensor
 
 
-def constants_of_machine(sensors: Mapping[str, Sensor], doubted: Collection[str]) -> dict[str, Array]:
+def constants_of_machine(config: Config, sensors: Mapping[str, Sensor], doubted: Collection[str]) -> dict[str, Array]:
     """Return the constants that are the same on the next day, each (p,) with how much it may have changed.
 
     Args:
+        config: of the machine.
         sensors: the models, by name, with clocks that are estimated.
         doubted: antennas whose lever arms are in doubt: how far is not for what was learnt before to say.
     """
-    found: dict[str, Array] = {}
+    found = {name: np.full(len(prior.mean), RATIO) for name, prior in priors_of_imu(config).items()}
     for name, sensor in sensors.items():
         change = change_of(sensor)
         if change is not None and name not in doubted:

@@ -13,9 +13,10 @@ from pydantic import Field, model_validator
 
 from holdfast.config.section import Section, quantity
 from holdfast.messages import Array
+from holdfast.sensors.constants import ANOTHER, LearntConstant
+from holdfast.sensors.learnt_joint import NOTHING_OF_JOINT, LearntJoint
 
 CHANGE = log(1.2)  # sigma of the logarithm by which a noise or a drift is another one after a restart
-ANOTHER = 1e-3  # probability that a sensor is an entirely other one after a restart
 MOST = 6.0  # of a logarithm: a factor of 400
 LOWEST_NOISE, LOWEST_DRIFT = 0.5, 0.4  # scans have errors in common with the next that their noise does not show
 LOWEST_TILT = 1.0  # which of them is better odometry and gyroscope do not tell each other
@@ -148,34 +149,26 @@ class LearntNoiseScale(Section):
     white_count: int = Field(0, ge=0, description="differences on which that rests")
 
 
-class LearntConstant(Section):
-    """What is learnt of a constant (p,) of a sensor, such as its mounting and its clock."""
-
-    mean: tuple[float, ...] = Field(min_length=1, description="as estimated")
-    sigmas: tuple[float, ...] = Field(min_length=1, description="of each")
-    is_off: bool = Field(False, description="its clock is believed to be otherwise than configured")
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if len(self.sigmas) != len(self.mean) or min(self.sigmas) <= 0.0:
-            raise ValueError("sigmas: must be positive, one for each number of mean")
-        return self
-
-
 class LearntSnapshot(Section):
     """What has been learnt of all sensors, by their names; of constants by that under which the graph knows them."""
 
     odometries: dict[str, LearntOdometry] = Field({}, description="noise and drift")
     noise: dict[str, LearntNoiseScale] = Field({}, description="of what fixes, headings and others claim")
     constants: dict[str, LearntConstant] = Field({}, description="mountings, clocks and lever arms")
+    joint: LearntJoint = Field(NOTHING_OF_JOINT, description="encoder and mountings at the turn joint")
 
     def updated(self, newer: "LearntSnapshot") -> "LearntSnapshot":
-        """Return what was learnt later, and of what nothing was learnt since, this."""
+        """Return what was learnt later, and of what nothing was learnt since, this; of the joint always this."""
         return LearntSnapshot(
             odometries={**self.odometries, **newer.odometries},
             noise={**self.noise, **newer.noise},
             constants={**self.constants, **newer.constants},
+            joint=self.joint,
         )
+
+    def with_joint(self, joint: LearntJoint) -> "LearntSnapshot":
+        """Return it with what the IMU path knows of the turn joint, which no graph learns."""
+        return self.model_copy(update={"joint": joint})
 
     def without_constants(self) -> "LearntSnapshot":
         """Return what an estimate that was wrong cannot have learnt wrongly."""

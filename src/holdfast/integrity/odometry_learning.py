@@ -34,6 +34,7 @@ class _Step(NamedTuple):
     by_odometry: gtsam.Rot3
     drift_variance: float
     gyroscope_variance: float
+    turned_rad: Array
     time_s: float
 
 
@@ -190,7 +191,7 @@ class OdometryLearning:
         imu = smoother.imu
         if end_ns - start_ns > MAX_STEP_NS or start_ns < imu.oldest_ns or not imu.is_trusted(start_ns, end_ns):
             return None
-        return imu.motion(start_ns, end_ns, smoother.newest.bias.vector())
+        return imu.motion(start_ns, end_ns, smoother.seen_bias(imu.turning(start_ns, end_ns)).vector())
 
     def _compare_rotation(
         self, before: TrackPose, pose: TrackPose, measured: InertialMotion, smoother: Smoother
@@ -198,9 +199,11 @@ class OdometryLearning:
         """Compare the rotation between two scans with that of the gyroscope: (68)."""
         motion = before.T_I0_I.between(pose.T_I0_I)
         duration_s = (pose.stamp_ns - before.stamp_ns) * 1e-9
-        residual = gtsam.Rot3.Logmap(gtsam.Rot3(measured.R).between(motion.rotation()))
+        turned = gtsam.Rot3(measured.R)
+        residual = gtsam.Rot3.Logmap(turned.between(motion.rotation()))
         drift = self._drifts[0].value * float(self._noise.drift(motion, duration_s)[0])
         other = drift**2 + _gyroscope_variance(smoother, motion, duration_s)
+        other += _mean_variance(smoother.turning_covariance(gtsam.Rot3.Logmap(turned)))
         self._noises[0].learn(float(residual @ residual), 3, 2.0 * self._noise.pose_variances()[0], other, 0.5)
 
     def _compare_translation(self, smoother: Smoother) -> None:
@@ -234,18 +237,20 @@ class OdometryLearning:
             self._yaw.learn(smoother, first, last, measured.R, witness(smoother, last.stamp_ns))
         duration_s = (last.stamp_ns - first.stamp_ns) * 1e-9
         motion = first.T_I0_I.between(last.T_I0_I)
-        before = self._steps[-1] if self._steps else _Step(gtsam.Rot3(), gtsam.Rot3(), 0.0, 0.0, 0.0)
+        before = self._steps[-1] if self._steps else _Step(gtsam.Rot3(), gtsam.Rot3(), 0.0, 0.0, np.zeros(3), 0.0)
         if not self._steps:
             self._steps.append(before)
+        turned = gtsam.Rot3(measured.R)
         step = _Step(
-            before.by_gyroscope * gtsam.Rot3(measured.R),
+            before.by_gyroscope * turned,
             before.by_odometry * motion.rotation(),
             before.drift_variance + float(self._noise.drift(motion, duration_s)[0]) ** 2,
             before.gyroscope_variance + _gyroscope_variance(smoother, motion, duration_s),
+            before.turned_rad + gtsam.Rot3.Logmap(turned),
             before.time_s + duration_s,
         )
         self._steps.append(step)
-        bias_variance = float(np.trace(smoother.newest.covariance[12:15, 12:15])) / 3.0
+        bias_variance = _mean_variance(smoother.newest.covariance[12:15, 12:15])
         of_poses = self._noise.learnt.rotation_noise**2 * 2.0 * self._noise.pose_variances()[0]
         for span in ROTATION_SPANS:
             if len(self._steps) > span:
@@ -254,6 +259,7 @@ class OdometryLearning:
                 residual = gtsam.Rot3.Logmap(by_gyroscope.between(then.by_odometry.between(step.by_odometry)))
                 other = step.gyroscope_variance - then.gyroscope_variance + of_poses
                 other += bias_variance * (step.time_s - then.time_s) ** 2
+                other += _mean_variance(smoother.turning_covariance(step.turned_rad - then.turned_rad))
                 scaled = step.drift_variance - then.drift_variance
                 self._drifts[0].learn(float(residual @ residual), 3, scaled, other, 1.0 / span)
         self._drifts[0].forget(duration_s / DRIFT_MEMORY_S)
@@ -270,6 +276,10 @@ class OdometryLearning:
 
 
 def _gyroscope_variance(smoother: Smoother, motion: gtsam.Pose3, duration_s: float) -> float:
-    """Return the variance [rad^2] per axis of the gyroscope's rotation over a motion: white noise, scale factors."""
+    """Return the variance [rad^2] per axis of the gyroscope's rotation over a motion, constant errors left out."""
     rotation_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation())))
     return smoother.imu_noise.rotation_variance(rotation_rad, duration_s)
+
+
+def _mean_variance(covariance: Array) -> float:
+    return float(np.trace(covariance)) / len(covariance)

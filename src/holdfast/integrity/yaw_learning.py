@@ -54,6 +54,7 @@ class _Place(NamedTuple):
     by_odometry_rad: float
     gyroscope_variance: float
     drift_variance: float
+    turned_rad: Array
     time_s: float
     witness: Witness | None
 
@@ -104,7 +105,7 @@ class YawLearning:
         now = smoother.nav(last.stamp_ns).attitude()
         if not self._places:
             then = smoother.nav(first.stamp_ns).attitude()
-            self._places.append(_Place(then, 0.0, 0.0, 0.0, 0.0, 0.0, None))
+            self._places.append(_Place(then, 0.0, 0.0, 0.0, 0.0, np.zeros(3), 0.0, None))
         before, duration_s = self._places[-1], (last.stamp_ns - first.stamp_ns) * 1e-9
         motion, estimated = first.T_I0_I.between(last.T_I0_I), now.between(before.R_W_I)  # back
         up = before.R_W_I.unrotate(np.array([0.0, 0.0, 1.0]))
@@ -117,6 +118,7 @@ class YawLearning:
             before.by_odometry_rad + by_odometry,
             before.gyroscope_variance + smoother.imu_noise.rotation_variance(rotation_rad, duration_s),
             before.drift_variance + float(self._noise.drift(motion, duration_s)[0]) ** 2,
+            before.turned_rad + gtsam.Rot3.Logmap(gtsam.Rot3(measured_R)),
             before.time_s + duration_s,
             witness,
         )
@@ -124,13 +126,16 @@ class YawLearning:
         bias_variance = float(np.trace(smoother.newest.covariance[12:15, 12:15])) / 3.0
         for span in SPANS:
             if len(self._places) > span:
-                self._compare(self._places[-1 - span], here, bias_variance, 1.0 / span)
+                since = self._places[-1 - span]
+                constant = bias_variance * (here.time_s - since.time_s) ** 2
+                constant += float(up @ smoother.turning_covariance(here.turned_rad - since.turned_rad) @ up)
+                self._compare(since, here, constant, 1.0 / span)
         self._scales.forget(duration_s / MEMORY_S)
 
-    def _compare(self, then: _Place, here: _Place, bias_variance: float, weight: float) -> None:
+    def _compare(self, then: _Place, here: _Place, constant: float, weight: float) -> None:
         time_s = here.time_s - then.time_s
         of_poses = self._noise.learnt.rotation_noise**2 * 2.0 * self._noise.pose_variances()[0]
-        gyroscope = Turned(here.gyroscope_variance - then.gyroscope_variance, bias_variance * time_s**2)
+        gyroscope = Turned(here.gyroscope_variance - then.gyroscope_variance, constant)
         odometry = Turned(here.drift_variance - then.drift_variance, of_poses)
         by_gyroscope = here.by_gyroscope_rad - then.by_gyroscope_rad
         by_odometry = here.by_odometry_rad - then.by_odometry_rad

@@ -18,6 +18,7 @@ MAX_GAIN_ERROR = 0.1  # of two units that measure one motion
 AGREE_SIGMA = 4.0  # within which rates and forces must agree
 WRONG_ODDS, RIGHT_ODDS = log(100.0), 0.0  # that the configured zero is wrong, to believe it or no more
 LEAST_RATE_RAD_S, CORRECT_S = 2e-3, 10.0  # with which the correction comes in: T_O_B does not step
+REFUTED_S = 1.0  # the same, once what was known before the start is refuted: it must not do harm for long
 
 
 @inner
@@ -27,7 +28,7 @@ def learn(zero: Any) -> None:
     for k in range(2):
         _regress(zero, k)
     zero.windows += 1
-    _conclude(zero)
+    conclude(zero)
 
 
 @inner
@@ -102,7 +103,37 @@ def _angle(zero: Any, k: int) -> tuple[float, float]:
 
 
 @inner
-def _conclude(zero: Any) -> None:
+def _with_kept(zero: Any, measured_rad: float, variance: float) -> tuple[float, float, float]:
+    """Return an angle with what was known of it before the start, its variance, and that if nothing had changed since.
+
+    What was known is dropped for good where another zero explains better what was measured: (74).
+
+    Args:
+        zero: a `ZERO`.
+        measured_rad: the angle as it was measured since.
+        variance: of that; 0 where nothing was measured.
+    """
+    kept_rad, of_kept = zero.kept_rad, zero.kept_variance + zero.kept_change
+    if variance == 0.0:
+        return kept_rad, of_kept, zero.kept_variance
+    apart_rad = _wrapped(measured_rad - kept_rad)
+    of_right = zero.zero_variance + zero.mounting_variance + variance
+    log_another = max(_log_density(measured_rad, of_right), -log(2.0 * pi) - WRONG_ODDS) + zero.another_log_odds
+    if log_another > _log_density(apart_rad, of_kept + variance):
+        zero.kept_variance, zero.is_refuted = 0.0, 1
+        return measured_rad, variance, variance
+    share = of_kept / (of_kept + variance)
+    unchanged = zero.kept_variance * variance / (zero.kept_variance + variance)
+    return _wrapped(kept_rad + share * apart_rad), share * variance, unchanged
+
+
+@inner
+def _log_density(error: float, variance: float) -> float:
+    return -0.5 * (log(2.0 * pi * variance) + error * error / variance)
+
+
+@inner
+def conclude(zero: Any) -> None:
     """Weigh what was measured against what is configured: (59) and (60)."""
     (rates_rad, of_rates), (forces_rad, of_forces) = _angle(zero, 0), _angle(zero, 1)
     measured_rad, variance = rates_rad, of_rates
@@ -116,15 +147,20 @@ def _conclude(zero: Any) -> None:
             else:
                 measured_rad = _wrapped(forces_rad + apart_rad * of_forces / (of_rates + of_forces))
                 variance = of_rates * of_forces / (of_rates + of_forces)
+    is_measured, unchanged = variance > 0.0, variance
+    if zero.kept_variance > 0.0 and not zero.is_contradictory:
+        measured_rad, variance, unchanged = _with_kept(zero, measured_rad, variance)
+    zero.measured_rad, zero.measured_variance = measured_rad, variance if is_measured else 0.0
     if variance == 0.0:
         zero.is_wrong = 0
         zero.correction_rad, zero.correction_variance = 0.0, zero.zero_variance
         return
-    variance += zero.mounting_variance
-    of_right = zero.zero_variance + variance
+    unchanged += zero.mounting_variance
+    of_right = zero.zero_variance + unchanged
     log_odds = log(sqrt(of_right / (2.0 * pi))) + 0.5 * measured_rad * measured_rad / of_right
     zero.is_wrong = int(log_odds > (RIGHT_ODDS if zero.is_wrong else WRONG_ODDS))
-    trust = 1.0 if zero.is_wrong else zero.zero_variance / of_right
+    variance += zero.mounting_variance
+    trust = 1.0 if zero.is_wrong else zero.zero_variance / (zero.zero_variance + variance)
     zero.correction_rad, zero.correction_variance = trust * measured_rad, trust * variance
 
 
@@ -132,8 +168,11 @@ def _conclude(zero: Any) -> None:
 def correct_slowly(zero: Any, dt_s: float) -> float:
     """Let the correction come in, without a step; return what is left of it [rad]."""
     left_rad = _wrapped(zero.correction_rad - zero.applied_rad)
-    step_rad = max(LEAST_RATE_RAD_S, abs(left_rad) / CORRECT_S) * dt_s
-    step_rad = left_rad if abs(left_rad) <= step_rad else copysign(step_rad, left_rad)
+    step_rad = max(LEAST_RATE_RAD_S, abs(left_rad) / (REFUTED_S if zero.is_refuted else CORRECT_S)) * dt_s
+    if abs(left_rad) <= step_rad:
+        step_rad, zero.is_refuted = left_rad, 0
+    else:
+        step_rad = copysign(step_rad, left_rad)
     zero.applied_rad += step_rad
     return left_rad - step_rad
 

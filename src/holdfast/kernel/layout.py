@@ -150,6 +150,10 @@ ZERO = np.dtype([
     ("correction_rad", FLOAT), ("correction_variance", FLOAT), ("is_wrong", INT),
     ("is_contradictory", INT),  # rates and forces do not agree
     ("applied_rad", FLOAT),  # of the correction, until now
+    ("measured_rad", FLOAT), ("measured_variance", FLOAT),  # with what was known before; variance 0: nothing
+    # what was known before the start, its variance and by how much it may have changed since; variance 0: nothing
+    ("kept_rad", FLOAT), ("kept_variance", FLOAT), ("kept_change", FLOAT), ("another_log_odds", FLOAT),
+    ("is_refuted", INT),  # it has just been: what was applied of it goes out fast
     # what is configured
     ("R_J_S", FLOAT, (3, 3)), ("p_J_S", FLOAT, 3),  # of the base IMU
     ("walk", FLOAT, (2, 9)), ("floor", FLOAT, 2), ("mounting_variance", FLOAT), ("zero_variance", FLOAT),

@@ -5,7 +5,7 @@ from typing import Any
 
 from holdfast.kernel.base_comparison import KNOWN_RAD2, add_base, add_cabin, forget_cabin
 from holdfast.kernel.compiling import entry, inner
-from holdfast.kernel.encoder_zero import correct_slowly, learn
+from holdfast.kernel.encoder_zero import conclude, correct_slowly, learn
 from holdfast.kernel.joint_filter import FROZEN, LATE, USED, add_angle, add_rate, predict, rotation_until
 from holdfast.kernel.layout import JOINT, JOINT_READING, NEVER, ROTATION, records
 from holdfast.kernel.so3 import multiply, rotate, unrotate
@@ -284,6 +284,14 @@ def at(
 
 
 # --- what Python calls: compiled here, so it comes last
+
+
+@entry(VOID, records(JOINT))
+def begin_with_zero(joint: Any) -> None:
+    """Let the first of (N,) of `JOINT` begin with the zero that was known before, which is in its record."""
+    zero = joint[0].zero
+    conclude(zero)
+    zero.applied_rad = zero.correction_rad
 
 
 @entry(VOID, *(records(one) for one in (JOINT, ROTATION, JOINT_READING)), INT64, INT64, INT64, FLOAT64, VECTOR, VECTOR)

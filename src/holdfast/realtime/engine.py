@@ -66,7 +66,7 @@ class RealtimeEstimator(Intake):
         self._monitor = HealthMonitor(config)
         self._board = Board(self._records)
         self._samples, self._requests = self._board.samples, self._board.requests
-        self._path = ImuPath(config, self._buffer, self._log)
+        self._path = ImuPath(config, self._buffer, self._log, learnt.joint)
         self._states = StateFollower(config, self._board, self._records, self._path, self._buffer)
         self._answer, self._answering = self._path.answer, "" if in_step else self._imu
         self._is_full = self._is_closed = False
@@ -173,7 +173,7 @@ class RealtimeEstimator(Intake):
     def learnt(self) -> LearntSnapshot:
         """Return what was learnt of the sensors, some seconds ago; once closed, in the end. A reset forgets it."""
         self._log_now()
-        return self._supervisor.learnt
+        return self._supervisor.learnt.with_joint(self._path.learnt())
 
     def take_events(self) -> list[Event]:
         """Return the events since the last call."""
@@ -279,6 +279,7 @@ class RealtimeEstimator(Intake):
 
     def reset(self) -> None:
         """Forget the state and what was learnt, and begin anew; W stays where it is."""
+        self._path.forget()
         self._begin_anew(None)
 
     def set_datum(self, datum: Geodetic) -> None:

@@ -2,10 +2,13 @@
 
 from collections.abc import Mapping
 from math import radians
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
+from pydantic import Field, model_validator
 
+from holdfast.config.model import Config
+from holdfast.config.section import Section
 from holdfast.messages import Array
 from holdfast.sensors.clock import IF_RIGHT_S, has_estimated_clock
 from holdfast.sensors.gnss import GnssModel
@@ -15,6 +18,23 @@ from holdfast.sensors.sensor import Parameter, Sensor
 from holdfast.sensors.twist import TwistModel
 
 ANGLE_RAD, ARM_M, SCALE = radians(0.25), 0.01, 0.005  # by which a mount gives, and rolling radii change
+RATIO = 1e-3  # by which the scale factors of a gyroscope change with the temperature of a day
+RATIO_WALK = 0.003  # of the prior of a gyroscope's scale factors in a second, per sqrt(s), as its temperature changes
+ANOTHER = 1e-3  # probability that a sensor is an entirely other one after a restart
+
+
+class LearntConstant(Section):
+    """What is learnt of a constant (p,) of a sensor, such as its mounting and its clock."""
+
+    mean: tuple[float, ...] = Field(min_length=1, description="as estimated")
+    sigmas: tuple[float, ...] = Field(min_length=1, description="of each")
+    is_off: bool = Field(False, description="its clock is believed to be otherwise than configured")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if len(self.sigmas) != len(self.mean) or min(self.sigmas) <= 0.0:
+            raise ValueError("sigmas: must be positive, one for each number of mean")
+        return self
 
 
 class Constant(NamedTuple):
@@ -64,6 +84,18 @@ def change_of(sensor: Sensor) -> Array | None:
     return None if found is None else np.full(len(parameter.mean), found)
 
 
+def priors_of_imu(config: Config) -> dict[str, Parameter]:
+    """Return what the graph estimates of the primary IMU, by its name: the scale factors (3,) of its gyroscope.
+
+    A scale factor is 1 and this, per axis of I.
+    """
+    ratio = config.imu.gyroscope_error_ratio
+    if not config.graph.gyroscope_scale or ratio == 0.0:
+        return {}
+    sigmas = np.full(3, ratio)
+    return {config.imu_name: Parameter(np.zeros(3), sigmas, walk=RATIO_WALK * sigmas)}
+
+
 def carried(prior: Parameter, mean: Array, sigmas: Array, change: Array, *, is_off: bool) -> Parameter:
     """Return the prior of a constant that was learnt before; all arrays are (p,).
 
@@ -85,4 +117,5 @@ def carried(prior: Parameter, mean: Array, sigmas: Array, change: Array, *, is_o
         np.where(is_learnt, np.minimum(prior.sigmas, np.hypot(sigmas, change)), prior.sigmas),
         left if np.isfinite(left).any() else None,
         prior.shared,
+        prior.walk,
     )

@@ -5,6 +5,7 @@ Between two samples the readings are taken as linear in time, so that an interva
 The samples lie in the records of `holdfast.kernel`, whose functions take them in and cut them.
 """
 
+from dataclasses import dataclass
 from math import isfinite
 from typing import Any, NamedTuple
 
@@ -70,6 +71,28 @@ class InertialMotion(NamedTuple):
     R: Array
     v: Array
     p: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turning:
+    """The integral of the angular velocity in the axes of I (3,) [rad], and the time in which the IMU measured it."""
+
+    angle_rad: Array
+    time_s: float
+
+    @property
+    def rate(self) -> Array:
+        """The mean angular velocity (3,) [rad/s]."""
+        return self.angle_rad / self.time_s if self.time_s > 0.0 else np.zeros(3)
+
+    def __add__(self, other: "Turning") -> "Turning":
+        return Turning(self.angle_rad + other.angle_rad, self.time_s + other.time_s)
+
+    def __neg__(self) -> "Turning":
+        return Turning(-self.angle_rad, -self.time_s)
+
+
+NOT_TURNED = Turning(np.zeros(3), 0.0)
 
 
 class ImuBuffer:
@@ -288,6 +311,11 @@ class ImuBuffer:
         steps, summed = self._steps(start_ns, end_ns), np.empty(15)
         add_up(steps, len(steps), tuple(bias.tolist()), summed)
         return InertialMotion(summed[:9].reshape(3, 3), summed[9:12], summed[12:])
+
+    def turning(self, start_ns: int, end_ns: int) -> Turning:
+        """Return by how much the gyroscope has turned in [start, end], which must hold no gap; biases included."""
+        steps = self._steps(start_ns, end_ns)
+        return Turning(steps["dt_s"] @ steps["rate"], float(steps["dt_s"].sum()))
 
     def _steps(self, start_ns: int, end_ns: int) -> Any:
         steps = np.empty(self._row_after(end_ns) - self._row_after(start_ns) + 2, layout.STEP)

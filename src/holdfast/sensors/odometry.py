@@ -24,7 +24,7 @@ MAX_SCALE = 30.0
 LOOSE_TILT_RAD = 0.2  # of a pseudo-global pose, whose roll and pitch are left to the IMU
 STILL_M_S = 1e-3  # velocity of a frame, which has one only because it shares the type of the nodes
 STANDING = np.zeros(3)
-LEAST_YAW_DRIFT = 1e-3  # [rad/sqrt(rad)] whatever is learnt, unless less is configured
+LEAST_YAW_DRIFT = 2e-3  # [rad/sqrt(rad)] whatever is learnt, unless less is configured
 UNMEASURED_RAD, UNMEASURED_M = 10.0, 1e3  # sigmas of a motion since the pose before that nobody measured
 STANDING_DRIFT_M_PER_SQRT_S = 1e-4  # what even a standing odometry is allowed; a tenth of it in rad
 

@@ -16,7 +16,7 @@ from holdfast.messages import Array
 
 MOTION_INTEGRATION_SIGMA = 0.1  # of position where the motion model stands in [m/sqrt(s)]
 MOTION_CORRELATION_S = 1.0  # of the error that is proportional to the motion
-LEAST_DENSITY, LEAST_RATIO = 5e-5, 1e-3  # of a gyroscope, whatever is learnt: [rad/s/sqrt(Hz)] and of the turning
+LEAST_DENSITY, LEAST_RATIO = 5e-5, 3e-4  # of a gyroscope, whatever is learnt: [rad/s/sqrt(Hz)] and of the turning
 EYE = np.eye(3)
 
 

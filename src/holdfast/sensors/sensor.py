@@ -115,12 +115,14 @@ class Parameter(NamedTuple):
         if_right: (p,) sigmas that hold where the mean is right after all, inf where there is no telling. The prior is
             then a mixture of both: what was configured is either right or far off.
         shared: name of a parameter that several sensors share, such as the clock of one receiver; empty: its own.
+        walk: (p,) density of the random walk by which it changes, in its units per sqrt(s); None if it is constant.
     """
 
     mean: Array
     sigmas: Array
     if_right: Array | None = None
     shared: str = ""
+    walk: Array | None = None
 
     def name(self, sensor: str) -> str:
         """Return the name under which the graph knows the parameter of a sensor."""

@@ -18,9 +18,9 @@ from holdfast.graph.nodes import Link
 from holdfast.graph.odometry_track import OdometryTrack
 from holdfast.graph.smoother import Smoother
 from holdfast.sensors.clock import with_estimated_clock
-from holdfast.sensors.constants import priors_of
+from holdfast.sensors.constants import priors_of, priors_of_imu
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise
-from holdfast.sensors.sensor import Measurement, Role, Sensor, of_role
+from holdfast.sensors.sensor import Measurement, Parameter, Role, Sensor, of_role
 from holdfast.smoothing.block import Biases, Block, Refused, Work
 from holdfast.smoothing.closures import CONTRADICTED, Closer, Stretch, close
 from holdfast.smoothing.decisions import SHAPES, Candidate, candidate, enter_all, refused_runs, weight_of
@@ -111,6 +111,9 @@ class Segment:
         is_off = prior is not None and self._recorded.is_off(prior.name(sensor.name))
         return clocked if is_off else sensor
 
+    def _priors(self) -> dict[str, Parameter]:
+        return priors_of(self._sensors) | priors_of_imu(self._config)
+
     def _lead_to(self, time_ns: int) -> None:
         """Make nodes where nothing was measured for long."""
         while time_ns - self._smoother.newest_ns > self._interval_ns:
@@ -174,7 +177,7 @@ class Segment:
     def _believe_constants(self) -> list[Solved]:
         """Decide which constants of sensors are as configured, and find the optimum anew as long as that changes."""
         solved: list[Solved] = []
-        while self._smoother.review_parameters(priors_of(self._sensors)) and len(solved) < BELIEFS:
+        while self._smoother.review_parameters(self._priors()) and len(solved) < BELIEFS:
             solved.append(self._batch.converge())
         return solved
 
@@ -246,7 +249,7 @@ class Segment:
             self._biases(links),
             self._counted(horizon_ns),
             self._refused(horizon_ns),
-            self._smoother.constants(priors_of(self._sensors)),
+            self._smoother.constants(self._priors()),
             work,
             self._closures,
         )
@@ -267,11 +270,14 @@ class Segment:
         return Covariances(np.array([stamp for stamp, _ in nodes], dtype=np.int64), values)
 
     def _biases(self, links: list[Link]) -> Biases:
-        first = {link.bias_key: link.start_ns for link in reversed(links)}
-        keys = sorted(first, key=lambda key: first[key])
-        values = [self._batch.bias(key).vector() for key in keys]
-        sigmas = [np.sqrt(np.diag(self._batch.covariance(key))) for key in keys]
-        times = np.array([first[key] for key in keys], dtype=np.int64)
+        firsts: list[Link] = []
+        for link in links:
+            if not firsts or link.start_ns - firsts[-1].start_ns >= APART_NS:
+                firsts.append(link)
+        found = [self._smoother.bias(link) for link in firsts]
+        values = [bias.vector() for bias, _ in found]
+        sigmas = [np.sqrt(np.diag(covariance)) for _, covariance in found]
+        times = np.array([link.start_ns for link in firsts], dtype=np.int64)
         return Biases(times, np.array(values).reshape(-1, 6), np.array(sigmas).reshape(-1, 6))
 
     def _counted(self, horizon_ns: int) -> Counter[tuple[str, Outcome]]:

@@ -14,6 +14,7 @@ VARIATIONS: dict[str, dict[str, Any]] = {
     "lag-6s": {"graph": {"lag_s": 6.0}},
     "no-innovation": {"gate": {"innovation": False}},
     "no-drift-monitor": {"gate": {"drift_monitor": False}},
+    "no-gyroscope-scale": {"graph": {"gyroscope_scale": False}},
     "no-standstill": {"standstill": {"enabled": False}},
     "frame-at-recovery": {"frames": {"odometry_policy": "at_recovery"}},
     "one-antenna": {"sensors": {"gnss_right": None, "heading": None}},
