@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from motion import EPOCH_NS
 
 from holdfast.config.model import GateConfig
-from holdfast.integrity.receiver import HOLD_BACK, Prediction, ReceiverGate, Trust, predict
+from holdfast.integrity.receiver import HOLD_BACK, UNEXPECTED_S, Prediction, ReceiverGate, Trust, predict
 from holdfast.sensors.position import position_innovation
 from holdfast.sensors.sensor import Position, State
 from holdfast.state import Outcome
@@ -247,12 +247,41 @@ def test_another_sensor_may_correct_the_prediction_meanwhile_by_as_much_as_it_wa
     assert (len(gate.quarantine) == 2) is agrees
 
 
-def test_a_lost_antenna_is_held_to_the_gate_itself_and_not_to_twice_of_it():
+FIVE_SIGMA = (5.0 * np.sqrt(2.0) * 0.01, 0.0, 0.0)
+
+
+def test_an_antenna_that_was_wrong_is_held_to_the_gate_itself_and_not_to_twice_of_it():
     trusted, lost = new_gate(), new_gate()
-    lost.become(Trust.LOST)
-    offset = (5.0 * np.sqrt(2.0) * 0.01, 0.0, 0.0)  # five sigma
-    assert judged(trusted, offset) is Outcome.USED
-    assert judged(lost, offset) is Outcome.INNOVATION
+    lost.become(Trust.LOST, hold_s=GATE.regain_s)
+    assert judged(trusted, FIVE_SIGMA) is Outcome.USED
+    assert judged(lost, FIVE_SIGMA) is Outcome.INNOVATION
+
+
+def test_one_that_was_silent_and_is_not_where_it_is_expected_must_agree_with_itself_for_longer():
+    gate = new_gate()
+    gate.become(Trust.LOST)
+    regained = []
+    for t in np.arange(1.0, 1.0 + UNEXPECTED_S + 0.5, 0.5):
+        assert judged(gate, FIVE_SIGMA, t) is Outcome.QUARANTINED
+        regained.append(gate.regains())
+    assert regained == [False] * 10 + [True]
+
+
+def test_expected_positions_after_an_unexpected_one_regain_as_if_it_had_not_been():
+    gate = new_gate()
+    gate.become(Trust.LOST)
+    judged(gate, FIVE_SIGMA, 1.0)
+    regained = []
+    for k in range(GATE.regain_after):
+        judged(gate, (0.04, 0.0, 0.0), 1.1 + 0.1 * k)
+        regained.append(gate.regains())
+    assert regained == [False] * (GATE.regain_after - 1) + [True]
+
+
+def test_one_that_was_silent_and_is_beyond_twice_the_gate_is_refused():
+    gate = new_gate()
+    gate.become(Trust.LOST)
+    assert judged(gate, np.multiply(2.0, FIVE_SIGMA)) is Outcome.INNOVATION
 
 
 def test_fixes_that_contradict_but_agree_with_each_other_for_long_are_accepted():

@@ -9,6 +9,7 @@ from collections import Counter
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
+from itertools import takewhile
 from math import inf, sqrt
 
 import numpy as np
@@ -27,6 +28,7 @@ OUTLIERS = 3  # so many in a row that disagree end a run of agreement
 PERIODS_OF_SILENCE = 3
 PUNCTUAL = 0.99  # positions every two seconds are not always two seconds apart
 UNKNOWN_PERIOD_S = 2.0  # before the second fix
+UNEXPECTED_S = 5.0  # positions after a silence that the estimate does not expect are consistent for so long
 
 
 class Trust(StrEnum):
@@ -103,10 +105,11 @@ class ReceiverGate:
 
     @property
     def limit_on_nis(self) -> float:
-        """The NIS beyond which a position is refused now: a trusted receiver's weighs less first."""
+        """The NIS beyond which a position is refused now: of a receiver that was never wrong it weighs less first."""
         if not self._gate.innovation:
             return inf
-        return HOLD_BACK * self.limit if self.trust is Trust.TRUSTED else self.limit
+        is_innocent = self.trust is Trust.TRUSTED or self._hold_s == 0.0
+        return HOLD_BACK * self.limit if is_innocent else self.limit
 
     def judge(
         self, position: Position, prediction: Prediction, *, now_ns: int, baseline_agrees: bool = True
@@ -149,15 +152,22 @@ class ReceiverGate:
     def regains(self) -> bool:
         """Whether the positions in quarantine are enough to trust a lost receiver again.
 
-        After faulty positions they have to be consistent for a while; after a silence or a warning they need not.
+        After faulty positions they have to be consistent for a while; after a silence or a warning they need not,
+        unless the estimate does not expect them: either it has drifted further than it knows, or they are wrong.
         """
         held = self.quarantine
         if self.trust is Trust.TRUSTED or len(held) < 2:
             return False
-        span_s = (held[-1].position.stamp_ns - held[0].position.stamp_ns) * 1e-9
         if self._hold_s > 0.0:
-            return span_s >= self._hold_s
-        return span_s >= PUNCTUAL * self._gate.regain_s or len(held) >= self._gate.regain_after
+            return _span_s(held) >= self._hold_s
+        if _span_s(held) >= UNEXPECTED_S and len(held) >= self._gate.regain_after:
+            return True
+        expected = list(
+            takewhile(lambda one: not self._gate.innovation or one.prediction.nis <= self.limit, held[::-1])
+        )
+        if len(expected) < 2:
+            return False
+        return _span_s(expected) >= PUNCTUAL * self._gate.regain_s or len(expected) >= self._gate.regain_after
 
     def contradicts_for(self, after_s: float) -> bool:
         """Whether positions that contradict the estimate have agreed with each other for so long [s]."""
@@ -228,6 +238,11 @@ class ReceiverGate:
         self._outliers = 0
         against.append(one)
         del against[1:-COMPARED]  # the first tells since when
+
+
+def _span_s(held: list[Held]) -> float:
+    """Return the time between the first and the last of some positions [s]."""
+    return abs(held[-1].position.stamp_ns - held[0].position.stamp_ns) * 1e-9
 
 
 def _agree(others: list[Held], one: Held, corrected: Array = UNCORRECTED) -> bool:
