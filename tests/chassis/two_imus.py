@@ -83,8 +83,16 @@ class TwoImus:
         sections: changes of the sections of joint and base IMU.
     """
 
-    def __init__(  # noqa: PLR0917 (a machine)
-        self, seed, duration_s=40.0, ground=Ground(), wrong=Wrong(), has_base=True, learnt=NOTHING_OF_JOINT, **sections
+    def __init__(
+        self,
+        seed,
+        duration_s=40.0,
+        ground=Ground(),
+        wrong=Wrong(),
+        *,
+        has_base=True,
+        learnt=NOTHING_OF_JOINT,
+        **sections,
     ):
         noise = {"noise_deg": float(np.degrees(ENCODER_NOISE_RAD))}
         given = machine(base_imu=has_base, joint=noise).model_dump(exclude_unset=True)

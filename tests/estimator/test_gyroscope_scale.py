@@ -10,7 +10,7 @@ from holdfast.calibration.learnt_table import learnt_rows
 from holdfast.integrity.learnt_snapshot import LearntSnapshot
 from holdfast.state import EventKind
 
-DRIVE = Drive(radius_m=4.0, speed=0.5)  # four minutes at 0.5 rad/s would be 19 turns
+DRIVE = Drive(radius_m=4.0, speed=0.5)  # it turns by 0.5 rad/s
 END_S, LOST_S = 60.0, 40.0
 RATIO = 0.003  # of the file
 SCALE = np.array([0.002, -0.003, 0.006])

@@ -30,13 +30,12 @@ from holdfast.integrity.learnt_snapshot import (
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.messages import Array
 from holdfast.sensors.clock import with_estimated_clock
-from holdfast.sensors.constants import LearntConstant, priors_of, priors_of_imu
+from holdfast.sensors.constants import OBSERVED, LearntConstant, priors_of, priors_of_imu
 from holdfast.sensors.learnt_joint import LearntJoint
 from holdfast.sensors.registry import sensors_of
 from holdfast.sensors.sensor import Parameter
 
 SEEN = 0.55  # sigma of a logarithm above which a factor is not known: half of the prior's
-OBSERVED = 0.5  # of the sigma of a prior, below which something has been learnt
 SIGMA = 3.0
 SLACK_M, SLACK_ZERO_RAD = 0.01, 1e-3
 FACTOR = 2.0

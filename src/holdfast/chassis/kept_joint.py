@@ -14,10 +14,8 @@ from holdfast.chassis.encoder import JointModel
 from holdfast.chassis.encoder_zero import TILT_SIGMA_RAD, tilts
 from holdfast.kernel.turn_joint import begin_with_zero
 from holdfast.messages import Array
-from holdfast.sensors.constants import ANGLE_RAD, ANOTHER, LearntConstant
+from holdfast.sensors.constants import ANGLE_RAD, ANOTHER, OBSERVED, LearntConstant
 from holdfast.sensors.learnt_joint import LearntJoint
-
-OBSERVED = 0.5  # of what the configuration leaves open: a constant that is known no better has not been learnt
 
 
 def begin_with(record: Any, learnt: LearntJoint, encoder: JointModel, gyro: BaseGyro) -> None:

@@ -79,9 +79,10 @@ class Biases:
         return self._epochs[-1].key
 
     def begin(self, solver: Solver, stamp_ns: int, bias: gtsam.imuBias.ConstantBias) -> int:
-        """Insert the bias of the start and return its key; a factor on it must follow."""
+        """Begin anew: insert the bias of the start and return its key; a factor on it must follow."""
         key: int = gtsam.symbol(BIAS, 0)
         self._begun_ns = stamp_ns
+        self._stale.clear()
         solver.insert(key, bias, stamp_ns)
         self._epochs = [Epoch(0, key, None, NOT_TURNED, None, np.zeros(3))]
         return key
@@ -104,7 +105,7 @@ class Biases:
 
     def release(self, key: int, turning: Turning) -> None:
         """Note that a link which saw a bias is no more."""
-        epoch = next((one for one in reversed(self._epochs) if one.key == key), None)
+        epoch = self._epoch(key)
         if epoch is not None:
             self._turn(epoch, -turning)
 
@@ -147,16 +148,19 @@ class Biases:
         self, solver: Solver, key: int, navs: Sequence[int] = (), others: Sequence[int] = ()
     ) -> tuple[gtsam.imuBias.ConstantBias, Array]:
         """Return a bias without scale factors, and its joint covariance behind states and before other variables."""
-        epoch = next(one for one in reversed(self._epochs) if one.key == key)
-        seen, scale_key, rate = solver.bias(key), epoch.scale_key, epoch.turning.rate
-        if scale_key is None or scale_key not in solver:
+        epoch, seen = self._epoch(key), solver.bias(key)
+        if epoch is None or epoch.scale_key is None or epoch.scale_key not in solver:
             return seen, solver.covariance(*navs, key, *others)
+        scale_key, rate = epoch.scale_key, epoch.turning.rate
         joint = solver.covariance(*navs, key, *others, scale_key)
         gyroscope, first = NAV_SIZE * len(navs) + 3, len(joint) - 3
         J = np.eye(first, len(joint))
         J[gyroscope : gyroscope + 3, first:] = -np.diag(rate)
         bias = gtsam.imuBias.ConstantBias(seen.accelerometer(), seen.gyroscope() - rate * solver.vector(scale_key))
         return bias, J @ joint @ J.T
+
+    def _epoch(self, key: int) -> Epoch | None:
+        return next((one for one in reversed(self._epochs) if one.key == key), None)
 
     def _turn(self, epoch: Epoch, turning: Turning) -> None:
         epoch.turning += turning

@@ -152,10 +152,14 @@ class Parameters:
         )
         return known._replace(carried=None)
 
+    def _new_key(self, size: int) -> int:
+        self._made += 1
+        key: int = gtsam.symbol(parameter_letter(size), self._made)
+        return key
+
     def _walked(self, solver: Solver, known: Known, walk: Array, stamp_ns: int) -> Known:
         """Return a parameter as it is after it has walked on."""
-        self._made += 1
-        key: int = gtsam.symbol(parameter_letter(len(walk)), self._made)
+        key = self._new_key(len(walk))
         sigmas = walk * sqrt((stamp_ns - known.begun_ns) * 1e-9)
         solver.insert(key, known.value, stamp_ns)
         solver.keep(known.key, stamp_ns)
@@ -169,8 +173,7 @@ class Parameters:
         value = mean if start is None else start
         if before is not None:
             value, mean, covariance = before.value, *_without_belief(before, prior)
-        self._made += 1
-        key: int = gtsam.symbol(parameter_letter(len(mean)), self._made)
+        key = self._new_key(len(mean))
         solver.insert(key, value, stamp_ns)
         placed = solver.add(gtsam.PriorFactorVector(key, mean, gtsam.noiseModel.Gaussian.Covariance(covariance)))
         known = Known(key, value, covariance, False, stamp_ns, stamp_ns)

@@ -72,7 +72,7 @@ class Smoother:
     ) -> None:
         imu = config.imu
         self._known = known
-        self._machine, self._config = config, config.graph
+        self._config = config.graph
         self._lag_ns = round(config.graph.lag_s * 1e9)
         self.imu = buffer
         self.imu_noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
@@ -80,6 +80,7 @@ class Smoother:
         self._greatest_bias = np.repeat([imu.accelerometer_range, imu.gyroscope_range], 3)
         self._new_solver = new_solver or (lambda: Window(self._relinearize_thresholds()))
         self._parameters = Parameters(max(REFRESHED_NS, self._lag_ns // 3), carried)
+        self._biases = Biases(config, self._parameters)
         self._slow_sizes = sizes_of(config)
         self._frames_made = 0
         self._begin(state)
@@ -89,7 +90,6 @@ class Smoother:
         self._slow_errors = SlowErrors(self._slow_sizes)
         self._window = self._new_solver()
         self._measured: dict[int, tuple[Measurement, Placed]] = {}  # by the identity of the measurement
-        self._biases = Biases(self._machine, self._parameters)
         self._nodes = Timeline()
         self._links: dict[int, Link] = {}  # by the stamp of the left node
         self._bias_hat = state.bias  # of all preintegration: the result must not depend on when a link was made
@@ -275,9 +275,13 @@ class Smoother:
         """Return the newest bias together with the errors in proportion to a turning."""
         return self._biases.seen(self._state.bias, turning.rate)
 
-    def turning_covariance(self, angle_rad: Array) -> Array:
-        """Return the covariance (3, 3) of errors in proportion to the turning, after one by angles (3,) [rad]."""
-        return self._biases.error(angle_rad)[1]
+    def turning_covariance(self, angle_rad: Array, time_s: float = 0.0) -> Array:
+        """Return the covariance (3, 3) of what constant errors of the gyroscope make of a turning [rad^2].
+
+        It is by angles (3,) [rad] about the axes of I, and lasts for a time, in which the bias counts.
+        """
+        bias_variance = float(np.trace(self._state.covariance[12:15, 12:15])) / 3.0
+        return self._biases.error(angle_rad)[1] + bias_variance * time_s**2 * np.eye(3)
 
     def nav(self, stamp_ns: int) -> gtsam.NavState:
         """Return the current estimate of the node at a time, which must exist."""

@@ -250,7 +250,6 @@ class OdometryLearning:
             before.time_s + duration_s,
         )
         self._steps.append(step)
-        bias_variance = _mean_variance(smoother.newest.covariance[12:15, 12:15])
         of_poses = self._noise.learnt.rotation_noise**2 * 2.0 * self._noise.pose_variances()[0]
         for span in ROTATION_SPANS:
             if len(self._steps) > span:
@@ -258,8 +257,8 @@ class OdometryLearning:
                 by_gyroscope = then.by_gyroscope.between(step.by_gyroscope)
                 residual = gtsam.Rot3.Logmap(by_gyroscope.between(then.by_odometry.between(step.by_odometry)))
                 other = step.gyroscope_variance - then.gyroscope_variance + of_poses
-                other += bias_variance * (step.time_s - then.time_s) ** 2
-                other += _mean_variance(smoother.turning_covariance(step.turned_rad - then.turned_rad))
+                turned_rad, time_s = step.turned_rad - then.turned_rad, step.time_s - then.time_s
+                other += _mean_variance(smoother.turning_covariance(turned_rad, time_s))
                 scaled = step.drift_variance - then.drift_variance
                 self._drifts[0].learn(float(residual @ residual), 3, scaled, other, 1.0 / span)
         self._drifts[0].forget(duration_s / DRIFT_MEMORY_S)

@@ -109,7 +109,8 @@ class YawLearning:
         before, duration_s = self._places[-1], (last.stamp_ns - first.stamp_ns) * 1e-9
         motion, estimated = first.T_I0_I.between(last.T_I0_I), now.between(before.R_W_I)  # back
         up = before.R_W_I.unrotate(np.array([0.0, 0.0, 1.0]))
-        by_gyroscope = float(up @ gtsam.Rot3.Logmap(gtsam.Rot3(measured_R) * estimated))
+        turned = gtsam.Rot3(measured_R)
+        by_gyroscope = float(up @ gtsam.Rot3.Logmap(turned * estimated))
         by_odometry = float(up @ gtsam.Rot3.Logmap(motion.rotation() * estimated))
         rotation_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation())))
         here = _Place(
@@ -118,18 +119,16 @@ class YawLearning:
             before.by_odometry_rad + by_odometry,
             before.gyroscope_variance + smoother.imu_noise.rotation_variance(rotation_rad, duration_s),
             before.drift_variance + float(self._noise.drift(motion, duration_s)[0]) ** 2,
-            before.turned_rad + gtsam.Rot3.Logmap(gtsam.Rot3(measured_R)),
+            before.turned_rad + gtsam.Rot3.Logmap(turned),
             before.time_s + duration_s,
             witness,
         )
         self._places.append(here)
-        bias_variance = float(np.trace(smoother.newest.covariance[12:15, 12:15])) / 3.0
         for span in SPANS:
             if len(self._places) > span:
                 since = self._places[-1 - span]
-                constant = bias_variance * (here.time_s - since.time_s) ** 2
-                constant += float(up @ smoother.turning_covariance(here.turned_rad - since.turned_rad) @ up)
-                self._compare(since, here, constant, 1.0 / span)
+                turned_rad, time_s = here.turned_rad - since.turned_rad, here.time_s - since.time_s
+                self._compare(since, here, float(up @ smoother.turning_covariance(turned_rad, time_s) @ up), 1.0 / span)
         self._scales.forget(duration_s / MEMORY_S)
 
     def _compare(self, then: _Place, here: _Place, constant: float, weight: float) -> None:

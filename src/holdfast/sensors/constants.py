@@ -20,6 +20,7 @@ from holdfast.sensors.twist import TwistModel
 ANGLE_RAD, ARM_M, SCALE = radians(0.25), 0.01, 0.005  # by which a mount gives, and rolling radii change
 RATIO = 1e-3  # by which the scale factors of a gyroscope change with the temperature of a day
 RATIO_WALK = 0.003  # of the prior of a gyroscope's scale factors in a second, per sqrt(s), as its temperature changes
+OBSERVED = 0.5  # of the sigma of a prior: what is known no better has not been learnt
 ANOTHER = 1e-3  # probability that a sensor is an entirely other one after a restart
 
 

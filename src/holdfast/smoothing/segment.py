@@ -270,10 +270,8 @@ class Segment:
         return Covariances(np.array([stamp for stamp, _ in nodes], dtype=np.int64), values)
 
     def _biases(self, links: list[Link]) -> Biases:
-        firsts: list[Link] = []
-        for link in links:
-            if not firsts or link.start_ns - firsts[-1].start_ns >= APART_NS:
-                firsts.append(link)
+        first = {link.bias_key: link for link in reversed(links)}
+        firsts = sorted(first.values(), key=lambda link: link.start_ns)
         found = [self._smoother.bias(link) for link in firsts]
         values = [bias.vector() for bias, _ in found]
         sigmas = [np.sqrt(np.diag(covariance)) for _, covariance in found]
