@@ -4,17 +4,17 @@ The state of a node is a `NavState` (one 9-dimensional variable, so that its mar
 position and velocity); biases are constant over short epochs that a random walk joins.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from copy import copy
-from dataclasses import replace
 from types import MappingProxyType
 
 import gtsam
 import numpy as np
 
 from holdfast.config.model import Config
-from holdfast.graph.biases import EPOCH_NS, Biases
-from holdfast.graph.nodes import BIAS, FRAME, NODE, Link, Timeline, to_grid
+from holdfast.graph.biases import Biases
+from holdfast.graph.chain import Chain, Motion
+from holdfast.graph.nodes import BIAS, FRAME, NODE, Link, to_grid
 from holdfast.graph.parameters import MAX_SIZE, REFRESHED_NS, Parameters, parameter_letter
 from holdfast.graph.prior import joint_prior
 from holdfast.graph.slow_errors import SLOW, SlowErrors, sizes_of
@@ -25,9 +25,9 @@ from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.coloured import NAV_SIZE, SlowError
 from holdfast.sensors.constants import Constant
-from holdfast.sensors.imu import NOT_TURNED, ImuBuffer, Turning
+from holdfast.sensors.imu import ImuBuffer, Turning
 from holdfast.sensors.noise import FREE_VARIANCE, Colour
-from holdfast.sensors.preintegration import ImuNoise, MotionModel, preintegrate
+from holdfast.sensors.preintegration import ImuNoise, MotionModel
 from holdfast.sensors.sensor import Joint, Measurement, Parameter, State
 from holdfast.state import OptimisedState, is_finite
 
@@ -71,12 +71,12 @@ class Smoother:
         carried: Mapping[str, Parameter] = MappingProxyType({}),
     ) -> None:
         imu = config.imu
-        self._known = known
         self._config = config.graph
         self._lag_ns = round(config.graph.lag_s * 1e9)
         self.imu = buffer
         self.imu_noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
-        self._motion_model = MotionModel(config.motion_model, gravity)
+        model = MotionModel(config.motion_model, gravity)
+        self._motion = Motion(buffer, self.imu_noise, model, config.graph.nodes == "imu", known)
         self._greatest_bias = np.repeat([imu.accelerometer_range, imu.gyroscope_range], 3)
         self._new_solver = new_solver or (lambda: Window(self._relinearize_thresholds()))
         self._parameters = Parameters(max(REFRESHED_NS, self._lag_ns // 3), carried)
@@ -90,18 +90,11 @@ class Smoother:
         self._slow_errors = SlowErrors(self._slow_sizes)
         self._window = self._new_solver()
         self._measured: dict[int, tuple[Measurement, Placed]] = {}  # by the identity of the measurement
-        self._nodes = Timeline()
-        self._links: dict[int, Link] = {}  # by the stamp of the left node
-        self._bias_hat = state.bias  # of all preintegration: the result must not depend on when a link was made
+        self._chain = Chain(self._motion, self._biases, self._window, state)
         self._settled_ns = NEVER_NS
-        self._new_navs: dict[int, gtsam.NavState] = {}  # not optimised yet, by stamp
         self._state = state
-        # of the newest node, the bias and the newest slow errors if there are any, what is new included
         self._tail = Tail(state.covariance)  # new nodes included
-        begun_ns = to_grid(state.stamp_ns)
-        key, bias_key = self._nodes.insert(begun_ns), self._biases.begin(self._window, begun_ns, state.bias)
-        self._insert(key, begun_ns, state.nav)
-        self.add(joint_prior(key, bias_key, state))
+        self.add(joint_prior(self._chain.key(self.newest_ns), self._biases.newest_key, state))
 
     def clone(self) -> "Smoother":
         """Return a smoother of its own with the same window, measurements included.
@@ -110,12 +103,12 @@ class Smoother:
         """
         other = copy(self)
         other._window, counterpart = self._window.copy()
-        other._nodes, other._parameters = self._nodes.copy(), self._parameters.copy(other._window, counterpart)
+        other._parameters = self._parameters.copy(other._window, counterpart)
         other._biases = self._biases.copy(other._parameters, counterpart, self._window)
-        other._links = {start: replace(link, placed=counterpart(link.placed)) for start, link in self._links.items()}
+        other._chain = self._chain.copy(other._window, counterpart, other._biases)
         held = ((key, one, placed) for key, (one, placed) in self._measured.items() if self._holds(placed))
         other._measured = {key: (one, counterpart(placed)) for key, one, placed in held}
-        other._new_navs, other._slow_errors = {}, self._slow_errors.copy()
+        other._slow_errors = self._slow_errors.copy()
         return other
 
     def _relinearize_thresholds(self) -> gtsam.ISAM2ThresholdMap:
@@ -134,12 +127,12 @@ class Smoother:
     @property
     def newest_ns(self) -> int:
         """Stamp of the newest node."""
-        return self._nodes.stamps[-1]
+        return self._chain.newest_ns
 
     @property
     def oldest_ns(self) -> int:
         """Measurements before this time come too late."""
-        return self._nodes.stamps[0]
+        return self._chain.oldest_ns
 
     @property
     def newest(self) -> OptimisedState:
@@ -147,32 +140,32 @@ class Smoother:
         return self._state
 
     def __len__(self) -> int:
-        return len(self._nodes)
+        return len(self._chain)
 
     def links(self) -> list[Link]:
         """Return the links between neighbouring nodes, in the order of time."""
-        return [self._links[stamp] for stamp in self._nodes.stamps[:-1]]
+        return self._chain.links()
 
     def has_node(self, stamp_ns: int) -> bool:
         """Whether there is a node at a time: not where a window was begun anew after it was made."""
-        return to_grid(stamp_ns) in self._nodes
+        return to_grid(stamp_ns) in self._chain
 
     def node(self, stamp_ns: int) -> int | None:
         """Return the key of the node at a time, making it where there is none; None if the time left the window."""
         stamp = to_grid(stamp_ns)
         if stamp < self.oldest_ns:
             return None
-        if stamp in self._nodes:
-            return self._nodes.key(stamp)
-        if stamp < self.newest_ns:
-            return self._split(stamp)
-        for milestone, is_gap in self._milestones(self.newest_ns, stamp):
-            key = self._extend(milestone, is_gap)
-        return key
+        if stamp not in self._chain:
+            if stamp < self.newest_ns:
+                self._chain.split(stamp)
+            else:
+                for prediction in self._chain.extend(stamp):
+                    self._tail = self._tail.moved(prediction)
+        return self._chain.key(stamp)
 
     def key(self, stamp_ns: int) -> int:
         """Return the key of the node at a time, which must exist."""
-        return self._nodes.key(to_grid(stamp_ns))
+        return self._chain.key(to_grid(stamp_ns))
 
     def add(self, factor: gtsam.NonlinearFactor) -> Placed:
         """Add a factor on existing nodes; it takes effect with the next `optimise`."""
@@ -225,8 +218,8 @@ class Smoother:
         joint: Array | None = None
         if stamp == self.newest_ns and epoch is errors.newest:
             joint, first = self._tail.covariance, BIAS_END
-        elif stamp not in self._new_navs and errors.is_solved(epoch):
-            joint, first = self._window.covariance(self._nodes.key(stamp), epoch.key), NAV_SIZE
+        elif not self._chain.is_new(stamp) and errors.is_solved(epoch):
+            joint, first = self._window.covariance(self._chain.key(stamp), epoch.key), NAV_SIZE
         if joint is not None:
             covariance = node_beside(joint, first + block.start, first + block.stop)
         else:  # a late measurement: what both have in common is left out
@@ -263,7 +256,7 @@ class Smoother:
         """Add a zero-velocity factor at a time, on a node that is made: a prior on `NavState` with free pose."""
         key = self.node(standing.stamp_ns)
         if key is not None:
-            still = gtsam.NavState(self._nav(to_grid(standing.stamp_ns)).pose(), np.zeros(3))
+            still = gtsam.NavState(self.nav(standing.stamp_ns).pose(), np.zeros(3))
             model = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([FREE, FREE, sigma_m_s], 3))
             self.enter(standing, gtsam.PriorFactorNavState(key, still, model))
 
@@ -285,18 +278,17 @@ class Smoother:
 
     def nav(self, stamp_ns: int) -> gtsam.NavState:
         """Return the current estimate of the node at a time, which must exist."""
-        return self._nav(to_grid(stamp_ns))
+        return self._chain.nav(to_grid(stamp_ns))
 
     def state_at(self, stamp_ns: int, joint: Joint | None = None) -> State:
         """Return what a measurement at a time is compared with; its node must exist. `joint` is the turn joint then."""
         stamp = to_grid(stamp_ns)
-        nav = self._nav(stamp)
-        return State(nav, self.covariance(stamp), self._angular_velocity(stamp, nav, self._state.bias), joint)
+        nav = self._chain.nav(stamp)
+        return State(nav, self.covariance(stamp), self._chain.angular_velocity(stamp, nav), joint)
 
     def angular_velocity(self, stamp_ns: int) -> Array:
         """Return the angular velocity (3,) of I at the node at a time, which must exist [rad/s]."""
-        stamp = to_grid(stamp_ns)
-        return self._angular_velocity(stamp, self._nav(stamp), self._state.bias)
+        return self._chain.angular_velocity(to_grid(stamp_ns))
 
     def covariance(self, stamp_ns: int) -> Array:
         """Return the covariance (9, 9) of the node at a time, new factors left out.
@@ -306,20 +298,18 @@ class Smoother:
         stamp = to_grid(stamp_ns)
         if stamp == self.newest_ns:
             return self._tail.node
-        while stamp in self._new_navs:
+        while self._chain.is_new(stamp):
             if stamp == self.oldest_ns:
                 return self._state.covariance[:9, :9]
-            stamp = self._nodes.before(stamp)
-        return self._window.covariance(self._nodes.key(stamp))
+            stamp = self._chain.before(stamp)
+        return self._window.covariance(self._chain.key(stamp))
 
     def mark_silent(self, since_ns: int) -> None:
         """Put the motion model in place of IMU factors after a time: the samples under them were no measurements."""
         since_ns = to_grid(since_ns)
         if self.oldest_ns < since_ns < self.newest_ns:
             self.node(since_ns)
-        for link in [link for link in self._links.values() if link.end_ns > since_ns and not link.is_gap]:
-            self._unlink(link)
-            self._join(link.start_ns, link.end_ns, True, self._nav(link.start_ns))
+        self._chain.mark_silent(since_ns)
 
     def move(self, correction: gtsam.Pose3, position_sigma_m: float) -> None:
         """Start anew at the newest state, moved by a correction in W, its position in doubt; what waits is lost."""
@@ -332,10 +322,10 @@ class Smoother:
     def settled(self) -> list[tuple[int, gtsam.NavState]]:
         """Return the nodes, with stamps, that have almost reached the end of the window since the last call."""
         horizon = self.newest_ns - self._lag_ns + SETTLE_MARGIN_NS
-        stamps = [stamp for stamp in self._nodes.until(horizon) if stamp > self._settled_ns]
+        stamps = [stamp for stamp in self._chain.until(horizon) if stamp > self._settled_ns]
         if stamps:
             self._settled_ns = stamps[-1]
-        return [(stamp, nav) for stamp in stamps if is_finite(nav := self._nav(stamp))]
+        return [(stamp, nav) for stamp in stamps if is_finite(nav := self._chain.nav(stamp))]
 
     def measured(self, after_ns: int, until_ns: int) -> list[Measurement]:
         """Return the measurements in (after, until] whose factors the window holds."""
@@ -343,7 +333,7 @@ class Smoother:
 
     def last_before(self, stamp_ns: int) -> int | None:
         """Return the stamp of the last node at or before a time, or None if the window starts later."""
-        return self._nodes.at_or_before(stamp_ns)
+        return self._chain.at_or_before(stamp_ns)
 
     def optimise(self) -> OptimisedState:
         """Take in the new nodes and factors, optimise once, and return the newest node.
@@ -352,7 +342,7 @@ class Smoother:
             OptimiserError: GTSAM failed; the window was started anew at the last good state, and the new factors lost.
         """
         horizon = self.newest_ns - self._lag_ns
-        expected, allowed_m_s = self._nav(self.newest_ns).velocity(), self._velocity_step_m_s()
+        expected, allowed_m_s = self._chain.nav(self.newest_ns).velocity(), self._velocity_step_m_s()
         try:
             self._slow_errors.keep(self._window, self.newest_ns)
             self._biases.prepare(self._window)
@@ -364,11 +354,9 @@ class Smoother:
         except Exception as error:  # of GTSAM, or of a sensor whose innovation it asked for
             self._reanchor()
             raise OptimiserError((str(error).strip() or repr(error)).splitlines()[0]) from error
-        self._new_navs = {}
+        self._chain.mark_solved(state.bias, horizon)
         self._parameters.mark_solved()
         self._slow_errors.mark_solved()
-        for stamp in self._nodes.forget_before(horizon):
-            self._links.pop(stamp, None)
         if self._measured and next(iter(self._measured.values()))[0].stamp_ns < self.oldest_ns - FORGET_NS:
             self._measured = {key: one for key, one in self._measured.items() if one[0].stamp_ns >= self.oldest_ns}
         self._state, self._tail = state, tail
@@ -376,13 +364,13 @@ class Smoother:
 
     def _read_newest(self) -> tuple[OptimisedState, Tail]:
         """Return the newest state, and its covariance with that of the newest slow errors behind it."""
-        stamp, key = self.newest_ns, self._nodes.key(self.newest_ns)
+        stamp, key = self.newest_ns, self._chain.key(self.newest_ns)
         slow = self._slow_errors.newest
         slow_keys = [slow.key] if slow is not None and slow.key in self._window else []
         nav = self._window.nav(key)
         bias, covariance = self._biases.without_error(self._window, self._biases.newest_key, [key], slow_keys)
         tail = Tail(covariance)
-        state = OptimisedState(stamp, nav, bias, tail.state, self._angular_velocity(stamp, nav, bias))
+        state = OptimisedState(stamp, nav, bias, tail.state, self._chain.angular_velocity(stamp, nav, bias))
         if not state.is_finite():
             raise ValueError("the optimised state is not finite")
         if not (tail.state.diagonal() > 0.0).all():
@@ -397,92 +385,9 @@ class Smoother:
         """Return by how much one optimisation may change the newest velocity: more is no solution."""
         return MAX_STEP_M_S + MAX_STEP_SIGMA * float(np.sqrt(max(0.0, np.trace(self._tail.node[6:, 6:]))))
 
-    def _angular_velocity(self, stamp_ns: int, nav: gtsam.NavState, bias: gtsam.imuBias.ConstantBias) -> Array:
-        """Angular velocity at a node: from the gyroscope, or where it is silent from the last two nodes."""
-        if stamp_ns > self.oldest_ns:
-            before = self._nodes.before(stamp_ns)
-            if self._links[before].is_gap and stamp_ns - before > 20_000_000:
-                rotation: Array = self._nav(before).attitude().logmap(nav.attitude())
-                return rotation / ((stamp_ns - before) * 1e-9)
-        return self.imu.angular_velocity(stamp_ns) - bias.gyroscope()
-
     def _reanchor(self) -> None:
         """Start anew at the last good state; its covariance grows with every failure in a row, up to a bound."""
         state = self._state
         growth = min(FAULT_INFLATION, MAX_VARIANCE / float(np.diag(state.covariance).max()))
         covariance = state.covariance * max(1.0, growth)
         self._begin(OptimisedState(state.stamp_ns, state.nav, state.bias, covariance, state.angular_velocity))
-
-    def _milestones(self, start_ns: int, end_ns: int) -> Iterator[tuple[int, bool]]:
-        """Yield the ends of the links that lead from the newest node to a new one, and whether each is a gap."""
-        at = start_ns
-        for piece in self.imu.pieces(start_ns, end_ns):
-            stops = [piece.end_ns]
-            if self._config.nodes == "imu" and not piece.is_gap:
-                stops = [*self.imu.stamps_between(piece.start_ns, piece.end_ns), piece.end_ns]
-            for stop in stops:
-                stamp = min(to_grid(stop), end_ns)
-                if stamp > at:
-                    yield stamp, piece.is_gap
-                    at = stamp
-        if at < end_ns:
-            yield end_ns, piece.is_gap
-
-    def _extend(self, stamp_ns: int, is_gap: bool) -> int:
-        left_ns = self.newest_ns
-        nav = self._nav(left_ns)
-        key = self._nodes.insert(stamp_ns)
-        pim, link = self._join(left_ns, stamp_ns, is_gap, nav)
-        H_nav, H_bias = np.zeros((9, 9), order="F"), np.zeros((9, 6), order="F")
-        seen = self._biases.seen(self._state.bias, link.turning.rate)
-        self._insert(key, stamp_ns, pim.predict(nav, seen, H_nav, H_bias))
-        added = pim.residualCovariance()
-        if stamp_ns - left_ns > EPOCH_NS:
-            H_rate = H_bias[:, 3:]
-            added = added + H_rate @ self._biases.error(link.turning.rate)[1] @ H_rate.T
-        self._tail = self._tail.moved(H_nav, H_bias, added)
-        return key
-
-    def _split(self, stamp_ns: int) -> int:
-        """Make a node between two others: the link that spans it is replaced by two."""
-        left_ns = self._nodes.before(stamp_ns)
-        nav, old = self._nav(left_ns), self._links.pop(left_ns)
-        self._unlink(old)
-        key = self._nodes.insert(stamp_ns)
-        pim, first = self._join(left_ns, stamp_ns, old.is_gap, nav)
-        predicted = pim.predict(nav, self._biases.seen(self._state.bias, first.turning.rate))
-        self._insert(key, stamp_ns, predicted)
-        self._join(stamp_ns, old.end_ns, old.is_gap, predicted)
-        return key
-
-    def _unlink(self, link: Link) -> None:
-        self._window.retract(link.placed)
-        self._biases.release(link.bias_key, link.turning)
-
-    def _join(
-        self, start_ns: int, end_ns: int, is_gap: bool, nav: gtsam.NavState
-    ) -> tuple[gtsam.PreintegratedImuMeasurements, Link]:
-        """Link two existing neighbours; `nav` is the state at the first. Return what leads from one to the other."""
-        bias, turning = self._state.bias, NOT_TURNED
-        if is_gap:
-            rate = self._angular_velocity(start_ns, nav, bias)
-            pim = self._motion_model.preintegrate((end_ns - start_ns) * 1e-9, nav, rate, bias)
-        else:
-            seen = self.imu.density(start_ns, end_ns)
-            pim = preintegrate(self.imu.steps(start_ns, end_ns), self.imu_noise, nav.attitude(), self._bias_hat, seen)
-            turning = self.imu.turning(start_ns, end_ns)
-        bias_key = self._biases.use(self._window, start_ns, turning, bias)
-        factor = gtsam.ImuFactor2(self._nodes.key(start_ns), self._nodes.key(end_ns), bias_key, pim)
-        link = self._links[start_ns] = Link(start_ns, end_ns, bias_key, is_gap, self.add(factor), turning)
-        self._biases.keep(self._window, bias_key, end_ns)
-        return pim, link
-
-    def _insert(self, key: int, stamp_ns: int, predicted: gtsam.NavState) -> None:
-        nav = self._known(stamp_ns) or predicted
-        self._window.insert(key, nav, stamp_ns)
-        self._new_navs[stamp_ns] = nav
-
-    def _nav(self, stamp_ns: int) -> gtsam.NavState:
-        if stamp_ns in self._new_navs:
-            return self._new_navs[stamp_ns]
-        return self._window.nav(self._nodes.key(stamp_ns))

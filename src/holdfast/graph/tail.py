@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from holdfast.graph.chain import Prediction
 from holdfast.graph.slow_errors import Step
 from holdfast.messages import Array
 from holdfast.sensors.coloured import NAV_SIZE
@@ -30,12 +31,12 @@ class Tail(NamedTuple):
         """The covariance (15, 15) of the node and its bias."""
         return self.covariance[:BIAS_END, :BIAS_END]
 
-    def moved(self, H_nav: Array, H_bias: Array, added: Array) -> "Tail":
-        """Return that of the next node, by the derivatives (9, 9) and (9, 6) of its prediction and its noise (9, 9)."""
+    def moved(self, next_node: Prediction) -> "Tail":
+        """Return that of the next node."""
         F = np.eye(len(self.covariance))
-        F[:NAV_SIZE, :NAV_SIZE], F[:NAV_SIZE, NAV_SIZE:BIAS_END] = H_nav, H_bias
+        F[:NAV_SIZE, :NAV_SIZE], F[:NAV_SIZE, NAV_SIZE:BIAS_END] = next_node.H_nav, next_node.H_bias
         covariance = F @ self.covariance @ F.T
-        covariance[:NAV_SIZE, :NAV_SIZE] += added
+        covariance[:NAV_SIZE, :NAV_SIZE] += next_node.added
         return Tail(covariance)
 
     def with_epoch(self, step: Step) -> "Tail":
