@@ -211,6 +211,18 @@ def test_in_motion_gnss_and_imu_give_all_with_or_without_the_lidars_track(lidar,
     assert position < 0.05 and rotation < np.radians(2.0) and velocity < 0.1
 
 
+def test_in_motion_the_clock_of_the_receiver_may_be_off():
+    """The state is that of another time, and says so: else the start itself would testify that the clock is right."""
+    drive, rng = Drive(start_s=-4.0, yaw_rad=0.3), np.random.default_rng(6)
+    early = [
+        replace(fix, stamp_ns=fix.stamp_ns - 40_000_000) for fix in fixes(drive, 0.0, 12.0, rng=rng, phase_s=0.013)
+    ]
+    _, outputs = run(without_heading(lidar=False), in_order(imu(drive, 0.0, 12.0, 100.0, rng), early))
+    state = first_state(outputs)
+    step = state.nav.localCoordinates(drive.nav(seconds(state.stamp_ns)))[:6]
+    assert step @ np.linalg.solve(state.covariance[:6, :6], step) < 22.46  # chi-square of six, 99.9 %
+
+
 def test_a_straight_slow_creep_is_too_short_for_a_heading():
     """Less than two metres: the motion is known, no heading is guessed."""
 

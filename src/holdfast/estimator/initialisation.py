@@ -7,6 +7,7 @@ the configuration. Without a heading the machine has to move: then a batch of po
 
 from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from math import radians
 from typing import Any, TypeVar
@@ -286,7 +287,15 @@ class Initialising:
         limit_rad = radians(self._config.initialisation.max_heading_sigma_deg)
         alignment = self._aligner.solve(evidence, BiasPrior(self._bias, self._bias_sigmas), limit_rad)
         self.reason = alignment.reason
-        return alignment.state
+        return None if alignment.state is None else self._by_any_clock(alignment.state, fixes[-1])
+
+    def _by_any_clock(self, state: OptimisedState, fix: Position) -> OptimisedState:
+        """Return a state in motion that is as uncertain as the clock of the positions that it was found from."""
+        sigma_s = float(getattr(self._points[fix.sensor], "offset_sigma_s", 0.0))
+        moving = np.concatenate([state.angular_velocity, state.nav.bodyVelocity()]) * sigma_s
+        covariance = state.covariance.copy()
+        covariance[:6, :6] += np.outer(moving, moving)
+        return replace(state, covariance=covariance)
 
     def _measuring_since_ns(self, now_ns: int) -> int:
         """Return the end of the last gap of the IMU."""
