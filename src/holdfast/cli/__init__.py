@@ -16,6 +16,7 @@ from holdfast.errors import HoldfastError
 from holdfast.printable import quoted
 
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+AGAIN_S = 0.05  # after an interrupt that was swallowed
 
 # name -> (module, one-line help); the module has a click command of that name
 COMMANDS = {
@@ -92,7 +93,8 @@ def end_if_interrupted() -> None:
 def _interruptible() -> Iterator[list[int]]:
     """Turn Ctrl-C, the end that a service manager asks for and a closed terminal into `KeyboardInterrupt`.
 
-    Yields the signals that came. Compiled modules make an `ImportError` of the exception: it is turned back.
+    Yields the signals that came. Compiled modules make an `ImportError` of the exception: it is turned back. A callback
+    from C, such as those of Numba's compiler, swallows it: it is raised again as soon as Python runs.
     """
     caught = _CAUGHT
     caught.clear()
@@ -103,10 +105,23 @@ def _interruptible() -> Iterator[list[int]]:
         if number == signal.SIGINT or not is_again:  # a closed terminal says so twice: results are being written
             raise KeyboardInterrupt
 
+    def come_again(_: int, __: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    def swallowed(what: "sys.UnraisableHookArgs") -> None:
+        if caught and issubclass(what.exc_type, KeyboardInterrupt):
+            signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+        else:
+            hook(what)
+
     default = (signal.default_int_handler, signal.SIG_DFL)  # else: nohup, or a program of which we are a part
     before = {number: signal.getsignal(number) for number in STOPS if signal.getsignal(number) in default}
     for number in before:
         signal.signal(number, note)
+    hook = sys.unraisablehook
+    if before:  # where no interrupt is turned into an exception, none is swallowed
+        before[signal.SIGALRM] = signal.signal(signal.SIGALRM, come_again)
+        sys.unraisablehook = swallowed
     try:
         yield caught
     except Exception as error:
@@ -114,6 +129,9 @@ def _interruptible() -> Iterator[list[int]]:
             raise KeyboardInterrupt from error
         raise
     finally:
+        if before:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, handler)
 
@@ -138,7 +156,8 @@ def _run() -> None:
     except (click.Abort, KeyboardInterrupt) as error:
         interrupt = error.__cause__ if isinstance(error.__cause__, KeyboardInterrupt) else error
         with suppress(OSError):  # the terminal was closed
-            click.echo(": ".join(["interrupted", *map(str, interrupt.args)]), err=True)
+            # not by `map`: that is a module of this package once its command has been imported
+            click.echo(": ".join(["interrupted", *(str(one) for one in interrupt.args)]), err=True)
         sys.exit(128 + (caught[0] if caught else signal.SIGINT))
     except HoldfastError as error:
         for line in str(error).split("\n"):
