@@ -1,5 +1,6 @@
 """`holdfast export`: every format from one command, and each mistake in one line."""
 
+import json
 import sys
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from click.testing import CliRunner
 
 from holdfast.cli import holdfast
 from holdfast.errors import HoldfastError
+from holdfast.output_folder import MARK, replaced
 
 sys.path.append(str(Path(__file__).parents[1] / "export"))
 
@@ -71,6 +73,31 @@ def test_a_mistake_is_told_in_one_line(tmp_path: Path, arguments, words):
     with pytest.raises(HoldfastError, match=words) as caught:
         call(folder(tmp_path / "out"), *arguments)
     assert "\n" not in str(caught.value)
+
+
+def test_a_track_in_a_folder_of_results_is_replaced_with_it(tmp_path: Path):
+    """After `holdfast export OUT` replays refused OUT: it held what Holdfast had not written."""
+    out = folder(tmp_path / "out")
+    (out / MARK).write_text(json.dumps({"command": "replay", "files": [one.name for one in out.iterdir()]}))
+    call(out)
+    assert (out / "trajectory.csv").exists()
+    with replaced(out, "replay"):
+        pass
+    assert [one.name for one in out.iterdir()] == [MARK]
+
+
+def test_control_points_are_not_overwritten_by_the_track(tmp_path: Path):
+    (tmp_path / "site.csv").write_text("name\n")
+    with pytest.raises(HoldfastError, match=r"site\.csv, which is read: give another output"):
+        call(folder(tmp_path / "out"), "--site-grid", tmp_path / "site.csv", "-o", tmp_path / "site.csv")
+    assert (tmp_path / "site.csv").read_text() == "name\n"
+
+
+def test_the_default_system_is_not_said_to_be_without_heights(tmp_path: Path):
+    """EPSG:4979 has a third axis, which is what is written."""
+    told = call(folder(tmp_path / "out"))
+    assert "note: heights above the WGS84 ellipsoid are written (a compound system" in told
+    assert "no heights" not in told
 
 
 def test_a_world_that_is_nowhere_on_the_earth_is_refused(tmp_path: Path):

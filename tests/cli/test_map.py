@@ -14,6 +14,7 @@ from holdfast.cli import holdfast
 from holdfast.config.load import load_config
 from holdfast.errors import HoldfastError, RecordingError
 from holdfast.mapping.source import Scans
+from holdfast.output_folder import MARK, replaced
 from holdfast.recording.tum import read_tum, write_tum
 from holdfast.state import Trajectory
 
@@ -120,12 +121,41 @@ def test_what_was_read_before_a_failure_is_written(tmp_path: Path, out: Path, si
         (["--crs", "EPSG:2100"], "--crs EPSG:2100: is for Greece"),
         (["--crs", "EPSG:4326"], "a map takes metres"),
         (["--site", "none.ply"], "--site none.ply: no such file"),
+        (["--crs", "EPSG:2056", "-o", "map.ply"], "--crs EPSG:2056: is for LAS and LAZ, and none is written"),
+        (["--geoid", "geoid.gtx", "-o", "map.png"], "--geoid geoid.gtx: is for LAS and LAZ, and none is written"),
     ],
 )
 def test_a_mistake_is_told_in_one_line(out: Path, simulated: Path, arguments, words):
     with pytest.raises(HoldfastError, match=words) as caught:
         call("map", out, simulated / "recording.mcap", *arguments)
     assert "\n" not in str(caught.value)
+
+
+def test_a_site_that_is_none_is_told_before_scans_are_read(tmp_path: Path, out: Path, simulated: Path):
+    with pytest.raises(HoldfastError, match="is no mesh with regions"):
+        call("map", out, simulated / "recording.mcap", "--site", simulated / "config.yaml", "-o", tmp_path / "map.ply")
+    assert not (tmp_path / "map.ply").exists()
+
+
+@pytest.mark.parametrize("name", ["site.ply", "recording.mcap"])
+def test_no_map_is_written_over_what_is_read(tmp_path: Path, out: Path, simulated: Path, name):
+    """`-o site.ply` replaced the true surface, by which the map was then judged."""
+    for file in ("site.ply", "recording.mcap"):
+        shutil.copy(simulated / file, tmp_path)
+    (tmp_path / "link.ply").symlink_to(tmp_path / name)
+    with pytest.raises(HoldfastError, match=f"{name}, which is read: give another output"):
+        call("map", out, tmp_path / "recording.mcap", "-o", tmp_path / "link.ply")
+    assert (tmp_path / name).read_bytes() == (simulated / name).read_bytes()
+
+
+def test_a_map_in_a_folder_of_results_is_replaced_with_it(tmp_path: Path, simulated: Path, truth: Trajectory):
+    """Replays refused the folder: it held what Holdfast had not written."""
+    folder = run_of(tmp_path / "out", truth, simulated)
+    (folder / MARK).write_text(json.dumps({"command": "replay", "files": [one.name for one in folder.iterdir()]}))
+    call("map", folder, simulated / "recording.mcap", "--max-range", "15", "--voxel", "0.5")
+    with replaced(folder, "replay"):
+        pass
+    assert [one.name for one in folder.iterdir()] == [MARK]
 
 
 def test_a_folder_that_no_replay_wrote_is_told(tmp_path: Path, simulated: Path):

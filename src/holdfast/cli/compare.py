@@ -10,6 +10,7 @@ from holdfast.cli.columns import aligned
 from holdfast.cli.command_line import command_line
 from holdfast.cli.names import names_of
 from holdfast.extras import needing
+from holdfast.output_folder import add_results, check_output_file
 
 if TYPE_CHECKING:
     from holdfast.report.comparison import Change, Comparison
@@ -40,9 +41,11 @@ def compare(first: Path, second: Path, reference: Path | None, output: Path | No
     from holdfast.report.page import page_file, write_page
 
     file = page_file(second / "compare.html" if output is None else output, "--output ")
+    check_output_file(file, [] if reference is None else [reference])
     one, other = names_of(first, second) if first.resolve() != second.resolve() else (str(first), str(second))
     comparison = read_comparison((first, second), (one, other), reference, command_line())
     write_page(comparison_page(comparison), file)
+    add_results(file, file.with_suffix(".json"))
     for line in table_of(comparison):
         click.echo(line)
     click.echo(f"written to {file} and {file.with_suffix('.json').name}")

@@ -8,6 +8,7 @@ import click
 from holdfast.cli.writing import check_folder_of, naming_the_output
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
+from holdfast.output_folder import add_results, check_output_file
 
 if TYPE_CHECKING:
     from holdfast.export.site_grid import SiteGrid
@@ -48,10 +49,12 @@ def export(  # noqa: PLR0917 (click passes the options by name)
     from holdfast.geometry.earth import LocalFrame
 
     files = files or (folder / "trajectory.csv",)
+    reads = [folder / f"{track}.tum", *(file for file in (site_grid, geoid) if file is not None)]
     for file in files:
         if file.suffix.lower() not in FORMATS:
             raise ConfigError(f"-o {file}: unknown kind of file (allowed: {', '.join(FORMATS)})")
         check_folder_of(file)
+        check_output_file(file, reads)
     if crs is not None and site_grid is not None:
         raise ConfigError("--crs and --site-grid: give one of them")
     if geoid is not None and site_grid is not None:
@@ -62,6 +65,7 @@ def export(  # noqa: PLR0917 (click passes the options by name)
     with naming_the_output(folder):
         for file in files:
             FORMATS[file.suffix.lower()](surveyed, file)
+        add_results(*files)
     for note in filter(None, [*target.notes, target.heights.note]):
         click.echo(f"note: {note}", err=True)
     for file in files:

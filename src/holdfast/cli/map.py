@@ -14,6 +14,7 @@ from holdfast.cli.writing import check_folder_of, naming_the_output, write_json
 from holdfast.errors import ConfigError, HoldfastError, RecordingError
 from holdfast.extras import needing
 from holdfast.mapping.options import SiteMapOptions
+from holdfast.output_folder import add_results, check_output_file
 
 if TYPE_CHECKING:
     from holdfast.mapping.las import Grid
@@ -74,16 +75,23 @@ def map(  # noqa: A001, PLR0917 (click passes the options by name)
     """
     options = SiteMapOptions(voxel_m, max_range_m, keep_above=keep_above)
     files = files or tuple(folder / name for name in DEFAULT_FILES)
-    check_files(files, recording)
+    site = _site(site, recording)
+    check_files(files, [recording] if site is None else [recording, site])
+    if not any(file.suffix.lower() in LAS for file in files):
+        for option, given in (("--crs", crs), ("--geoid", geoid)):
+            if given is not None:
+                raise ConfigError(f"{option} {given}: is for LAS and LAZ, and none is written (allowed: -o FILE.laz)")
+    from holdfast.evaluation.mesh import read_mesh
     from holdfast.mapping.las import Grid
     from holdfast.mapping.source import Scans, read_run
     from holdfast.recording.raw import RawBag
 
     run = read_run(folder)
+    if site is not None:
+        read_mesh(site)  # before long work
     if run.covariances is None and colour == "sigma":
         raise ConfigError(f"--colour sigma: {folder} holds no covariances (allowed: height, intensity)")
     grid = Grid(run.datum, crs, geoid) if any(file.suffix.lower() in LAS for file in files) else None
-    site = _site(site, recording)
     with naming_the_output(folder), TemporaryDirectory(prefix="holdfast-map-", dir=folder) as made:
         with RawBag(recording) as bag:
             scans = Scans(bag, topic, min_range_m)
@@ -95,6 +103,7 @@ def map(  # noqa: A001, PLR0917 (click passes the options by name)
             raise failure or RecordingError(f"{recording}: holds no cloud on {scans.topic} that can be used")
         found = builder.finish()
         write_files(found, run, colour, grid, voxel_m, files)
+        add_results(*files)
         numbers = _print_account(found, grid)
         if site is not None:
             numbers["site"] = {"file": str(site), "regions": _print_closeness(found, site)}
@@ -104,8 +113,8 @@ def map(  # noqa: A001, PLR0917 (click passes the options by name)
         raise failure
 
 
-def check_files(files: Iterable[Path], recording: Path) -> None:
-    """Refuse what cannot be written, before long work.
+def check_files(files: Iterable[Path], reads: Iterable[Path]) -> None:
+    """Refuse what cannot be written, or would overwrite what is read, before long work.
 
     Raises:
         ConfigError: names the file, or the package that is missing.
@@ -114,8 +123,7 @@ def check_files(files: Iterable[Path], recording: Path) -> None:
         suffix = file.suffix.lower()
         if suffix not in SUFFIXES:
             raise ConfigError(f"-o {file}: unknown kind of file (allowed: {', '.join(SUFFIXES)})")
-        if file.absolute() == recording.absolute():
-            raise ConfigError(f"-o {file}: is the recording that is read")
+        check_output_file(file, reads)
         check_folder_of(file)
         if suffix in LAS:
             with needing(f"{file.name}", "map"):

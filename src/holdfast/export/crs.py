@@ -82,8 +82,10 @@ def reference_system(text: str, datum: Geodetic, geoid: Path | None = None) -> R
     elif vertical_crs is not None:
         heights, vertical = _vertical(text, crs, vertical_crs)
     else:
-        note = f"{text} has no heights: those above the WGS84 ellipsoid are written (a compound system such as"
-        heights, vertical = Heights(ELLIPSOIDAL, f"{note} EPSG:2056+5728, or --geoid, gives heights above sea)"), None
+        has_heights = len(crs.axis_info) == 3  # noqa: PLR2004 (axes)
+        which = "heights" if has_heights else f"{text} has no heights: those"
+        note = f"{which} above the WGS84 ellipsoid are written (a compound system such as EPSG:2056+5728, or --geoid,"
+        heights, vertical = Heights(ELLIPSOIDAL, f"{note} gives heights above sea)"), None
     columns = _columns(horizontal_crs)
     known = crs if heights.is_above_sea or not crs.is_compound else horizontal_crs
     return ReferenceSystem(text, columns, heights, known, notes, horizontal, vertical)
