@@ -74,6 +74,18 @@ def test_a_reference_judges_both(outs, tmp_path):
     assert "against the reference, horizontal RMS [m]" in done.out
 
 
+def test_what_smooth_wrote_is_judged_by_its_optimum(outs, tmp_path):
+    """The errors were those of the causal run beside it, the distances those of the optimum."""
+    assert holdfast("smooth", outs / "bag", "-c", outs / "one.yaml", "-o", tmp_path / "best").code == 0
+    truth = tmp_path / "best" / "imu_in_world.tum"
+    done = holdfast("compare", outs / "one", tmp_path / "best", "--reference", truth, "-o", tmp_path / "page.html")
+    assert done.code == 0, done.err
+    assert "best: the optimum over the recording is shown, and judged; health" in done.out
+    tables = json.loads((tmp_path / "page.json").read_text())["tables"]
+    (row,) = [row for row in tables["accuracy"]["rows"] if row[0] == "against the reference, horizontal RMS [m]"]
+    assert row[1] > 1e-3 > row[2] == 0.0  # the optimum against itself
+
+
 @pytest.mark.parametrize(
     ("first", "second", "code", "words"),
     [

@@ -163,6 +163,7 @@ def test_a_window_that_no_recording_has_is_refused(short, config, tmp_path, opti
     (("--hold-out", "gnss=1"), "must be SENSOR=N with N >= 2"),
     (("--outage", "gnss=5"), "must be SENSOR=START:END"),
     (("--outage", "gnss=9:3"), "must end after it starts"),
+    (("--hold-out", "gnss=2", "--hold-out", "gnss=3"), "--hold-out gnss=3: gnss is given twice"),
     (("--hold-out", "gps=2"), "sensor 'gps' is not configured (allowed: imu, gnss, lidar)"),
     (("--outage", "gnss_right=1:2"), "sensor 'gnss_right' is not configured (allowed: imu, gnss, lidar)"),
 ])  # fmt: skip
@@ -172,6 +173,19 @@ def test_a_bad_hold_out_is_refused_and_earlier_results_are_kept(short, config, t
     kept.write_text("of an earlier replay")
     assert_one_error(holdfast("replay", short, "-c", config, "-o", kept.parent, *option), 2, words)
     assert kept.read_text() == "of an earlier replay"
+
+
+@pytest.mark.parametrize(("option", "words"), [
+    (("--outage", "gnss=500:800"), "gnss: nothing was held back from 500 to 800 s: there is no usable message then"),
+    (("--hold-out", "gnss=9999"), "gnss: nothing was held back by every 9999: there are fewer usable messages"),
+])  # fmt: skip
+def test_a_hold_out_that_holds_nothing_back_is_told(short, config, tmp_path, option, words):
+    """An outage beyond the end of the recording was passed over without a word."""
+    more = ("--outage", "gnss=0.1:0.3")  # this one does
+    done = holdfast("replay", short, "-c", config, "-o", tmp_path / "out", *option, *more)
+    assert done.code == 0
+    assert done.err == f"warning: {words}\n"
+    assert summary(tmp_path / "out")["warnings"] == [words]
 
 
 def test_an_output_that_is_a_file_is_refused_and_kept(short, config, tmp_path):

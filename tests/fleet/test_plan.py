@@ -48,6 +48,12 @@ def test_null_takes_a_section_away_and_a_preset_fills_in_its_own(tree: Path):
     assert [config.graph.lag_s for config in configs] == [2.0, 2.0]  # what the file itself gives wins
 
 
+def test_a_key_that_is_varied_twice_is_refused(tree: Path):
+    """The last one won, in a folder that named both."""
+    with pytest.raises(ConfigError, match=r"--vary graph\.lag_s: is given twice"):
+        jobs(tree, "graph.lag_s=3", "gate.drift_monitor=true", "graph.lag_s=2")
+
+
 @pytest.mark.parametrize("text", ["graph.lag_s", "=3", "graph.lag_s=", "graph.lag_s=1,,2", "graph..lag_s=1"])
 def test_a_variation_of_another_form_is_refused_with_an_example(text: str):
     with pytest.raises(ConfigError, match=r"such as graph.lag_s=1.5,3,6"):

@@ -76,9 +76,14 @@ def plan(
     """Return the jobs of a batch, by recording, then by variation in the order given.
 
     Raises:
-        ConfigError: the configuration or a variation of it holds mistakes, or two jobs would have one name.
+        ConfigError: the configuration or a variation of it holds mistakes, a key is varied twice, or two jobs would
+            have one name.
         RecordingError: there is no file or folder at the path of a recording.
     """
+    keys = [variation.key for variation in variations]
+    if len(set(keys)) < len(keys):
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise ConfigError(f"--vary {twice}: is given twice (allowed: --vary {twice}=VALUE,VALUE,...)")
     configs = [_varied(config, changes) for changes in _choices(variations)]
     names = _names(recordings)
     jobs = []
@@ -92,10 +97,10 @@ def plan(
             made_of = [__version__, str(recording), state, text, *arguments]
             fingerprint = sha256(json.dumps(made_of).encode()).hexdigest()[:16]
             jobs.append(Job(full, recording, folder, text, changes, tuple(arguments), fingerprint))
-    twice = sorted({job.name for job in jobs if sum(other.name == job.name for other in jobs) > 1})
-    if twice:
+    same = sorted({job.name for job in jobs if sum(other.name == job.name for other in jobs) > 1})
+    if same:
         raise ConfigError(
-            f"{twice[0]}: two runs of the batch would have this name; is a recording or value given twice?"
+            f"{same[0]}: two runs of the batch would have this name; is a recording or value given twice?"
         )
     return jobs
 

@@ -42,6 +42,14 @@ def read_comparison(
     one, other = (read_run(folder, judge) for folder, judge in zip(folders, judges, strict=True))
     tracks = [read_tum(folder / WORLD) for folder in folders]
     notes = [f"{name}: {note}" for name, run in zip(names, (one, other), strict=True) for note in run.notes]
+    for name, run in zip(names, (one, other), strict=True):
+        if len(run.optimum):
+            what = "health, events and counts are those of the causal run from which it starts"
+            notes.append(f"{name}: the optimum over the recording is shown, and judged; {what}.")
+    one, other = (
+        _judged_anew(run, track, judge, datum_in(run.summary)) if len(run.optimum) else run
+        for run, track, judge in zip((one, other), tracks, judges, strict=True)
+    )
     datums = [datum for run in (one, other) if (datum := datum_in(run.summary)) is not None]
     if len(set(datums)) > 1:
         # a datum that somebody gave, and not the first fix, is that of the reference
@@ -65,7 +73,7 @@ def read_comparison(
     return Comparison(names, (one, other), times_s, apart, command, notes)
 
 
-def _judged_anew(run: RunRecord, track: Trajectory, judge: Path | None, world: Geodetic) -> RunRecord:
+def _judged_anew(run: RunRecord, track: Trajectory, judge: Path | None, world: Geodetic | None) -> RunRecord:
     if judge is None:
         return replace(run, world=track.positions)
     errors = errors_against(track, read_reference(judge, world), run.start_ns)

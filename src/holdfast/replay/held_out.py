@@ -64,16 +64,27 @@ class HoldOut:
             raise ConfigError(f"--outage {text}: must end after it starts")
         return cls(sensor, None, start, end)
 
+    def told(self) -> str:
+        """Return which messages are held back, in words."""
+        if self.every is not None:
+            return f"by every {self.every}: there are fewer usable messages"
+        return f"from {self.start_s:g} to {self.end_s:g} s: there is no usable message then"
+
 
 def check_sensors(rules: Iterable[HoldOut], config: Config) -> None:
-    """Refuse rules for sensors that the configuration has not.
+    """Refuse rules for sensors that the configuration has not, and two that hold back every n-th message of one.
 
     Raises:
         ConfigError: names the sensor and those that are allowed.
     """
+    parted: set[str] = set()
     for rule in rules:
         if rule.sensor not in config.sensors:
             raise ConfigError(f"sensor {rule.sensor!r} is not configured (allowed: {', '.join(config.sensors)})")
+        if rule.every is not None and rule.sensor in parted:
+            raise ConfigError(f"--hold-out {rule.sensor}={rule.every}: {rule.sensor} is given twice")
+        if rule.every is not None:
+            parted.add(rule.sensor)
 
 
 def _position_sensors(config: Config) -> dict[str, PositionSensor]:
@@ -90,6 +101,7 @@ class HoldOutFilter:
         self._sensors = _position_sensors(config)
         self.first_ns: int | None = None
         self._seen: dict[str, int] = {}
+        self._idle = set(self._rules)  # those that have held back nothing yet
         self._lost: set[str] = set()  # sensors in an outage, which lasts until the estimator gets a message again
         self.held: deque[tuple[Message, bool]] = deque()
 
@@ -107,7 +119,9 @@ class HoldOutFilter:
                 continue
             at_s = (message.stamp_ns - self.first_ns) * 1e-9
             rules = [rule for rule in self._rules if rule.sensor == message.sensor and self._is_usable(message)]
-            if any(rule.every is None and rule.start_s <= at_s < rule.end_s for rule in rules):
+            outages = [rule for rule in rules if rule.every is None and rule.start_s <= at_s < rule.end_s]
+            if outages:
+                self._idle.difference_update(outages)
                 self._lost.add(message.sensor)
                 self.held.append((message, True))
             elif self._is_nth(message, rules):
@@ -117,16 +131,24 @@ class HoldOutFilter:
                     self._lost.discard(message.sensor)
                 yield message
 
+    def warnings(self) -> list[str]:
+        """Return a line for each rule by which nothing was held back."""
+        idle = [rule for rule in self._rules if rule in self._idle]
+        return [f"{rule.sensor}: nothing was held back {rule.told()}" for rule in idle]
+
     def _is_usable(self, message: Message) -> bool:
         sensor = self._sensors.get(message.sensor)
         return sensor is None or not isinstance(sensor.convert(message, World()), Outcome)
 
     def _is_nth(self, message: Message, rules: list[HoldOut]) -> bool:
-        every = next((rule.every for rule in rules if rule.every is not None), None)
-        if every is None:
+        rule = next((rule for rule in rules if rule.every is not None), None)
+        if rule is None or rule.every is None:
             return False
         self._seen[message.sensor] = self._seen.get(message.sensor, 0) + 1
-        return self._seen[message.sensor] % every == 0
+        is_nth = self._seen[message.sensor] % rule.every == 0
+        if is_nth:
+            self._idle.discard(rule)
+        return is_nth
 
 
 class TrackPoint(NamedTuple):

@@ -78,7 +78,7 @@ class Replay:
             self.estimator.keep_records()
         self.timing = Timing()
         self.health: Counter[Health] = Counter()  # estimates by health
-        self.warnings: list[str] = []  # what the estimator had to assume; known once events are written
+        self.warnings: list[str] = []  # known once it has run and events are written
         self.causal = HeldOutJudge(config, self.estimator.noise)
         self.smoothed = HeldOutJudge(config, self.estimator.noise)
         self.batch = HeldOutJudge(config, self.estimator.noise)
@@ -115,6 +115,7 @@ class Replay:
                     self._process(message)
                 if progress is not None and count % 500 == 0:
                     progress(last_ns)
+            self.warnings += self._filter.warnings()
         finally:
             uninterrupted.stop()
             self._end_batch()
