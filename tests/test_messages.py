@@ -110,6 +110,19 @@ def test_both_engines_name_the_argument_that_is_wrong_and_go_on(engine, words):
     engine.add_imu(1, [0, 0, 0], (0.0, 0.0, 9.81))
 
 
+def test_an_arrival_of_zero_is_one_like_any_other():
+    """It was taken for none: of a simulation's clock, the first message had come at the time of this machine."""
+    engine, taken = Estimator(parse_config(CONFIG)), []
+    engine.process = taken.append
+    engine.add_imu(0, V3, V3, 0)
+    engine.add_gnss(0, 47.0, 8.0, 400.0, arrival_ns=0)
+    engine.add_heading(0, 0.0, arrival_ns=0)
+    engine.add_odometry(0, V3, V4, arrival_ns=0)
+    assert [message.arrival_ns for message in taken] == [0] * 4
+    engine.add_imu(0, V3, V3)
+    assert taken[-1].arrival_ns > 10**18
+
+
 def test_readings_that_are_no_numbers_are_named_when_they_are_processed():
     words = np.array(["x", "y", "z"])
     with pytest.raises(MessageError, match=r"^ImuSample.angular_velocity: must be .* of <U1$"):

@@ -34,7 +34,7 @@ class Quantity(NamedTuple):
         if value is None:
             return self.may_be_none
         if not self.shape:
-            return isinstance(value, NUMBERS) and not isinstance(value, bool)
+            return is_number(value)
         return isinstance(value, np.ndarray) and value.shape == self.shape and value.dtype.kind in "fiu"
 
 
@@ -59,8 +59,7 @@ def check_message(message: Any, quantities: Mapping[str, Quantity]) -> None:
 
 def is_stamp(value: object) -> bool:
     """Whether a value is a time as messages have it."""
-    is_whole = isinstance(value, WHOLE) and not isinstance(value, bool)
-    return is_whole and -LIMIT_NS <= value < LIMIT_NS  # type: ignore[operator]
+    return is_whole(value) and -LIMIT_NS <= value < LIMIT_NS  # type: ignore[operator]
 
 
 def array_of(values: Any, shape: tuple[int, ...], name: str, unit: str) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -96,6 +95,16 @@ def got(value: object) -> str:
 
 def _cut(text: str) -> str:
     return text if len(text) <= TEXT_CHARACTERS else text[:TEXT_CHARACTERS] + "..."
+
+
+def is_number(value: object) -> bool:
+    """Whether a value is a number; a truth value is none."""
+    return isinstance(value, NUMBERS) and not isinstance(value, bool)
+
+
+def is_whole(value: object) -> bool:
+    """Whether a value is a whole number; a truth value is none."""
+    return isinstance(value, WHOLE) and not isinstance(value, bool)
 
 
 def no_message(given: object) -> MessageError:

@@ -4,6 +4,7 @@ import pytest
 
 from holdfast.config.load import parse_config
 from holdfast.config.review import SensorRow, sensor_rows, warnings
+from holdfast.errors import ConfigError
 
 SENSORS = "sensors:\n  imu: {{kind: imu, topic: /imu{imu}}}\n  gnss: {{kind: gnss, topic: /gnss{gnss}}}\n"
 ARM = "extrinsics:\n  - {parent: imu, child: gnss, translation_m: [3, 0, 4]}\n"
@@ -66,3 +67,32 @@ def test_an_imu_that_is_not_the_primary_one_is_not_used() -> None:
 def test_a_sensor_without_messages_has_a_row_without_topic() -> None:
     text = SENSORS.format(imu="", gnss="") + "  slip: {kind: nonholonomic, frame: imu}\n" + ARM
     assert sensor_rows(parse_config(text))[-1] == SensorRow("slip", "", "imu", 0.0)
+
+
+def test_two_sensors_of_a_kind_that_read_one_topic_are_said() -> None:
+    """A topic that was copied with its section made one receiver count as two antennas."""
+    other = "  gnss_right: {kind: gnss, topic: /gnss}\nextrinsics:\n"
+    mounts = ARM.replace("extrinsics:\n", other) + "  - {parent: imu, child: gnss_right, translation_m: [3, 2, 4]}\n"
+    assert found(extrinsics=mounts) == [
+        "sensors.gnss_right: reads the same topic '/gnss' as sensors.gnss: it counts twice"
+    ]
+    assert found(extrinsics=mounts.replace("topic: /gnss}", "topic: /gnss/right}")) == []
+
+
+@pytest.mark.parametrize(
+    ("mount", "words"),
+    [
+        ("translation_m: [3, 0, 1e12]", r"translation_m: must be within \+-1000 m, on one machine"),
+        ("rotation_rpy_deg: [0, 0, 1e12]", r"rotation_rpy_deg: must be within \+-360 deg"),
+    ],
+)
+def test_a_mount_that_no_machine_has_is_refused(mount: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        found(extrinsics=f"extrinsics:\n  - {{parent: imu, child: gnss, {mount}}}\n")
+
+
+@pytest.mark.parametrize("name", ["12", "gnss right", "_gnss", "standstill"])
+def test_what_a_sensor_may_be_called_is_told(name: str) -> None:
+    """`12` was refused with "letters, digits and _", of which it is made."""
+    with pytest.raises(ConfigError, match="is no name for a sensor: a letter, then letters, digits and _; not standst"):
+        found(extrinsics=f"  '{name}': {{kind: gnss, topic: /other}}\n{ARM}")

@@ -1,12 +1,13 @@
 """`holdfast.calibrate`: recordings of one machine in, a configuration that fits them out."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from holdfast.api.arguments import check_path
 from holdfast.api.progress import shown
 from holdfast.calibration.calibrate import Calibration as Found
 from holdfast.calibration.calibrate import calibrated
@@ -16,6 +17,7 @@ from holdfast.calibration.held_out import HeldOut
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
+from holdfast.measured_fields import got, is_whole
 from holdfast.recording.source import Recording
 
 AnyPath = str | PathLike[str]
@@ -88,7 +90,13 @@ def calibrate(
         RecordingError: a recording cannot be read.
         EstimatorError: the estimator never started; says why.
     """
+    if not isinstance(recordings, str | PathLike | Iterable):
+        raise ConfigError(f"recordings: must be a path or several, not {type(recordings).__name__}")
     paths = [recordings] if isinstance(recordings, str | PathLike) else list(recordings)
+    for path in paths:
+        check_path("recordings", path)
+    if not is_whole(hold_out):
+        raise ConfigError(f"hold_out: must be an integer >= 2, {got(hold_out)}")
 
     @contextmanager
     def watch(_title: str, opened: Recording) -> Iterator[Progress]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from holdfast.api.arguments import check_path
 from holdfast.api.kept import Kept
 from holdfast.api.progress import shown
 from holdfast.api.result import Result
@@ -15,7 +16,7 @@ from holdfast.calibration.learnt_file import check_learnt_file
 from holdfast.config.load import config_of, load_config
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
-from holdfast.measured_fields import got
+from holdfast.measured_fields import got, is_number, is_whole
 from holdfast.output_folder import replaced
 from holdfast.recording.source import open_recording
 from holdfast.recording.subscriptions import available, subscriptions
@@ -103,10 +104,13 @@ def _run(  # noqa: PLR0917 (of the two above)
     batch_s: tuple[float, float] | None,
     learnt: AnyPath | None = None,
 ) -> Result:
-    given = {"recording": recording} | ({} if learnt is None else {"learnt": learnt})
-    for name, path in given.items():
-        if not isinstance(path, str | PathLike):
-            raise ConfigError(f"{name}: must be a path, not {type(path).__name__}")
+    paths = {"recording": recording, "output": output, "learnt": learnt}
+    for name, path in paths.items():
+        if path is not None or name == "recording":
+            check_path(name, path)
+    for name, seconds in zip(("start_s", "duration_s"), span_s, strict=True):
+        if not is_number(seconds) and (name, seconds) != ("duration_s", None):
+            raise ConfigError(f"{name}: must be a number [s], {got(seconds)}")
     loaded, kept = resolved(config), Kept()
     rules = _rules(hold_out or {}, outage or {}, loaded)
     temporary: TemporaryDirectory[str] | None = None
@@ -160,7 +164,7 @@ def _rules(hold_out: Mapping[str, int], outage: Mapping[str, tuple[float, float]
         if not isinstance(given, Mapping):
             raise ConfigError(f"{name}: must be a dict by sensor, not {type(given).__name__}")
     for sensor, every in hold_out.items():
-        if not isinstance(every, int) or every < 2:
+        if not is_whole(every) or every < 2:
             raise ConfigError(f"hold_out[{sensor!r}]: must be an integer >= 2, not {every!r}")
         rules.append(HoldOut(sensor, every))
     for sensor, span in outage.items():

@@ -4,9 +4,11 @@ from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
+from holdfast.api.arguments import check_path
 from holdfast.api.trajectory import Trajectory
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
+from holdfast.measured_fields import got, is_number, is_whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +42,11 @@ def simulate(
         from holdfast.sim.recorder import write_truth
         from holdfast.sim.scenario import load_scenario
         from holdfast.trial.run import CONFIG, RECORDING, write_simulation
-    if duration_s is not None and not duration_s > 1.0:
+    check_path("scenario", scenario)
+    check_path("output", output)
+    if not is_whole(seed) or seed < 0:
+        raise ConfigError(f"seed: must be an integer >= 0, {got(seed)}")
+    if duration_s is not None and not (is_number(duration_s) and duration_s > 1.0):
         raise ConfigError(f"duration_s: must be > 1, not {duration_s!r}")
     loaded = load_scenario(str(scenario), {} if duration_s is None else {"duration_s": duration_s})
     folder = Path(output)

@@ -9,6 +9,10 @@ from holdfast.config.section import Section, Vector3, quantity
 from holdfast.messages import Array
 
 
+MAX_MOUNT_M = 1000.0  # no machine is larger
+FULL_CIRCLE_DEG = 360.0
+
+
 class Extrinsic(Section):
     """T_parent_child: the pose of the child frame in the parent frame. Give one form of rotation, or none."""
 
@@ -32,6 +36,14 @@ class Extrinsic(Section):
             R = np.array(self.rotation_matrix)
             if not np.allclose(R @ R.T, np.eye(3), atol=1e-4) or np.linalg.det(R) < 0:
                 raise ValueError("rotation_matrix is not a rotation: rows must be orthonormal, determinant +1")
+        return self
+
+    @model_validator(mode="after")
+    def _check_size(self) -> Self:
+        if max(map(abs, self.translation_m)) > MAX_MOUNT_M:
+            raise ValueError(f"translation_m: must be within +-{MAX_MOUNT_M:g} m, on one machine")
+        if self.rotation_rpy_deg is not None and max(map(abs, self.rotation_rpy_deg)) > FULL_CIRCLE_DEG:
+            raise ValueError(f"rotation_rpy_deg: must be within +-{FULL_CIRCLE_DEG:g} deg")
         return self
 
     def matrix(self) -> Array:

@@ -267,6 +267,16 @@ def register_kind(section: type[SensorConfig]) -> type[SensorConfig]:
     return section
 
 
+def check_config(config: object) -> None:
+    """Refuse what is no configuration, such as the path of one.
+
+    Raises:
+        ConfigError: names the type that came.
+    """
+    if not isinstance(config, Config):
+        raise ConfigError(f"config: must be a Config, as load_config gives, not {type(config).__name__}")
+
+
 def faults_of(config: Config) -> Iterator[str]:
     """Yield what contradicts itself in a configuration, each with its place."""
     yield from _faults_of_sensors(config)
@@ -282,7 +292,7 @@ def faults_of(config: Config) -> Iterator[str]:
 def _faults_of_sensors(config: Config) -> Iterator[str]:
     for name in config.sensors:
         if not NAME.fullmatch(name) or name in RESERVED:
-            yield f"sensors: {name!r} is no name for a sensor: letters, digits and _, none of {', '.join(RESERVED)}"
+            yield f"sensors: {name!r} is no name for a sensor: a letter, then letters, digits and _; not {', '.join(RESERVED)}"
     imus = config.sensors_of(ImuConfig)
     primary = [name for name, imu in imus.items() if imu.primary]
     if not imus:

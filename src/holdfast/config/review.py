@@ -70,7 +70,7 @@ def warnings(config: Config) -> list[str]:
     for name, section in config.sensors.items():
         found += [f"sensors.{name}.{text}" for text in _unusual_values(section)]
         found += [f"sensors.{name}: {text}" for text in (*_unusual_mounting(config, name), *_unused(config, name))]
-    return found + list(_shared_frames(config))
+    return [*found, *_shared_frames(config), *_shared_topics(config)]
 
 
 def _frame(config: Config, name: str) -> str | None:
@@ -97,6 +97,16 @@ def _shared_frames(config: Config) -> Iterator[str]:
         if frame in first:
             yield f"sensors.{name}: is in the same frame {frame!r} as sensors.{first[frame]}: are they one device?"
         first.setdefault(frame, name)
+
+
+def _shared_topics(config: Config) -> Iterator[str]:
+    """Yield the sensors that read the topic of an earlier one of their kind."""
+    first: dict[tuple[str, type[BaseModel]], str] = {}
+    for name, section in config.sensors.items():
+        key = section.topic or "", type(section)
+        if section.topic and key in first:
+            yield f"sensors.{name}: reads the same topic {section.topic!r} as sensors.{first[key]}: it counts twice"
+        first.setdefault(key, name)
 
 
 def _unusual_values(section: BaseModel) -> Iterator[str]:

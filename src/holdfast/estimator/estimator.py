@@ -7,7 +7,7 @@ are called in turn; `holdfast.realtime` puts them into two processes.
 from collections import Counter
 from dataclasses import replace
 
-from holdfast.config.model import Config
+from holdfast.config.model import Config, check_config
 from holdfast.errors import ConfigError
 from holdfast.estimator.density import Density
 from holdfast.estimator.imu_path import ImuPath
@@ -31,11 +31,15 @@ class Estimator(Intake):
         config: what the sensors are, where they sit, and how the estimator is to behave.
         listener: who is told of all that comes in and goes out, such as a batch smoother.
         learnt: what was learnt of the sensors before.
+
+    Raises:
+        ConfigError: `config` is none.
     """
 
     def __init__(
         self, config: Config, listener: Listener | None = None, *, learnt: LearntSnapshot = NOTHING_LEARNT
     ) -> None:
+        check_config(config)
         self.config = config
         self._imu = config.imu_name
         self._log = EventLog(self._imu)

@@ -40,7 +40,7 @@ class Intake(Protocol):
             rate, force = asarray(angular_velocity, float64), asarray(specific_force, float64)
         except (TypeError, ValueError):
             rate, force = _readings(angular_velocity, specific_force)
-        return self.process(ImuSample(stamp_ns, arrival_ns or _now_ns(), self.config.imu_name, rate, force))
+        return self.process(ImuSample(stamp_ns, _arrival(arrival_ns), self.config.imu_name, rate, force))
 
     def add_gnss(
         self,
@@ -57,7 +57,7 @@ class Intake(Protocol):
         """Take in a fix of an antenna, with its covariance (3, 3) [m^2], as in `GnssFix`."""
         name, point = self.config.only(GnssConfig, sensor), (latitude_deg, longitude_deg, altitude_m)
         known = None if covariance is None else array_of(covariance, (3, 3), "covariance", "m^2")
-        return self.process(GnssFix(stamp_ns, arrival_ns or _now_ns(), name, *point, known, status))
+        return self.process(GnssFix(stamp_ns, _arrival(arrival_ns), name, *point, known, status))
 
     def add_heading(
         self,
@@ -70,7 +70,7 @@ class Intake(Protocol):
     ) -> Output:
         """Take in a heading: 0 is east, counter-clockwise, as in `Heading`."""
         name = self.config.only(HeadingConfig, sensor)
-        return self.process(Heading(stamp_ns, arrival_ns or _now_ns(), name, yaw_rad, sigma_rad))
+        return self.process(Heading(stamp_ns, _arrival(arrival_ns), name, yaw_rad, sigma_rad))
 
     def add_odometry(
         self,
@@ -86,12 +86,12 @@ class Intake(Protocol):
         name = self.config.only(DriftingConfig, sensor)
         pose = array_of(position, (3,), "position", "m"), array_of(quaternion, (4,), "quaternion", "x, y, z, w")
         known = None if covariance is None else array_of(covariance, (6, 6), "covariance", "rad^2, then m^2")
-        return self.process(SensorPose(stamp_ns, arrival_ns or _now_ns(), name, *pose, known))
+        return self.process(SensorPose(stamp_ns, _arrival(arrival_ns), name, *pose, known))
 
     def add_joint(self, stamp_ns: int, angle_rad: float, arrival_ns: int | None = None) -> Output:
         """Take in the angle of the turn joint, as in `JointAngle`."""
         return self.process(
-            JointAngle(stamp_ns, arrival_ns or _now_ns(), self.config.only(JointConfig, None), angle_rad)
+            JointAngle(stamp_ns, _arrival(arrival_ns), self.config.only(JointConfig, None), angle_rad)
         )
 
     def add_base_imu(
@@ -99,11 +99,11 @@ class Intake(Protocol):
     ) -> Output:
         """Take in a sample of the IMU on the chassis, as `add_imu`."""
         name, readings = self.config.only(BaseImuConfig, None), _readings(angular_velocity, specific_force)
-        return self.process(ImuSample(stamp_ns, arrival_ns or _now_ns(), name, *readings))
+        return self.process(ImuSample(stamp_ns, _arrival(arrival_ns), name, *readings))
 
 
-def _now_ns() -> int:
-    return CLOCK_NS + monotonic_ns()
+def _arrival(arrival_ns: int | None) -> int:
+    return CLOCK_NS + monotonic_ns() if arrival_ns is None else arrival_ns  # 0 is where a simulated clock begins
 
 
 def _readings(angular_velocity: ArrayLike, specific_force: ArrayLike) -> tuple[Array, Array]:

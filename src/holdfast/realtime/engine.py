@@ -10,7 +10,7 @@ from time import monotonic, sleep
 from types import TracebackType
 from typing import Self
 
-from holdfast.config.model import Config
+from holdfast.config.model import Config, check_config
 from holdfast.errors import ConfigError, EstimatorError
 from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import ImuPath, Received
@@ -50,10 +50,11 @@ class RealtimeEstimator(Intake):
         learnt: what was learnt of the sensors before.
 
     Raises:
-        ConfigError: the machine does not allow what the section `realtime` asks for.
+        ConfigError: `config` is none, or the machine does not allow what its section `realtime` asks for.
     """
 
     def __init__(self, config: Config, *, in_step: bool = False, learnt: LearntSnapshot = NOTHING_LEARNT) -> None:
+        check_config(config)
         cores = place_caller(config.realtime)
         self.config = config
         self._in_step = in_step
