@@ -114,7 +114,7 @@ def test_tracks_whose_poses_find_no_partners_are_refused_with_the_remedy():
 @pytest.mark.parametrize("which", ["estimate", "reference"])
 def test_a_single_pose_is_refused(which):
     tracks = {"estimate": straight([0.0, 1.0]), "reference": straight([0.0, 1.0])} | {which: straight([0.5])}
-    with pytest.raises(RecordingError, match=f"the {which} has 1 poses"):
+    with pytest.raises(RecordingError, match=f"the {which} has 1 pose, at least 2"):
         associate(**tracks)
 
 

@@ -92,6 +92,17 @@ def test_time_series_hold_sigma_speed_height_and_yaw(scene, odometries):
         assert series["yaw_deg"][at] == pytest.approx(np.degrees(yaw))
 
 
+def test_what_smooth_wrote_shows_its_causal_run(replayed, run, tmp_path):
+    """Its tables were taken for a recording of CSV files, whose columns nobody knew."""
+    (tmp_path / "best").mkdir()
+    (tmp_path / "best" / "biases.csv").write_text("stamp_ns,bias_x_m_s2\n")
+    (tmp_path / "best" / "causal").symlink_to(replayed)
+    code, printed = run("view", tmp_path / "best", "-o", tmp_path / "best.rrd")
+    assert code == 0, printed
+    assert "note: the causal run is drawn, not the optimum over the recording\n" in printed
+    assert "/map/holdfast/odometry/world/track" in content(tmp_path / "best.rrd")
+
+
 def test_every_event_is_in_the_log_at_its_time(scene, replayed):
     events = [json.loads(line) for line in (replayed / "events.jsonl").read_text().splitlines()]
     stamps, columns = scene["/log/events"]

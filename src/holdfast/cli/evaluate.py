@@ -91,6 +91,7 @@ def evaluate(
     *estimates, reference = trajectories
     if not estimates:
         raise click.UsageError("Missing argument 'REFERENCE': give at least one estimate, and the reference last.")
+    _check_tolerances(context, options["association"])
     metrics = _metrics(**options)
     written = [file for file in (json_file, plot_file) if file is not None]
     for file in written:
@@ -104,6 +105,17 @@ def evaluate(
         lengths_m = metrics.rpe_distances_m if is_given else ()
         _evaluate_several(estimates, reference, alignment, metrics, lengths_m, (json_file, plot_file))
     add_results(*written)
+
+
+def _check_tolerances(context: click.Context, association: str) -> None:
+    """Refuse a tolerance of the association that was not chosen: it would change nothing.
+
+    Raises:
+        ConfigError: names the option.
+    """
+    for option, of in (("max_gap_s", "interpolate"), ("max_difference_s", "nearest")):
+        if association != of and context.get_parameter_source(option) is not ParameterSource.DEFAULT:
+            raise ConfigError(f"--{option.replace('_', '-')}: is for --association {of}, not {association}")
 
 
 def _evaluate_several(  # noqa: PLR0917

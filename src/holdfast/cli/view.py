@@ -31,6 +31,9 @@ def view(recording: str, output: str | None, connect: str | None) -> None:
     from holdfast.recording.source import open_recording
 
     path = Path(recording)
+    if (path / "causal" / "estimates.mcap").is_file():
+        path /= "causal"
+        click.echo("note: the causal run is drawn, not the optimum over the recording", err=True)
     source = path / "estimates.mcap" if (path / "estimates.mcap").is_file() else path
     with open_recording(source) as opened:  # fails in one line if there is nothing to see
         begin_ns, end_ns = opened.start_ns, opened.end_ns

@@ -126,7 +126,7 @@ def check_trajectory(trajectory: Trajectory, name: str) -> None:
     """
     stamps = trajectory.stamps_ns
     if len(stamps) < 2:
-        raise RecordingError(f"the {name} has {len(stamps)} poses, at least 2 are needed")
+        raise RecordingError(f"the {name} has {len(stamps)} pose{'s' * (len(stamps) != 1)}, at least 2 are needed")
     backward = np.flatnonzero(np.diff(stamps) <= 0)
     if len(backward):
         index = int(backward[0])
