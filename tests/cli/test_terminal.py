@@ -1,7 +1,10 @@
 """Nothing that an input holds reaches the terminal raw, by whatever way it is printed."""
 
 import io
+import os
 import re
+import shlex
+import subprocess
 import sys
 from pathlib import Path
 
@@ -121,3 +124,40 @@ def test_an_error_is_cut_where_nobody_reads_on(monkeypatch, capfd):
     monkeypatch.setattr("holdfast.cli.holdfast", fail)
     code, printed = run(["info"], monkeypatch, capfd)
     assert code == 2 and len(printed) < terminal.MAX_LINE + 100 and "998000 characters more" in printed
+
+
+PROGRAM = [sys.executable, "-c", "from holdfast.cli import main; main()", "evaluate", "a.tum", "a.tum"]
+
+
+@pytest.fixture
+def track(tmp_path):
+    (tmp_path / "a.tum").write_text("".join(f"{k}.5 {k} 0 0 0 0 0 1\n" for k in range(5)))
+    return tmp_path
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere no device is always full")
+@pytest.mark.parametrize("command", [PROGRAM, [*PROGRAM[:3], "--help"]])
+def test_where_nothing_can_be_printed_any_more_that_is_one_line(track, command):
+    """`holdfast info DRIVE > LIST` on a full disk ended in a traceback."""
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, cwd=track, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr == "error: the output: cannot be written or read (No space left on device)\n"
+
+
+def test_a_stream_that_is_closed_swallows_what_is_printed(track):
+    """Where a service manager gives no stdout, results were written and the end was a traceback."""
+    for closed in (">&-", "2>&-", ">&- 2>&-"):
+        command = shlex.join([*PROGRAM, "--json", "a.json"])
+        done = subprocess.run(f"{command} {closed}", shell=True, capture_output=True, cwd=track, text=True, check=False)
+        assert (done.returncode, "Traceback" in done.stderr) == (0, False)
+        (track / "a.json").unlink()
+
+
+def test_a_reader_that_has_read_enough_of_a_table_is_no_failure(track):
+    """rich ended with 1, all other output with 0."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(PROGRAM, stdout=writer, stderr=subprocess.PIPE, cwd=track, text=True, check=False)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -11,7 +11,7 @@ from types import FrameType
 import click
 
 from holdfast import __version__
-from holdfast.cli.terminal import guarded, shortened
+from holdfast.cli.terminal import drop_output, guarded, shortened
 from holdfast.errors import HoldfastError
 from holdfast.printable import quoted
 
@@ -148,6 +148,7 @@ def _run() -> None:
     try:
         with _interruptible() as caught:
             holdfast(standalone_mode=False)
+            sys.stdout.flush()
     except click.exceptions.Exit as error:
         sys.exit(error.exit_code)
     except click.ClickException as error:
@@ -171,5 +172,10 @@ def _run() -> None:
         click.echo(f"error: a library cannot be loaded, for want of memory or of a file ({reason})", err=True)
         sys.exit(1)
     except BrokenPipeError:
-        sys.stderr.close()
+        drop_output()
         sys.exit(0)
+    except OSError as error:
+        what = "the output" if error.filename is None else quoted(str(error.filename))
+        drop_output()
+        click.echo(f"error: {what}: cannot be written or read ({error.strerror or error})", err=True)
+        sys.exit(1)

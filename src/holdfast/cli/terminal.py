@@ -1,9 +1,10 @@
 """The one place through which everything is printed: no control character of an input reaches the terminal."""
 
+import os
 import re
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Any, TextIO
 
 from holdfast.printable import one_line
@@ -56,13 +57,23 @@ def shortened(line: str) -> str:
 
 @contextmanager
 def guarded() -> Iterator[None]:
-    """Guard what is printed meanwhile."""
+    """Guard what is printed meanwhile; what goes to a stream that is closed is dropped."""
     before = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (Guarded(stream) for stream in before)
-    try:
-        yield
-    finally:
-        sys.stdout, sys.stderr = before
+    with ExitStack() as stack:
+        streams = (stream or stack.enter_context(open(os.devnull, "w", encoding="utf-8")) for stream in before)
+        sys.stdout, sys.stderr = map(Guarded, streams)
+        try:
+            yield
+        finally:
+            sys.stdout, sys.stderr = before
+
+
+def drop_output() -> None:
+    """Have what is still to be printed go nowhere: the end of the program would fail on it once more."""
+    with suppress(OSError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
 
 
 def guarded_console(*, stderr: bool = False, **options: Any) -> "Console":
@@ -75,6 +86,9 @@ def guarded_console(*, stderr: bool = False, **options: Any) -> "Console":
             for segment in super().render(renderable, options):
                 text = "\n".join(map(one_line, segment.text.split("\n")))
                 yield segment if segment.control else segment._replace(text=text)
+
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError  # as where rich does not print: whoever has read enough is no failure
 
     stream = sys.stderr if stderr else sys.stdout
     return GuardedConsole(file=getattr(stream, "rich_proxied_file", stream), **options)
