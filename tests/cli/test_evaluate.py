@@ -131,9 +131,14 @@ def test_an_alignment_that_the_tracks_do_not_determine_is_left_out_of_all_with_a
         (["estimate.tum", "reference.tum", "--intervals", "reference.tum"], 2, "name: [start, end]"),
         (["estimate.tum", "reference.tum", "--rpe-distance", "0"], 2, "positive"),
         (["estimate.tum", "reference.tum", "--max-gap-s", "nan"], 2, "finite"),
-        (["estimate.tum", "reference.tum", "--max-difference-s", "5"], 2, "--max-difference-s: is for --association near"),
         (
-            ["estimate.tum", "reference.tum", "--max-gap-s", "5", "--association", "nearest"], 2,
+            ["estimate.tum", "reference.tum", "--max-difference-s", "5"],
+            2,
+            "--max-difference-s: is for --association near",
+        ),
+        (
+            ["estimate.tum", "reference.tum", "--max-gap-s", "5", "--association", "nearest"],
+            2,
             "--max-gap-s: is for --association interpolate, not nearest",
         ),
         (["estimate.tum", "reference.tum", "--plot", "figure.gif"], 2, ".png"),

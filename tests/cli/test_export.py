@@ -100,6 +100,14 @@ def test_the_default_system_is_not_said_to_be_without_heights(tmp_path: Path):
     assert "no heights" not in told
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere no device is always full")
+def test_a_full_disk_names_the_file_that_is_written(tmp_path: Path):
+    """It named the folder that is read."""
+    (tmp_path / "track.csv").symlink_to("/dev/full")
+    with pytest.raises(HoldfastError, match=r"track\.csv: cannot be written \(No space left on device\)"):
+        call(folder(tmp_path / "out"), "-o", tmp_path / "track.csv")
+
+
 def test_a_world_that_is_nowhere_on_the_earth_is_refused(tmp_path: Path):
     with pytest.raises(HoldfastError, match="nowhere on the earth"):
         call(folder(tmp_path / "out", None))

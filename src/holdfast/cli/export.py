@@ -62,10 +62,10 @@ def export(  # noqa: PLR0917 (click passes the options by name)
     datum = _datum(folder)
     target = _target(crs, site_grid, geoid, datum)
     surveyed = survey(_poses(folder, track, interval_s), LocalFrame(datum), target)
-    with naming_the_output(folder):
-        for file in files:
+    for file in files:
+        with naming_the_output(file):
             FORMATS[file.suffix.lower()](surveyed, file)
-        add_results(*files)
+            add_results(file)
     for note in filter(None, [*target.notes, target.heights.note]):
         click.echo(f"note: {note}", err=True)
     for file in files:

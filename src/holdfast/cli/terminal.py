@@ -5,6 +5,7 @@ import re
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from holdfast.printable import one_line
@@ -60,7 +61,7 @@ def guarded() -> Iterator[None]:
     """Guard what is printed meanwhile; what goes to a stream that is closed is dropped."""
     before = sys.stdout, sys.stderr
     with ExitStack() as stack:
-        streams = (stream or stack.enter_context(open(os.devnull, "w", encoding="utf-8")) for stream in before)
+        streams = (stream or stack.enter_context(Path(os.devnull).open("w", encoding="utf-8")) for stream in before)
         sys.stdout, sys.stderr = map(Guarded, streams)
         try:
             yield

@@ -8,7 +8,6 @@ from pydantic import Field, model_validator
 from holdfast.config.section import Section, Vector3, quantity
 from holdfast.messages import Array
 
-
 MAX_MOUNT_M = 1000.0  # no machine is larger
 FULL_CIRCLE_DEG = 360.0
 

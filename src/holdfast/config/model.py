@@ -292,7 +292,8 @@ def faults_of(config: Config) -> Iterator[str]:
 def _faults_of_sensors(config: Config) -> Iterator[str]:
     for name in config.sensors:
         if not NAME.fullmatch(name) or name in RESERVED:
-            yield f"sensors: {name!r} is no name for a sensor: a letter, then letters, digits and _; not {', '.join(RESERVED)}"
+            must_be = f"a letter, then letters, digits and _; not {', '.join(RESERVED)}"
+            yield f"sensors: {name!r} is no name for a sensor: {must_be}"
     imus = config.sensors_of(ImuConfig)
     primary = [name for name, imu in imus.items() if imu.primary]
     if not imus:

@@ -90,9 +90,7 @@ class Intake(Protocol):
 
     def add_joint(self, stamp_ns: int, angle_rad: float, arrival_ns: int | None = None) -> Output:
         """Take in the angle of the turn joint, as in `JointAngle`."""
-        return self.process(
-            JointAngle(stamp_ns, _arrival(arrival_ns), self.config.only(JointConfig, None), angle_rad)
-        )
+        return self.process(JointAngle(stamp_ns, _arrival(arrival_ns), self.config.only(JointConfig, None), angle_rad))
 
     def add_base_imu(
         self, stamp_ns: int, angular_velocity: ArrayLike, specific_force: ArrayLike, arrival_ns: int | None = None

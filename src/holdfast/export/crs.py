@@ -82,7 +82,7 @@ def reference_system(text: str, datum: Geodetic, geoid: Path | None = None) -> R
     elif vertical_crs is not None:
         heights, vertical = _vertical(text, crs, vertical_crs)
     else:
-        has_heights = len(crs.axis_info) == 3  # noqa: PLR2004 (axes)
+        has_heights = len(crs.axis_info) == 3
         which = "heights" if has_heights else f"{text} has no heights: those"
         note = f"{which} above the WGS84 ellipsoid are written (a compound system such as EPSG:2056+5728, or --geoid,"
         heights, vertical = Heights(ELLIPSOIDAL, f"{note} gives heights above sea)"), None
