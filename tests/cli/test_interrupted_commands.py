@@ -15,7 +15,7 @@ sys.path.append(str(Path(__file__).parents[1] / "replay"))
 
 from small_drive import holdfast
 
-from holdfast.cli import STOPS
+from holdfast.cli import STOPS, end_if_interrupted
 
 HANDLED = (*STOPS, signal.SIGALRM)
 
@@ -71,4 +71,5 @@ def test_handlers_are_those_of_before_when_a_command_has_ended(command):
     command(interrupt)
     holdfast("info")
     assert ([signal.getsignal(number) for number in HANDLED], sys.unraisablehook) == before
+    end_if_interrupted()  # what comes next in this process was not
     assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)

@@ -159,7 +159,9 @@ def _run() -> None:
         with suppress(OSError):  # the terminal was closed
             # not by `map`: that is a module of this package once its command has been imported
             click.echo(": ".join(["interrupted", *(str(one) for one in interrupt.args)]), err=True)
-        sys.exit(128 + (caught[0] if caught else signal.SIGINT))
+        number = caught[0] if caught else signal.SIGINT
+        caught.clear()  # the next command of this process was not interrupted
+        sys.exit(128 + number)
     except HoldfastError as error:
         for line in str(error).split("\n"):
             click.echo(f"error: {shortened(line)}", err=True)
