@@ -1,6 +1,8 @@
 """What a command writes about itself can be typed again."""
 
 import shlex
+import subprocess
+import sys
 
 import click
 import pytest
@@ -40,3 +42,10 @@ def test_a_command_comes_back_as_it_was_typed(typed: str):
 
 def test_what_was_left_at_its_default_is_left_out():
     assert CliRunner().invoke(tool, ["work"], prog_name="tool").output == "tool work\n"
+
+
+def test_the_program_is_called_holdfast_however_it_is_started():
+    """`python -c "from holdfast.cli import main; main()"` wrote `-c replay ...` into summary.json and its usage."""
+    program = [sys.executable, "-c", "from holdfast.cli import main; main()"]
+    done = subprocess.run([*program, "replay", "--help"], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("Usage: holdfast replay [OPTIONS] RECORDING\n")

@@ -147,7 +147,7 @@ def _run() -> None:
     caught: list[int] = []
     try:
         with _interruptible() as caught:
-            holdfast(standalone_mode=False)
+            holdfast(prog_name="holdfast", standalone_mode=False)
             sys.stdout.flush()
     except click.exceptions.Exit as error:
         sys.exit(error.exit_code)
