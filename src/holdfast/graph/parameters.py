@@ -221,8 +221,10 @@ def _held(solver: Solver, known: Known, prior: Parameter) -> Known:
         return known
     sigmas = np.where(np.isfinite(prior.if_right), HELD * prior.if_right, FREE_VARIANCE**0.5)
     factor = gtsam.PriorFactorVector(known.key, prior.mean, gtsam.noiseModel.Diagonal.Sigmas(sigmas))
-    information = np.linalg.inv(known.covariance) + np.diag(sigmas**-2.0)
-    return known._replace(covariance=np.linalg.inv(information), right=solver.add(factor))
+    before = np.linalg.inv(known.covariance)
+    covariance = np.linalg.inv(before + np.diag(sigmas**-2.0))
+    value = prior.mean + covariance @ before @ (known.value - prior.mean)
+    return known._replace(value=value, covariance=covariance, is_solved=False, right=solver.add(factor))
 
 
 def _without_belief(known: Known, prior: Parameter) -> tuple[Array, Array]:

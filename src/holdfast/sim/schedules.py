@@ -79,11 +79,11 @@ def _hostile_fault(rng: np.random.Generator, names: list[str]) -> Fault:
         "sensors": names if of_all else several or [str(rng.choice(names))],
         "start_s": start_s,
         "end_s": start_s + float(rng.uniform(shortest_s, longest_s)),
-        "flood_hz": _log_uniform(rng, 200.0, 4000.0),
+        "flood_hz": log_uniform(rng, 200.0, 4000.0),
         "behind": int(rng.integers(3)),
-        "garbage_ratio": _log_uniform(rng, 0.01, 1.0),
+        "garbage_ratio": log_uniform(rng, 0.01, 1.0),
     }
-    step_s = _log_uniform(rng, 1e-3, 4e8) if is_clock else _log_uniform(rng, 1e-3, 1.0) * int(rng.integers(2))
+    step_s = log_uniform(rng, 1e-3, 4e8) if is_clock else log_uniform(rng, 1e-3, 1.0) * int(rng.integers(2))
     return Fault(**values, step_s=float(rng.choice([-1.0, 1.0])) * step_s)
 
 
@@ -122,23 +122,23 @@ def _fault(rng: np.random.Generator, kinds: dict[str, str]) -> dict[str, Any] | 
         "start_s": start_s,
         "end_s": start_s + float(rng.uniform(shortest_s, longest_s)),
         "quality": str(rng.choice(["rtk_float", "single"])),
-        "offset_m": (_direction(rng) * _log_uniform(rng, 0.02, 100.0)).tolist(),
+        "offset_m": (_direction(rng) * log_uniform(rng, 0.02, 100.0)).tolist(),
         "yaw_deg": float(rng.uniform(-180.0, 180.0)),
-        "rate_m_s": _log_uniform(rng, 0.01, 5.0),
-        "period_s": _log_uniform(rng, 0.05, 5.0),
+        "rate_m_s": log_uniform(rng, 0.01, 5.0),
+        "period_s": log_uniform(rng, 0.05, 5.0),
         "slip_ratio": float(rng.uniform(-1.0, 1.0)),
         "slip_m_s": float(rng.uniform(-1.0, 1.0)),
-        "step_s": float(rng.choice([-1.0, 1.0])) * _log_uniform(rng, 1e-3, 5.0),
+        "step_s": float(rng.choice([-1.0, 1.0])) * log_uniform(rng, 1e-3, 5.0),
     }
     if rng.random() < 0.5:
-        fault["claim_growth_m_s"] = _log_uniform(rng, 0.05, 5.0)
+        fault["claim_growth_m_s"] = log_uniform(rng, 0.05, 5.0)
     return fault
 
 
 def _transport(rng: np.random.Generator) -> dict[str, float]:
     return {
-        "latency_s": _log_uniform(rng, 1e-3, 1.0),
-        "jitter_s": _log_uniform(rng, 1e-4, 0.2),
+        "latency_s": log_uniform(rng, 1e-3, 1.0),
+        "jitter_s": log_uniform(rng, 1e-4, 0.2),
         "loss_ratio": float(rng.uniform(0.0, 0.3)),
         "duplicate_ratio": float(rng.uniform(0.0, 0.1)),
     }
@@ -149,5 +149,6 @@ def _direction(rng: np.random.Generator) -> np.ndarray:
     return np.asarray(vector / np.linalg.norm(vector))
 
 
-def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """Return a number between two others, every factor as probable as any other."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
