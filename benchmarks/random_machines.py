@@ -16,30 +16,17 @@ import numpy as np
 
 from holdfast.config.load import config_of
 from holdfast.errors import EstimatorError
+from holdfast.evaluation.measures import MEASURES, Measure
 from holdfast.sim.random_machine import random_machine
 from holdfast.trial.run import trials_of
 
 OUT_H, ALONE_H = "outage_horizontal_rms_m", "outage_alone_horizontal_rms_m"
-OUT_RATIO = "outage_ratio"
-# score -> label, and factor from SI
-ROWS = {
-    "started_s": ("started after, s", 1.0),
-    "horizontal_rms_m": ("GNSS good: horizontal RMS, mm", 1e3),
-    "horizontal_ratio": ("GNSS good: horizontal RMS / that of the fixes", 1.0),
-    "heading_rms_deg": ("GNSS good: heading RMS, deg", 1.0),
-    "roll_pitch_rms_deg": ("GNSS good: roll and pitch RMS, deg", 1.0),
-    OUT_H: ("outage: horizontal RMS, mm", 1e3),
-    OUT_RATIO: ("outage: horizontal RMS / that of the odometry alone", 1.0),
-    "outage_heading_rms_deg": ("outage: heading RMS, deg", 1.0),
-    "regained_s": ("GNSS used again after, s", 1.0),
-    "step_m": ("O: largest step, mm", 1e3),
-    "step_deg": ("O: largest rotation step, deg", 1.0),
-    "nees_attitude": ("NEES/3 of attitude, GNSS good", 1.0),
-    "nees_position": ("NEES/3 of position, GNSS good", 1.0),
-    "nees_velocity": ("NEES/3 of velocity, GNSS good", 1.0),
-    "fallback_nees_attitude": ("NEES/3 of attitude, outage", 1.0),
-    "fallback_nees_position": ("NEES/3 of position, outage", 1.0),
-}
+OWN = (
+    Measure("started_s", "started after", "s", digits=2),
+    Measure("outage_ratio", "outages: horizontal RMS / that of the odometry alone", "1", digits=2),
+)
+LEFT_OUT = ("rtk_", "base_", "vertical_", "outage_alone_", "outage_vertical_", "settled_s", "misled_s", "drift_percent")
+ROWS = OWN + tuple(one for one in MEASURES if not one.key.startswith(LEFT_OUT) and "excess" not in one.key)
 
 
 def scores(seed: int) -> dict[str, float]:
@@ -51,7 +38,7 @@ def scores(seed: int) -> dict[str, float]:
             found = trials_of(machine.scenario, seed, Path(folder), [config])[0].verdict.scores
         except EstimatorError:
             return {}
-    return found | {OUT_RATIO: found[OUT_H] / found.get(ALONE_H, nan)}
+    return found | {"outage_ratio": found[OUT_H] / found.get(ALONE_H, nan)}
 
 
 def main() -> None:
@@ -68,14 +55,16 @@ def main() -> None:
             found[seed] = one
             print(f"{len(found)} of {options.count}", file=sys.stderr, flush=True)
             if options.each:
-                print(f"{seed}: " + ", ".join(f"{key} {one[key]:.4g}" for key in ROWS if key in one), flush=True)
+                shown = (f"{row.key} {row.text(one[row.key])}" for row in ROWS if row.key in one)
+                print(f"{seed}: " + ", ".join(shown), flush=True)
     print(f"{options.count} machines; never started: {[seed for seed, one in found.items() if not one] or 'none'}")
     print("\n| Score | median | 9 in 10 | worst | seed |\n|---|---:|---:|---:|---:|")
-    for key, (label, factor) in ROWS.items():
-        known = {seed: factor * one[key] for seed, one in found.items() if key in one and not isnan(one[key])}
+    for row in ROWS:
+        known = {seed: one[row.key] for seed, one in found.items() if not isnan(one.get(row.key, nan))}
         worst = max(known, key=lambda seed: known[seed])
         median, most = np.percentile(list(known.values()), [50.0, 90.0])
-        print(f"| {label} | {median:.3g} | {most:.3g} | {known[worst]:.3g} | {worst} |")
+        unit = "" if row.unit == "1" else f", {row.unit}"
+        print(f"| {row.label}{unit} | {row.text(median)} | {row.text(most)} | {row.text(known[worst])} | {worst} |")
 
 
 if __name__ == "__main__":

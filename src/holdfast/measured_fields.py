@@ -1,7 +1,7 @@
 """What the fields of a message must be, and the error that names the one which is not."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn, TypeGuard
 
 import numpy as np
 
@@ -59,7 +59,7 @@ def check_message(message: Any, quantities: Mapping[str, Quantity]) -> None:
 
 def is_stamp(value: object) -> bool:
     """Whether a value is a time as messages have it."""
-    return is_whole(value) and -LIMIT_NS <= value < LIMIT_NS  # type: ignore[operator]
+    return is_whole(value) and -LIMIT_NS <= value < LIMIT_NS
 
 
 def array_of(values: Any, shape: tuple[int, ...], name: str, unit: str) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -97,12 +97,12 @@ def _cut(text: str) -> str:
     return text if len(text) <= TEXT_CHARACTERS else text[:TEXT_CHARACTERS] + "..."
 
 
-def is_number(value: object) -> bool:
+def is_number(value: object) -> TypeGuard[float]:
     """Whether a value is a number; a truth value is none."""
     return isinstance(value, NUMBERS) and not isinstance(value, bool)
 
 
-def is_whole(value: object) -> bool:
+def is_whole(value: object) -> TypeGuard[int]:
     """Whether a value is a whole number; a truth value is none."""
     return isinstance(value, WHOLE) and not isinstance(value, bool)
 

@@ -33,7 +33,8 @@ class Begun:
     def __init__(self, config=CONFIG):
         self.window, self.parameters = empty(), Parameters()
         self.biases = Biases(config, self.parameters)
-        self.window.add(prior(self.biases.begin(self.window, 0, NO_BIAS), np.zeros(3), 1e-6))
+        self.biases.begin(self.window, 0, NO_BIAS)
+        self.window.add(prior(self.biases.newest_key, np.zeros(3), 1e-6))
 
     def link(self, stamp_ns, rate, duration_s=0.1):
         return self.biases.use(self.window, stamp_ns, Turning(np.array(rate) * duration_s, duration_s), NO_BIAS)

@@ -78,14 +78,13 @@ class Biases:
         """The key of the newest bias."""
         return self._epochs[-1].key
 
-    def begin(self, solver: Solver, stamp_ns: int, bias: gtsam.imuBias.ConstantBias) -> int:
-        """Begin anew: insert the bias of the start and return its key; a factor on it must follow."""
+    def begin(self, solver: Solver, stamp_ns: int, bias: gtsam.imuBias.ConstantBias) -> None:
+        """Begin anew: insert the bias of the start; a factor on it must follow."""
         key: int = gtsam.symbol(BIAS, 0)
         self._begun_ns = stamp_ns
         self._stale.clear()
         solver.insert(key, bias, stamp_ns)
         self._epochs = [Epoch(0, key, None, NOT_TURNED, None, np.zeros(3))]
-        return key
 
     def use(self, solver: Solver, stamp_ns: int, turning: Turning, bias: gtsam.imuBias.ConstantBias) -> int:
         """Return the key of the bias that a link sees, by when it begins and turns; `bias` is the newest estimate."""

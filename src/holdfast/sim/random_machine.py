@@ -12,6 +12,7 @@ from holdfast.sim.configuration import configuration_data
 from holdfast.sim.readings import generator
 from holdfast.sim.scenario import Scenario, load_scenario
 from holdfast.sim.schedules import log_uniform
+from holdfast.sim.sensors.gnss import SimulatedGnss
 from holdfast.sim.sensors.imu import SimulatedInertial
 
 MACHINES = ("excavator_low", "excavator_roof", "dumper")
@@ -95,7 +96,7 @@ def _sensors(rng: np.random.Generator, whole: Scenario) -> dict[str, Any]:
     sensors |= {name: _inertial(rng, sheet) for name, sheet in whole.sensors_of(SimulatedInertial).items()}
     if whole.turn_joint is not None and rng.random() > OFTEN:
         sensors["base_imu"] = None
-    return sensors | _receivers(rng) | {"lidar": _odometry(rng, whole)}
+    return sensors | _receivers(rng, whole) | {"lidar": _odometry(rng, whole)}
 
 
 def _inertial(rng: np.random.Generator, sheet: SimulatedInertial) -> dict[str, Any]:
@@ -114,20 +115,15 @@ def _inertial(rng: np.random.Generator, sheet: SimulatedInertial) -> dict[str, A
     return drawn | {"rate_hz": float(rng.choice(IMU_HZ))}
 
 
-def _receivers(rng: np.random.Generator) -> dict[str, Any]:
+def _receivers(rng: np.random.Generator, whole: Scenario) -> dict[str, Any]:
     """Return one antenna, two, or two with their heading; all of one receiver, with one clock."""
     times, tau_s = log_uniform(rng, *FIXES), log_uniform(rng, *TIME_CONSTANT_S)
     shared = {"rate_hz": float(rng.choice(GNSS_HZ)), "transport": _transport(rng)} | _clock(rng)
-    fixes = {
-        "white_horizontal_m": 0.007 * times,
-        "white_vertical_m": 0.0125 * times,
-        "slow_horizontal_m": 0.004 * times,
-        "slow_vertical_m": 0.008 * times,
-        "time_constant_s": tau_s,
-    }
+    parts = ("white_horizontal_m", "white_vertical_m", "slow_horizontal_m", "slow_vertical_m")
+    fixes = _scaled(whole.sensors_of(SimulatedGnss)["gnss"].rtk_fixed, times, *parts) | {"time_constant_s": tau_s}
     antenna = shared | {"rtk_fixed": fixes, "claim_ratio": log_uniform(rng, *CLAIM)}
-    times = log_uniform(rng, 0.5, 4.0)
-    heading = shared | {"white_rad": 1.5e-3 * times, "slow_rad": 8e-4 * times, "time_constant_s": tau_s}
+    heading = shared | {"time_constant_s": tau_s}
+    heading |= _scaled(whole.sensors["heading"], log_uniform(rng, 0.5, 4.0), "white_rad", "slow_rad")
     kind = rng.random()
     return {
         "gnss": antenna,
@@ -140,10 +136,14 @@ def _odometry(rng: np.random.Generator, whole: Scenario) -> dict[str, Any] | Non
     if rng.random() > 0.85:
         return None
     sheet, noise, drift = whole.sensors["lidar"], log_uniform(rng, *ODOMETRY), log_uniform(rng, *ODOMETRY)
-    drawn = {key: getattr(sheet, key) * noise for key in ("jitter_m", "jitter_rad")}
-    drifts = ("drift_m_per_sqrt_m", "drift_rad_per_sqrt_m", "drift_rad_per_sqrt_rad")
-    drawn |= {key: getattr(sheet, key) * drift for key in drifts}
+    drawn = _scaled(sheet, noise, "jitter_m", "jitter_rad")
+    drawn |= _scaled(sheet, drift, "drift_m_per_sqrt_m", "drift_rad_per_sqrt_m", "drift_rad_per_sqrt_rad")
     return drawn | {"rate_hz": float(rng.choice(ODOMETRY_HZ)), "transport": _transport(rng)} | _clock(rng)
+
+
+def _scaled(sheet: object, times: float, *keys: str) -> dict[str, float]:
+    """Return numbers of a datasheet, so many times larger."""
+    return {key: getattr(sheet, key) * times for key in keys}
 
 
 def _clock(rng: np.random.Generator) -> dict[str, Any]:
