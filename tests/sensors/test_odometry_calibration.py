@@ -48,7 +48,7 @@ def test_both_factors_have_the_derivatives_that_they_claim(seed):
         rng.normal(0, 0.02, 6)
     )
     unit = gtsam.noiseModel.Isotropic.Sigma
-    anchored = calibration().anchored_factor((F, X, P), motion, np.zeros(3), unit(6, 1.0))
+    anchored = calibration().anchored_factor((F, X, P), motion, np.zeros(3), np.zeros(6), unit(6, 1.0))
     drift = calibration().drift_factor((F, X, P), motion, unit(9, 1.0))
     for factor in (anchored, drift):
         claimed = factor.linearize(values).jacobian()[0]
@@ -62,8 +62,9 @@ def test_the_error_is_zero_where_mounting_and_clock_are_as_they_are(seed):
     rng = np.random.default_rng(seed)
     parameter = np.array([*rng.normal(0.0, 0.05, 3), rng.normal(0.0, 0.03)])
     rate, velocity = rng.normal(0.0, 0.5, 3), rng.normal(0.0, 1.0, 3)
+    beyond = rng.normal(0.0, 0.3, 6)
     frame, pose = (gtsam.Pose3.Expmap(rng.normal(0.0, 1.0, 6)) for _ in range(2))
-    later = pose * gtsam.Pose3.Expmap(np.concatenate([rate, velocity]) * parameter[3])
+    later = pose * gtsam.Pose3.Expmap((np.concatenate([rate, velocity]) + beyond) * parameter[3])
     true_mount = T_I_L * gtsam.Pose3(gtsam.Rot3.Expmap(parameter[:3]), np.zeros(3))
     motion_of_lidar = (frame * true_mount).between(later * true_mount)
     as_configured = T_I_L * motion_of_lidar * T_I_L.inverse()
@@ -71,9 +72,11 @@ def test_the_error_is_zero_where_mounting_and_clock_are_as_they_are(seed):
     values.insert(F, gtsam.NavState(frame, np.zeros(3)))
     values.insert(X, gtsam.NavState(pose, pose.rotation().rotate(velocity)))
     values.insert(P, parameter)
-    factor = calibration().anchored_factor((F, X, P), as_configured, rate, gtsam.noiseModel.Isotropic.Sigma(6, 1.0))
+    factor = calibration().anchored_factor(
+        (F, X, P), as_configured, rate, beyond, gtsam.noiseModel.Isotropic.Sigma(6, 1.0)
+    )
     np.testing.assert_allclose(factor.unwhitenedError(values), 0.0, atol=1e-9)
-    moved = calibration().after(values.atNavState(X), rate, parameter)
+    moved = calibration().after(values.atNavState(X), rate, parameter, beyond)
     np.testing.assert_allclose(gtsam.Pose3.Logmap(moved.between(later)), 0.0, atol=1e-12)
 
 

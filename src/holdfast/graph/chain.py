@@ -9,6 +9,7 @@ import gtsam
 import numpy as np
 
 from holdfast.graph.biases import EPOCH_NS, Biases
+from holdfast.graph.mean_twist import MeanTwist
 from holdfast.graph.nodes import Link, Timeline, to_grid
 from holdfast.graph.solver import Placed, Solver
 from holdfast.messages import Array
@@ -134,6 +135,11 @@ class Chain:
                 rotation: Array = self.nav(before).attitude().logmap(nav.attitude())
                 return rotation / ((stamp_ns - before) * 1e-9)
         return self._motion.imu.angular_velocity(stamp_ns) - bias.gyroscope()
+
+    def twist_beyond(self, stamp_ns: int, nav: gtsam.NavState, angular_velocity: Array) -> MeanTwist:
+        """Return what tells how the machine moved about a node, whose state and angular velocity (3,) are given."""
+        imu, gravity = self._motion.imu, self._motion.noise.gravity
+        return MeanTwist(imu, gravity, stamp_ns, nav, angular_velocity, self._bias)
 
     def extend(self, stamp_ns: int) -> Iterator[Prediction]:
         """Make a node behind the newest one, with those that must lie between, and yield how each follows."""

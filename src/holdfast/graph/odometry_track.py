@@ -126,13 +126,21 @@ class OdometryTrack:
             return Outcome.NO_PREDECESSOR  # from before a jump
         smoother.keep_frame(at.key, pose.stamp_ns)
         motion, rate = at.first.T_I0_I.between(pose.T_I0_I), smoother.angular_velocity(pose.stamp_ns)
-        calibration_key = self._calibration_key(smoother, pose)
-        smoother.enter(pose, self._noise.anchored_factor(at.key, key, motion, calibration_key, rate))
+        calibration_key, offset_s = self._calibration(smoother, pose)
+        beyond = smoother.twist_beyond(pose.stamp_ns)(offset_s)
+        smoother.enter(
+            pose,
+            self._noise.anchored_factor(at.key, key, motion, calibration_key, angular_velocity=rate, beyond=beyond),
+        )
         return Outcome.USED
 
-    def _calibration_key(self, smoother: Smoother, pose: TrackPose) -> int | None:
+    def _calibration(self, smoother: Smoother, pose: TrackPose) -> tuple[int | None, float]:
+        """Return the key of what is estimated of the odometry, None if nothing is, and the offset of its clock [s]."""
         prior = self._noise.calibration.prior
-        return None if prior is None else smoother.parameter(pose.sensor, prior, pose.stamp_ns)[0]
+        if prior is None:
+            return None, 0.0
+        key, value, _ = smoother.parameter(pose.sensor, prior, pose.stamp_ns)
+        return key, float(value[-1])
 
     def _begin_epoch(self, smoother: Smoother, before: _Epoch | None, pose: TrackPose) -> _Epoch:
         here = smoother.nav(pose.stamp_ns).pose()
@@ -143,7 +151,7 @@ class OdometryTrack:
         else:
             motion = before.first.T_I0_I.between(pose.T_I0_I)
             duration_s = (pose.stamp_ns - before.first.stamp_ns) * 1e-9
-            calibration_key = self._calibration_key(smoother, pose)
+            calibration_key, _ = self._calibration(smoother, pose)
             up = here.rotation().unrotate(np.array([0.0, 0.0, 1.0]))
             drift = self._noise.drift_factor(before.key, key, motion, duration_s, up, calibration_key, pose.excess)
             smoother.add(drift)

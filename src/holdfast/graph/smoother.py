@@ -14,6 +14,7 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.graph.biases import Biases
 from holdfast.graph.chain import Chain, Motion
+from holdfast.graph.mean_twist import MeanTwist
 from holdfast.graph.nodes import BIAS, FRAME, NODE, Link, to_grid
 from holdfast.graph.parameters import MAX_SIZE, REFRESHED_NS, Parameters, parameter_letter
 from holdfast.graph.prior import joint_prior
@@ -284,7 +285,15 @@ class Smoother:
         """Return what a measurement at a time is compared with; its node must exist. `joint` is the turn joint then."""
         stamp = to_grid(stamp_ns)
         nav = self._chain.nav(stamp)
-        return State(nav, self.covariance(stamp), self._chain.angular_velocity(stamp, nav), joint)
+        rate = self._chain.angular_velocity(stamp, nav)
+        beyond = self._chain.twist_beyond(stamp, nav, rate)
+        return State(nav, self.covariance(stamp), rate, joint, twist_beyond=beyond)
+
+    def twist_beyond(self, stamp_ns: int) -> MeanTwist:
+        """Return what tells how the machine moved about the node at a time, which must exist."""
+        stamp = to_grid(stamp_ns)
+        nav = self._chain.nav(stamp)
+        return self._chain.twist_beyond(stamp, nav, self._chain.angular_velocity(stamp, nav))
 
     def angular_velocity(self, stamp_ns: int) -> Array:
         """Return the angular velocity (3,) of I at the node at a time, which must exist [rad/s]."""

@@ -23,7 +23,8 @@ def residual(
         joint: the turn joint at its time.
     """
     stamp_ns, parameter = measurement.stamp_ns, sensor.parameter
-    state = State(smoother.nav(stamp_ns), UNKNOWN, smoother.angular_velocity(stamp_ns), joint)
+    nav, rate, beyond = smoother.nav(stamp_ns), smoother.angular_velocity(stamp_ns), smoother.twist_beyond(stamp_ns)
+    state = State(nav, UNKNOWN, rate, joint, twist_beyond=beyond)
     if parameter is not None:
         known = smoother.parameter_estimate(parameter.name(measurement.sensor))
         value, sigmas = (parameter.mean, parameter.sigmas) if known is None else known

@@ -69,7 +69,8 @@ class WhiteNoise:
         if not 0 < measurement.stamp_ns - last.stamp_ns <= MAX_INTERVAL_NS:
             return
         nav, rate = smoother.nav(last.stamp_ns), smoother.angular_velocity(last.stamp_ns)
-        before = sensor.innovation(last, state._replace(nav=nav, angular_velocity=rate))
+        then = state._replace(nav=nav, angular_velocity=rate, twist_beyond=smoother.twist_beyond(last.stamp_ns))
+        before = sensor.innovation(last, then)
         now = sensor.innovation(measurement, state)
         if isinstance(before, Outcome) or isinstance(now, Outcome):
             return

@@ -1,8 +1,8 @@
 """A sensor whose clock is off by a constant that the graph estimates, behind the sensor's own parameter.
 
-A measurement stamped t was taken at t + tau. Over so short a time the state moves by its own twist, so that
-h(x(t + tau)) = h(x) + H xi tau: (53) in docs/math.md. That holds for every sensor whose innovation depends on attitude
-and position, and asks nothing of it.
+A measurement stamped t was taken at t + tau. Over so short a time the state moves by a twist, its mean as the IMU
+measured it, so that h(x(t + tau)) = h(x) + H xi tau: (53) in docs/math.md. That holds for every sensor whose innovation
+depends on attitude and position, and asks nothing of it.
 """
 
 from collections.abc import Sequence
@@ -17,6 +17,7 @@ from holdfast.state import Outcome
 
 GNSS_CLOCK = "clock of GNSS"
 IF_RIGHT_S = 5e-3  # of clocks that are synchronised: sensors have filters inside
+LINEAR_S = 5e-3  # over which a machine moves evenly though its engine shakes it
 
 
 class EstimatedClock:
@@ -33,7 +34,9 @@ class EstimatedClock:
         is_gnss = sensor.role is Role.HEADING or sensor.message is GnssFix
         shared = GNSS_CLOCK if is_gnss and not len(own.mean) else ""
         if_right = np.append(np.full(len(own.mean), np.inf), IF_RIGHT_S)
-        self.parameter = Parameter(np.append(own.mean, 0.0), np.append(own.sigmas, sigma_s), if_right, shared)
+        within = np.append(np.full(len(own.mean), np.inf), LINEAR_S)
+        means, sigmas = np.append(own.mean, 0.0), np.append(own.sigmas, sigma_s)
+        self.parameter = Parameter(means, sigmas, if_right, shared, linear_within=within)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._sensor, name)
@@ -50,8 +53,10 @@ class EstimatedClock:
         found: Innovation | Outcome = self._sensor.innovation(measurement, own)
         if isinstance(found, Outcome):
             return found
-        by_offset = found.H[:, :6] @ np.concatenate([state.angular_velocity, state.nav.bodyVelocity()])
-        y, J = found.y - by_offset * state.parameter[-1], np.empty((len(by_offset), len(state.parameter)))
+        off_s = float(state.parameter[-1])
+        twist = np.concatenate([state.angular_velocity, state.nav.bodyVelocity()]) + state.twist_beyond(off_s)
+        by_offset = found.H[:, :6] @ twist
+        y, J = found.y - by_offset * off_s, np.empty((len(by_offset), len(state.parameter)))
         J[:, :-1], J[:, -1] = found.J, by_offset
         return Innovation(y, found.H, found.R, J)
 

@@ -23,7 +23,7 @@ MAX_SPEED_M_S = 100.0
 MAX_SCALE = 30.0
 LOOSE_TILT_RAD = 0.2  # of a pseudo-global pose, whose roll and pitch are left to the IMU
 STILL_M_S = 1e-3  # velocity of a frame, which has one only because it shares the type of the nodes
-STANDING = np.zeros(3)
+STANDING, STEADY = np.zeros(3), np.zeros(6)
 LEAST_YAW_DRIFT = 2e-3  # [rad/sqrt(rad)] whatever is learnt, unless less is configured
 UNMEASURED_RAD, UNMEASURED_M = 10.0, 1e3  # sigmas of a motion since the pose before that nobody measured
 STANDING_DRIFT_M_PER_SQRT_S = 1e-4  # what even a standing odometry is allowed; a tenth of it in rad
@@ -181,19 +181,22 @@ class OdometryNoise:
         key: int,
         motion: gtsam.Pose3,
         calibration_key: int | None = None,
+        *,
         angular_velocity: Array = STANDING,
+        beyond: Array = STEADY,
     ) -> gtsam.NonlinearFactor:
         """Return the factor that joins a node to a pose on the track, `motion` away: (29) in docs/math.md.
 
         Its noise is that of one pose, half the variance of a motion between two. Where the calibration is estimated,
-        it is on that, too; then it needs the `angular_velocity` (3,) of I [rad/s].
+        it is on that, too; then it needs the `angular_velocity` (3,) of I [rad/s], and by how much the mean twist over
+        the offset of the clock is `beyond` (6,) that of the node.
         """
         covariance = self._at_imu(0.5 * self._learnt_sigmas() ** 2)
         if calibration_key is None:
             return self._between(frame_key, key, motion, covariance)
         noise = noise_model(covariance, self._config.robust_loss)
         keys = frame_key, key, calibration_key
-        return self.calibration.anchored_factor(keys, motion, angular_velocity, noise)
+        return self.calibration.anchored_factor(keys, motion, angular_velocity, beyond, noise)
 
     def pseudo_global_factor(self, key: int, T_W_I: gtsam.Pose3, excess: Array | None = None) -> gtsam.NonlinearFactor:
         """Return the pose factor in W of the paper's fallback graph (IV-A.4b): roll and pitch are left to the IMU."""

@@ -11,11 +11,12 @@ import numpy as np
 
 from holdfast.config.sensors import DriftingConfig
 from holdfast.messages import Array
-from holdfast.sensors.clock import IF_RIGHT_S
+from holdfast.sensors.clock import IF_RIGHT_S, LINEAR_S
 from holdfast.sensors.sensor import Parameter
 
 KNOWN = 1e-7  # sigma [rad, s] of what is known
 SIZE = 4
+STEADY: Array = np.zeros(6)
 
 
 class OdometryCalibration:
@@ -32,7 +33,9 @@ class OdometryCalibration:
         self.lever_arm: Array = T_I_L.translation()
         sigmas = np.array([*np.repeat(np.radians(config.mounting_sigma_deg), 3), config.time_offset_sigma_s])
         if_right = np.array([*np.full(3, np.inf), IF_RIGHT_S])
-        self.prior = Parameter(np.zeros(SIZE), np.maximum(sigmas, KNOWN), if_right) if sigmas.any() else None
+        within = np.array([*np.full(3, np.inf), LINEAR_S])
+        known = np.maximum(sigmas, KNOWN)
+        self.prior = Parameter(np.zeros(SIZE), known, if_right, linear_within=within) if sigmas.any() else None
 
     def motion(self, motion: gtsam.Pose3, parameter: Array) -> gtsam.Pose3:
         """Return a motion of I with another mounting: C motion C^-1, C = T_I_L Exp(delta) T_L_I."""
@@ -40,20 +43,26 @@ class OdometryCalibration:
         correction = self._T_I_L.compose(turned).compose(self._T_L_I)
         return correction.compose(motion).compose(correction.inverse())
 
-    def after(self, nav: gtsam.NavState, angular_velocity: Array, parameter: Array) -> gtsam.Pose3:
-        """Return the pose of I at the time when a pose of the odometry with the stamp of a state was measured."""
-        twist = np.concatenate([angular_velocity, nav.bodyVelocity()])
+    def after(
+        self, nav: gtsam.NavState, angular_velocity: Array, parameter: Array, beyond: Array = STEADY
+    ) -> gtsam.Pose3:
+        """Return the pose of I at the time when a pose of the odometry with the stamp of a state was measured.
+
+        `beyond` (6,) is by how much its mean twist until then differs from that of the state.
+        """
+        twist = np.concatenate([angular_velocity, nav.bodyVelocity()]) + beyond
         return nav.pose().compose(gtsam.Pose3.Expmap(twist * parameter[3]))
 
     def anchored_factor(
-        self, keys: Sequence[int], motion: gtsam.Pose3, angular_velocity: Array, noise: gtsam.noiseModel.Base
+        self, keys: Sequence[int], motion: gtsam.Pose3, rate: Array, beyond: Array, noise: gtsam.noiseModel.Base
     ) -> gtsam.NonlinearFactor:
         """Return the factor on a frame, a node and the parameter: the node's pose after tau is `motion` from the frame.
 
         Args:
             keys: of the frame, the node and the parameter.
             motion: of I from the frame to the pose, as the configured mounting has it.
-            angular_velocity: (3,) of I at the node [rad/s].
+            rate: (3,) angular velocity of I at the node [rad/s].
+            beyond: (6,) by how much the mean twist over tau differs from that at the node.
             noise: of the error (6,), rotation first.
         """
         frame_key, node_key, parameter_key = keys
@@ -61,7 +70,7 @@ class OdometryCalibration:
         def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
             frame, node = values.atNavState(frame_key).pose(), values.atNavState(node_key)
             parameter = values.atVector(parameter_key)
-            twist = np.concatenate([angular_velocity, node.bodyVelocity()])
+            twist = np.concatenate([rate, node.bodyVelocity()]) + beyond
             by_twist = np.zeros((6, 6), order="F")
             shift = gtsam.Pose3.Expmap(twist * parameter[3], by_twist)
             expected = self.motion(motion, parameter)

@@ -69,6 +69,8 @@ class State(NamedTuple):
         joint: the turn joint, None where there is none or where its angle is not known.
         parameter: (p,) the sensor's estimated parameter; empty if it has none.
         parameter_covariance: (p, p).
+        twist_beyond: tells by how much the mean twist (6,) of I [rad/s, m/s] over a time from here on [s] differs from
+            that of now.
     """
 
     nav: gtsam.NavState
@@ -77,6 +79,7 @@ class State(NamedTuple):
     joint: Joint | None = None
     parameter: Array = np.zeros(0)
     parameter_covariance: Array = np.zeros((0, 0))
+    twist_beyond: Callable[[float], Array] = lambda _: np.zeros(6)
 
 
 class Innovation(NamedTuple):
@@ -114,6 +117,8 @@ class Parameter(NamedTuple):
         sigmas: (p,) of the prior.
         if_right: (p,) sigmas that hold where the mean is right after all, inf where there is no telling. The prior is
             then a mixture of both: what was configured is either right or far off.
+        linear_within: (p,) changes over which what is measured depends linearly on it; None if that is always so. Where
+            it has changed by more, what was measured before says less.
         shared: name of a parameter that several sensors share, such as the clock of one receiver; empty: its own.
         walk: (p,) density of the random walk by which it changes, in its units per sqrt(s); None if it is constant.
     """
@@ -123,6 +128,7 @@ class Parameter(NamedTuple):
     if_right: Array | None = None
     shared: str = ""
     walk: Array | None = None
+    linear_within: Array | None = None
 
     def name(self, sensor: str) -> str:
         """Return the name under which the graph knows the parameter of a sensor."""
