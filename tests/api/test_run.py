@@ -90,7 +90,7 @@ def test_a_config_may_be_a_path_plain_data_or_a_config(drive):
         ({"config": 3}, "config: must be a path, a dict or a Config, not int"),
         ({"hold_out": {"gnss": 1}}, r"hold_out\['gnss'\]: must be an integer >= 2, not 1"),
         ({"hold_out": {"gps": 2}}, "sensor 'gps' is not configured"),
-        ({"outage": {"gnss": (20.0, 10.0)}}, r"outage\['gnss'\]: must end after it starts"),
+        ({"outage": {"gnss": (20.0, 10.0)}}, r"outage\['gnss'\]: must start at 0 s or later, and end after it starts"),
     ],
 )
 def test_a_mistaken_argument_is_named(drive, options, text):

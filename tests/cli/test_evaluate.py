@@ -98,6 +98,11 @@ def test_the_plot_is_written(holdfast, tracks):
     assert code == 0 and (tracks / "figure.png").stat().st_size > 20_000
 
 
+def test_a_plot_in_a_folder_that_is_not_there_is_refused_before_the_table(holdfast):
+    code, output, errors = holdfast("estimate.tum", "reference.tum", "--plot", "none/figure.png")
+    assert code == 2 and not output and "none/figure.png: cannot be written (its folder does not exist)" in errors
+
+
 def test_a_reference_without_orientation_is_reported_to_have_none(holdfast):
     _, output, _ = holdfast("estimate.tum", "reference.tum", "--position-only", "--reference-lever-arm", "0", "0", "1")
     assert "positions only" in output and "rotation" not in output

@@ -64,6 +64,7 @@ def test_a_site_grid_prints_its_residuals(tmp_path: Path):
         (["--interval", "0"], "--interval 0: must be > 0"),
         (["-o", "track.shp"], r"unknown kind of file \(allowed: \.csv"),
         (["-o", "none/track.csv"], "its folder does not exist"),
+        (["-o", "track.csv", "-o", "track.csv"], "-o track.csv: is given twice"),
         (["--crs", "EPSG:2056", "--site-grid", "site.csv"], "give one of them"),
         (["--site-grid", "site.csv", "--geoid", "geoid.gtx"], "the control points of a site grid give its heights"),
         (["-o", "track.las"], "LAS takes metres"),

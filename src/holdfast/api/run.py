@@ -172,8 +172,8 @@ def _rules(hold_out: Mapping[str, int], outage: Mapping[str, tuple[float, float]
             start_s, end_s = map(float, span)
         except (TypeError, ValueError):
             raise ConfigError(f"outage[{sensor!r}]: must be (start, end) [s], {got(span)}") from None
-        if not start_s < end_s:
-            raise ConfigError(f"outage[{sensor!r}]: must end after it starts [s], not {span!r}")
+        if not 0.0 <= start_s < end_s:
+            raise ConfigError(f"outage[{sensor!r}]: must start at 0 s or later, and end after it starts, not {span!r}")
         rules.append(HoldOut(sensor, None, start_s, end_s))
     check_sensors(rules, config)
     return rules

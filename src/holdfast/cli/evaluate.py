@@ -11,7 +11,7 @@ from click.core import ParameterSource
 
 from holdfast.cli.claimed import as_json, claimed_consistency, print_consistency
 from holdfast.cli.terminal import guarded_console
-from holdfast.cli.writing import naming_the_output
+from holdfast.cli.writing import check_folder_of, naming_the_output
 from holdfast.errors import ConfigError, RecordingError
 from holdfast.output_folder import add_results, check_output_file
 
@@ -95,6 +95,7 @@ def evaluate(
     metrics = _metrics(**options)
     written = [file for file in (json_file, plot_file) if file is not None]
     for file in written:
+        check_folder_of(file)
         check_output_file(file, trajectories)
     if plot_file is not None:
         check_plot(plot_file)

@@ -51,6 +51,8 @@ def export(  # noqa: PLR0917 (click passes the options by name)
     files = files or (folder / "trajectory.csv",)
     reads = [folder / f"{track}.tum", *(file for file in (site_grid, geoid) if file is not None)]
     for file in files:
+        if files.count(file) > 1:
+            raise ConfigError(f"-o {file}: is given twice")
         if file.suffix.lower() not in FORMATS:
             raise ConfigError(f"-o {file}: unknown kind of file (allowed: {', '.join(FORMATS)})")
         check_folder_of(file)

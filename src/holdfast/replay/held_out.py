@@ -60,8 +60,8 @@ class HoldOut:
             start, end = (float(part) for part in span.split(":"))
         except ValueError:
             raise ConfigError(f"--outage {text}: must be SENSOR=START:END in seconds, such as gnss=120:180") from None
-        if not start < end:
-            raise ConfigError(f"--outage {text}: must end after it starts")
+        if not 0.0 <= start < end:
+            raise ConfigError(f"--outage {text}: must start at 0 s or later, and end after it starts")
         return cls(sensor, None, start, end)
 
     def told(self) -> str:
