@@ -181,26 +181,3 @@ def test_one_that_walks_is_another_variable_in_time_and_less_certain():
     window.solve(-1)
     grown = window.covariance(after.key) - window.covariance(before.key)
     np.testing.assert_allclose(grown, np.diag(walking.walk**2) * WALK_NS * 1e-9, atol=1e-9)
-
-
-def test_one_that_has_left_where_it_is_linear_is_another_variable_and_doubts_what_came_before():
-    window, parameters = empty(), Parameters()
-    clock = PRIOR._replace(linear_within=np.array([np.inf, 0.3]))
-    first = parameters.use(window, "clock", clock, 0)
-    measure(window, first.key, PRIOR.mean + np.array([5.0, 0.1]))
-    window.solve(-1)
-    parameters.mark_solved()
-    near = parameters.use(window, "clock", clock, 1)
-    assert near.key == first.key
-    measure(window, near.key, PRIOR.mean + np.array([5.0, 3.0]), 0.01)
-    window.solve(-1)
-    parameters.mark_solved()
-    far = parameters.use(window, "clock", clock, 2)
-    assert far.key != first.key
-    np.testing.assert_array_equal(far.value, window.vector(first.key))
-    window.solve(-1)
-    grown = np.sqrt(np.diag(window.covariance(far.key) - window.covariance(near.key)).clip(0.0))
-    changed = abs(far.value[1] - PRIOR.mean[1])
-    np.testing.assert_allclose(grown, [0.0, 0.5 * changed], atol=1e-3)
-    parameters.mark_solved()
-    assert parameters.use(window, "clock", clock, 3).key == far.key

@@ -22,7 +22,6 @@ MAX_SIZE = 12
 RIGHT, OFF = 0.0, -log(3.0)  # log ratio of the densities under what was configured and under the prior
 HELD = 0.02  # of the error that counts as right: as if there were none
 REFUTED = 3.0  # sigmas of what was learnt before a restart
-DOUBT, EXACT = 0.5, 1e-6  # of a change: sigma of what was measured before it; sigma of what has not changed
 REFRESHED_NS = 1_000_000_000  # a marginal is read this often
 WALK_NS = 10_000_000_000  # a parameter that walks is another variable after so long
 NOT_AGAIN_NS = 1 << 62  # when it is read next, where whoever solves asks for it
@@ -32,7 +31,7 @@ class Known(NamedTuple):
     """A parameter: its key, estimate (p,) and covariance (p, p), and whether the solver has solved it.
 
     `right` is the factor that holds it where it was configured, if it is believed to be right; `carried` that which
-    says what was learnt of it before a restart. `begun_ns` is when it became a variable, `about` its value then (p,).
+    says what was learnt of it before a restart. `begun_ns` is when it became a variable.
     """
 
     key: int
@@ -41,7 +40,6 @@ class Known(NamedTuple):
     is_solved: bool
     read_ns: int
     begun_ns: int
-    about: Array
     right: Placed | None = None
     carried: Placed | None = None
 
@@ -91,9 +89,8 @@ class Parameters:
                 known = known._replace(covariance=solver.covariance(known.key), read_ns=stamp_ns)
                 known = _believed(solver, known, prior)
                 known = self._unless_refuted(solver, name, known, configured)
-        known = self._renewed(solver, known, configured.linear_within, stamp_ns)
         if prior.walk is not None and stamp_ns - known.begun_ns >= WALK_NS:
-            known = self._walked(solver, known, prior.walk * sqrt((stamp_ns - known.begun_ns) * 1e-9), stamp_ns)
+            known = self._walked(solver, known, prior.walk, stamp_ns)
         solver.keep(known.key, stamp_ns)
         self._known[name] = known
         return known
@@ -160,25 +157,15 @@ class Parameters:
         key: int = gtsam.symbol(parameter_letter(size), self._made)
         return key
 
-    def _renewed(self, solver: Solver, known: Known, within: Array | None, stamp_ns: int) -> Known:
-        """Return a parameter; it has another variable if it has changed by more than what came before is linear in."""
-        if within is None or known.right is not None or not known.is_solved:
-            return known
-        changed = np.abs(known.value - known.about)
-        if (changed <= within).all():
-            return known
-        doubt = np.where(changed > within, DOUBT * changed, EXACT)
-        return self._walked(solver, known, doubt, stamp_ns)
-
-    def _walked(self, solver: Solver, known: Known, sigmas: Array, stamp_ns: int) -> Known:
-        """Return a parameter as another variable, which differs from the one before by sigmas (p,)."""
-        key = self._new_key(len(sigmas))
+    def _walked(self, solver: Solver, known: Known, walk: Array, stamp_ns: int) -> Known:
+        """Return a parameter as it is after it has walked on."""
+        key = self._new_key(len(walk))
+        sigmas = walk * sqrt((stamp_ns - known.begun_ns) * 1e-9)
         solver.insert(key, known.value, stamp_ns)
         solver.keep(known.key, stamp_ns)
         model = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
-        solver.add(gtsam.BetweenFactorVector(known.key, key, np.zeros(len(sigmas)), model))
-        covariance = known.covariance + np.diag(sigmas**2)
-        return Known(key, known.value, covariance, False, stamp_ns, stamp_ns, known.value)
+        solver.add(gtsam.BetweenFactorVector(known.key, key, np.zeros(len(walk)), model))
+        return Known(key, known.value, known.covariance + np.diag(sigmas**2), False, stamp_ns, stamp_ns)
 
     def _insert(self, solver: Solver, name: str, prior: Parameter, stamp_ns: int, start: Array | None) -> Known:
         before = self._known.get(name)
@@ -189,7 +176,7 @@ class Parameters:
         key = self._new_key(len(mean))
         solver.insert(key, value, stamp_ns)
         placed = solver.add(gtsam.PriorFactorVector(key, mean, gtsam.noiseModel.Gaussian.Covariance(covariance)))
-        known = Known(key, value, covariance, False, stamp_ns, stamp_ns, value)
+        known = Known(key, value, covariance, False, stamp_ns, stamp_ns)
         if before is None and prior is self._carried.get(name):
             known = known._replace(carried=placed)
         is_right = prior.if_right is not None if before is None else before.right is not None
@@ -237,7 +224,7 @@ def _held(solver: Solver, known: Known, prior: Parameter) -> Known:
     before = np.linalg.inv(known.covariance)
     covariance = np.linalg.inv(before + np.diag(sigmas**-2.0))
     value = prior.mean + covariance @ before @ (known.value - prior.mean)
-    return known._replace(value=value, covariance=covariance, is_solved=False, about=value, right=solver.add(factor))
+    return known._replace(value=value, covariance=covariance, is_solved=False, right=solver.add(factor))
 
 
 def _without_belief(known: Known, prior: Parameter) -> tuple[Array, Array]:

@@ -17,7 +17,6 @@ from holdfast.state import Outcome
 
 GNSS_CLOCK = "clock of GNSS"
 IF_RIGHT_S = 5e-3  # of clocks that are synchronised: sensors have filters inside
-LINEAR_S = 5e-3  # over which a machine moves evenly though its engine shakes it
 
 
 class EstimatedClock:
@@ -34,9 +33,7 @@ class EstimatedClock:
         is_gnss = sensor.role is Role.HEADING or sensor.message is GnssFix
         shared = GNSS_CLOCK if is_gnss and not len(own.mean) else ""
         if_right = np.append(np.full(len(own.mean), np.inf), IF_RIGHT_S)
-        within = np.append(np.full(len(own.mean), np.inf), LINEAR_S)
-        means, sigmas = np.append(own.mean, 0.0), np.append(own.sigmas, sigma_s)
-        self.parameter = Parameter(means, sigmas, if_right, shared, linear_within=within)
+        self.parameter = Parameter(np.append(own.mean, 0.0), np.append(own.sigmas, sigma_s), if_right, shared)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._sensor, name)

@@ -11,7 +11,7 @@ import numpy as np
 
 from holdfast.config.sensors import DriftingConfig
 from holdfast.messages import Array
-from holdfast.sensors.clock import IF_RIGHT_S, LINEAR_S
+from holdfast.sensors.clock import IF_RIGHT_S
 from holdfast.sensors.sensor import Parameter
 
 KNOWN = 1e-7  # sigma [rad, s] of what is known
@@ -33,9 +33,7 @@ class OdometryCalibration:
         self.lever_arm: Array = T_I_L.translation()
         sigmas = np.array([*np.repeat(np.radians(config.mounting_sigma_deg), 3), config.time_offset_sigma_s])
         if_right = np.array([*np.full(3, np.inf), IF_RIGHT_S])
-        within = np.array([*np.full(3, np.inf), LINEAR_S])
-        known = np.maximum(sigmas, KNOWN)
-        self.prior = Parameter(np.zeros(SIZE), known, if_right, linear_within=within) if sigmas.any() else None
+        self.prior = Parameter(np.zeros(SIZE), np.maximum(sigmas, KNOWN), if_right) if sigmas.any() else None
 
     def motion(self, motion: gtsam.Pose3, parameter: Array) -> gtsam.Pose3:
         """Return a motion of I with another mounting: C motion C^-1, C = T_I_L Exp(delta) T_L_I."""

@@ -117,8 +117,6 @@ class Parameter(NamedTuple):
         sigmas: (p,) of the prior.
         if_right: (p,) sigmas that hold where the mean is right after all, inf where there is no telling. The prior is
             then a mixture of both: what was configured is either right or far off.
-        linear_within: (p,) changes over which what is measured depends linearly on it; None if that is always so. Where
-            it has changed by more, what was measured before says less.
         shared: name of a parameter that several sensors share, such as the clock of one receiver; empty: its own.
         walk: (p,) density of the random walk by which it changes, in its units per sqrt(s); None if it is constant.
     """
@@ -128,7 +126,6 @@ class Parameter(NamedTuple):
     if_right: Array | None = None
     shared: str = ""
     walk: Array | None = None
-    linear_within: Array | None = None
 
     def name(self, sensor: str) -> str:
         """Return the name under which the graph knows the parameter of a sensor."""
