@@ -268,8 +268,8 @@ def test_hold_out_must_be_a_sensor_and_a_number_above_one(text):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "gnss", "gnss=", "gnss=5", "gnss=1:2:3", "gnss=a:b", "gnss=5:5", "gnss=6:5", "gnss=nan:5"]
+    "text", ["", "gnss", "gnss=", "gnss=5", "gnss=1:2:3", "gnss=a:b", "gnss=5:5", "gnss=-1:5", "gnss=6:5", "gnss=nan:5"]
 )
 def test_outage_must_be_a_sensor_and_a_span(text):
-    with pytest.raises(ConfigError, match=r"--outage .*must (be SENSOR=START:END|end after)"):
+    with pytest.raises(ConfigError, match=r"--outage .*must (be SENSOR=START:END|start at 0 s or later)"):
         HoldOut.parse_outage(text)
