@@ -18,7 +18,7 @@ def mean_twist(until_s=7.0, **how):
     for sample in imu(DRIVE, 0.0, until_s, 400.0, bias=BIAS, **how):
         buffer.add(sample)
     bias = gtsam.imuBias.ConstantBias(BIAS[:3], BIAS[3:])
-    return MeanTwist(buffer, G, ns(AT_S), DRIVE.nav(AT_S), DRIVE.readings(AT_S)[1], bias)
+    return MeanTwist(buffer, ns(AT_S), DRIVE.nav(AT_S), DRIVE.readings(AT_S)[1], bias=bias, gravity=G)
 
 
 @pytest.mark.parametrize("duration_s", [0.06, -0.06, 0.013, -0.2])

@@ -53,18 +53,17 @@ def batch(  # noqa: PLR0917 (click passes the options by name)
     so an interrupted batch goes on when it is started again. Where the folder of a recording has the truth of a
     simulation, the table has the errors.
     """
-    from holdfast.cli.replay import rules_of
-    from holdfast.config.load import load_config
     from holdfast.fleet.plan import Variation, plan
     from holdfast.fleet.run import kept_outcome
+    from holdfast.replay.held_out import HoldOut
 
     if scheduler is not None and jobs is not None:
         raise ConfigError("--jobs: with --scheduler the cluster decides how many run at a time")
-    rules_of(hold_out, (), load_config(config))  # a mistake in them would fail every run
+    rules = [HoldOut.parse_every(text) for text in hold_out]
     options = [word for rule in hold_out for word in ("--hold-out", rule)]
     options += [] if duration is None else ["--duration", f"{duration:g}"]
     options += ["--strict"] * strict
-    planned = plan(recordings, config, [Variation.parse(text) for text in vary], output, options)
+    planned = plan(recordings, config, [Variation.parse(text) for text in vary], output, options, rules=rules)
     outcomes = {job.name: kept_outcome(job) for job in planned}
     todo = [job for job in planned if outcomes[job.name].state != "done"]
     skipped = len(planned) - len(todo)

@@ -16,6 +16,7 @@ from holdfast.config.model import Config
 from holdfast.config.presets import with_preset
 from holdfast.errors import ConfigError, RecordingError
 from holdfast.recording.source import is_shipped
+from holdfast.replay.held_out import HoldOut, check_sensors
 
 SAFE = set("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._=+-@")
 
@@ -72,19 +73,21 @@ def plan(
     variations: Sequence[Variation],
     output: Path,
     arguments: Sequence[str] = (),
+    *,
+    rules: Sequence[HoldOut] = (),
 ) -> list[Job]:
     """Return the jobs of a batch, by recording, then by variation in the order given.
 
     Raises:
-        ConfigError: the configuration or a variation of it holds mistakes, a key is varied twice, or two jobs would
-            have one name.
+        ConfigError: the configuration or a variation of it holds mistakes, or has no sensor that a rule names; a key is
+            varied twice, or two jobs would have one name.
         RecordingError: there is no file or folder at the path of a recording.
     """
     keys = [variation.key for variation in variations]
     if len(set(keys)) < len(keys):
         twice = next(key for key in keys if keys.count(key) > 1)
         raise ConfigError(f"--vary {twice}: is given twice (allowed: --vary {twice}=VALUE,VALUE,...)")
-    configs = [_varied(config, changes) for changes in _choices(variations)]
+    configs = [_varied(config, changes, rules) for changes in _choices(variations)]
     names = _names(recordings)
     jobs = []
     for given, name in zip(recordings, names, strict=True):
@@ -109,7 +112,9 @@ def _choices(variations: Sequence[Variation]) -> list[tuple[tuple[str, str], ...
     return list(product(*([(variation.key, value) for value in variation.values] for variation in variations)))
 
 
-def _varied(path: Path, changes: tuple[tuple[str, str], ...]) -> tuple[tuple[tuple[str, str], ...], str]:
+def _varied(
+    path: Path, changes: tuple[tuple[str, str], ...], rules: Sequence[HoldOut]
+) -> tuple[tuple[tuple[str, str], ...], str]:
     """Return the changes and the whole configuration with them, as YAML."""
     varied = "".join(f" with {key}={value}" for key, value in changes)
     document = read_document(read_yaml(path, "`holdfast config init RECORDING` starts one"), f"{path}{varied}")
@@ -122,7 +127,9 @@ def _varied(path: Path, changes: tuple[tuple[str, str], ...]) -> tuple[tuple[tup
                 raise ConfigError(f"--vary {key}={value}: {head} is no section of {path}")
         section[last] = _scalar(value)
     document.data = with_preset(modernised(data) if isinstance(data, dict) else data)
-    return changes, resolved_yaml(validate(document, Config))
+    found = validate(document, Config)
+    check_sensors(rules, found)
+    return changes, resolved_yaml(found)
 
 
 def _scalar(text: str) -> Any:

@@ -15,6 +15,7 @@ from holdfast.graph.solver import Placed, Solver
 from holdfast.messages import Array
 from holdfast.sensors.imu import NOT_TURNED, ImuBuffer
 from holdfast.sensors.preintegration import ImuNoise, MotionModel, preintegrate
+from holdfast.sensors.sensor import Joint, State
 from holdfast.state import OptimisedState
 
 UNTRUSTED_RATE_NS = 20_000_000  # a gap that is longer says more of the angular velocity than the sample before it
@@ -136,10 +137,12 @@ class Chain:
                 return rotation / ((stamp_ns - before) * 1e-9)
         return self._motion.imu.angular_velocity(stamp_ns) - bias.gyroscope()
 
-    def twist_beyond(self, stamp_ns: int, nav: gtsam.NavState, angular_velocity: Array) -> MeanTwist:
-        """Return what tells how the machine moved about a node, whose state and angular velocity (3,) are given."""
-        imu, gravity = self._motion.imu, self._motion.noise.gravity
-        return MeanTwist(imu, gravity, stamp_ns, nav, angular_velocity, self._bias)
+    def state_at(self, stamp_ns: int, joint: Joint | None, covariance: Array) -> State:
+        """Return what a measurement is compared with at a node, whose covariance (9, 9) is given."""
+        nav = self.nav(stamp_ns)
+        rate, gravity = self.angular_velocity(stamp_ns, nav), self._motion.noise.gravity
+        beyond = MeanTwist(self._motion.imu, stamp_ns, nav, rate, bias=self._bias, gravity=gravity)
+        return State(nav, covariance, rate, joint, twist_beyond=beyond)
 
     def extend(self, stamp_ns: int) -> Iterator[Prediction]:
         """Make a node behind the newest one, with those that must lie between, and yield how each follows."""

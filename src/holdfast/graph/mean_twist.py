@@ -9,9 +9,9 @@ import numpy as np
 
 from holdfast.messages import Array
 from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.sensor import STEADY
 
 LEAST_S = 1e-3  # over less the machine moves evenly
-STEADY: Array = np.zeros(6)
 
 
 class MeanTwist:
@@ -19,23 +19,24 @@ class MeanTwist:
 
     Args:
         imu: the samples.
-        gravity: magnitude [m/s^2].
         stamp_ns: of the node.
         nav: its state.
         angular_velocity: (3,) of I there [rad/s].
         bias: of the IMU.
+        gravity: magnitude [m/s^2].
     """
 
     __slots__ = ("_beyond", "_bias", "_gravity", "_imu", "_nav", "_over_s", "_rate", "_stamp_ns")
 
-    def __init__(  # noqa: PLR0917 (a node, and what the IMU measures about it)
+    def __init__(
         self,
         imu: ImuBuffer,
-        gravity: float,
         stamp_ns: int,
         nav: gtsam.NavState,
         angular_velocity: Array,
+        *,
         bias: gtsam.imuBias.ConstantBias,
+        gravity: float,
     ) -> None:
         self._imu, self._gravity, self._stamp_ns = imu, gravity, stamp_ns
         self._nav, self._rate, self._bias = nav, angular_velocity, bias

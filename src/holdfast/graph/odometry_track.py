@@ -125,9 +125,9 @@ class OdometryTrack:
         elif at is None:
             return Outcome.NO_PREDECESSOR  # from before a jump
         smoother.keep_frame(at.key, pose.stamp_ns)
-        motion, rate = at.first.T_I0_I.between(pose.T_I0_I), smoother.angular_velocity(pose.stamp_ns)
+        motion, state = at.first.T_I0_I.between(pose.T_I0_I), smoother.mean_at(pose.stamp_ns)
         calibration_key, offset_s = self._calibration(smoother, pose)
-        beyond = smoother.twist_beyond(pose.stamp_ns)(offset_s)
+        rate, beyond = state.angular_velocity, state.twist_beyond(offset_s)
         smoother.enter(
             pose,
             self._noise.anchored_factor(at.key, key, motion, calibration_key, angular_velocity=rate, beyond=beyond),

@@ -14,7 +14,6 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.graph.biases import Biases
 from holdfast.graph.chain import Chain, Motion
-from holdfast.graph.mean_twist import MeanTwist
 from holdfast.graph.nodes import BIAS, FRAME, NODE, Link, to_grid
 from holdfast.graph.parameters import MAX_SIZE, REFRESHED_NS, Parameters, parameter_letter
 from holdfast.graph.prior import joint_prior
@@ -35,6 +34,7 @@ from holdfast.state import OptimisedState, is_finite
 SETTLE_MARGIN_NS = 1_000_000_000  # a node is read this long before it leaves the window; updates are not further apart
 LINEAR = 1e6  # a threshold that is never reached
 FREE = FREE_VARIANCE**0.5  # sigma of what a factor says nothing about
+NO_COVARIANCE = np.zeros((NAV_SIZE, NAV_SIZE))
 PARAMETER_THRESHOLD = 0.01  # 1 cm, 0.6 deg, 1 %: a sensor's parameter is relinearised when it has moved by more
 FORGET_NS = 1_000_000_000  # measurements that left the window are dropped this often
 MAX_VARIANCE = 1e6  # beyond it a covariance says no more, whatever its unit
@@ -283,17 +283,11 @@ class Smoother:
 
     def state_at(self, stamp_ns: int, joint: Joint | None = None) -> State:
         """Return what a measurement at a time is compared with; its node must exist. `joint` is the turn joint then."""
-        stamp = to_grid(stamp_ns)
-        nav = self._chain.nav(stamp)
-        rate = self._chain.angular_velocity(stamp, nav)
-        beyond = self._chain.twist_beyond(stamp, nav, rate)
-        return State(nav, self.covariance(stamp), rate, joint, twist_beyond=beyond)
+        return self._chain.state_at(to_grid(stamp_ns), joint, self.covariance(stamp_ns))
 
-    def twist_beyond(self, stamp_ns: int) -> MeanTwist:
-        """Return what tells how the machine moved about the node at a time, which must exist."""
-        stamp = to_grid(stamp_ns)
-        nav = self._chain.nav(stamp)
-        return self._chain.twist_beyond(stamp, nav, self._chain.angular_velocity(stamp, nav))
+    def mean_at(self, stamp_ns: int, joint: Joint | None = None) -> State:
+        """Return the same with zeros for the covariance, which takes longer than all else."""
+        return self._chain.state_at(to_grid(stamp_ns), joint, NO_COVARIANCE)
 
     def angular_velocity(self, stamp_ns: int) -> Array:
         """Return the angular velocity (3,) of I at the node at a time, which must exist [rad/s]."""

@@ -167,10 +167,11 @@ class Odometries:
 
     def estimated(self, graph: DualGraph, pose: TrackPose) -> gtsam.Pose3:
         """Return where the main graph sees the machine when a pose was measured, by what it knows of its clock."""
-        stamp_ns, constants = pose.stamp_ns, _calibration(graph, pose.sensor)
-        nav, rate = graph.main.nav(stamp_ns), graph.main.angular_velocity(stamp_ns)
-        beyond = graph.main.twist_beyond(stamp_ns)(float(constants[-1]))
-        return self._odometries[pose.sensor].model.calibration.after(nav, rate, constants, beyond)
+        state, constants = graph.main.mean_at(pose.stamp_ns), _calibration(graph, pose.sensor)
+        beyond = state.twist_beyond(float(constants[-1]))
+        return self._odometries[pose.sensor].model.calibration.after(
+            state.nav, state.angular_velocity, constants, beyond
+        )
 
     def has_agreed(self) -> bool:
         """Whether one that is still there has agreed with GNSS since the start: then the estimate was right, once."""

@@ -5,10 +5,8 @@ from typing import Any
 import numpy as np
 
 from holdfast.graph.smoother import Smoother
-from holdfast.sensors.sensor import Innovation, Joint, PositionSensor, State, StateSensor
+from holdfast.sensors.sensor import Innovation, Joint, PositionSensor, StateSensor
 from holdfast.state import Outcome
-
-UNKNOWN = np.zeros((9, 9))
 
 
 def residual(
@@ -23,8 +21,7 @@ def residual(
         joint: the turn joint at its time.
     """
     stamp_ns, parameter = measurement.stamp_ns, sensor.parameter
-    nav, rate, beyond = smoother.nav(stamp_ns), smoother.angular_velocity(stamp_ns), smoother.twist_beyond(stamp_ns)
-    state = State(nav, UNKNOWN, rate, joint, twist_beyond=beyond)
+    state = smoother.mean_at(stamp_ns, joint)
     if parameter is not None:
         known = smoother.parameter_estimate(parameter.name(measurement.sensor))
         value, sigmas = (parameter.mean, parameter.sigmas) if known is None else known

@@ -68,8 +68,9 @@ class WhiteNoise:
             return
         if not 0 < measurement.stamp_ns - last.stamp_ns <= MAX_INTERVAL_NS:
             return
-        nav, rate = smoother.nav(last.stamp_ns), smoother.angular_velocity(last.stamp_ns)
-        then = state._replace(nav=nav, angular_velocity=rate, twist_beyond=smoother.twist_beyond(last.stamp_ns))
+        then = smoother.mean_at(last.stamp_ns)._replace(
+            joint=state.joint, parameter=state.parameter, parameter_covariance=state.parameter_covariance
+        )
         before = sensor.innovation(last, then)
         now = sensor.innovation(measurement, state)
         if isinstance(before, Outcome) or isinstance(now, Outcome):

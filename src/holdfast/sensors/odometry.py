@@ -16,14 +16,14 @@ from holdfast.messages import Array, Message, SensorPose
 from holdfast.sensors.noise import FREE_VARIANCE, noise_model
 from holdfast.sensors.odometry_calibration import OdometryCalibration
 from holdfast.sensors.odometry_claim import claimed_excess
-from holdfast.sensors.sensor import Role, mounting, pose_of, register
+from holdfast.sensors.sensor import STEADY, Role, mounting, pose_of, register
 from holdfast.state import Outcome
 
 MAX_SPEED_M_S = 100.0
 MAX_SCALE = 30.0
 LOOSE_TILT_RAD = 0.2  # of a pseudo-global pose, whose roll and pitch are left to the IMU
 STILL_M_S = 1e-3  # velocity of a frame, which has one only because it shares the type of the nodes
-STANDING, STEADY = np.zeros(3), np.zeros(6)
+STANDING = np.zeros(3)
 LEAST_YAW_DRIFT = 2e-3  # [rad/sqrt(rad)] whatever is learnt, unless less is configured
 UNMEASURED_RAD, UNMEASURED_M = 10.0, 1e3  # sigmas of a motion since the pose before that nobody measured
 STANDING_DRIFT_M_PER_SQRT_S = 1e-4  # what even a standing odometry is allowed; a tenth of it in rad

@@ -12,11 +12,10 @@ import numpy as np
 from holdfast.config.sensors import DriftingConfig
 from holdfast.messages import Array
 from holdfast.sensors.clock import IF_RIGHT_S
-from holdfast.sensors.sensor import Parameter
+from holdfast.sensors.sensor import STEADY, Parameter
 
 KNOWN = 1e-7  # sigma [rad, s] of what is known
 SIZE = 4
-STEADY: Array = np.zeros(6)
 
 
 class OdometryCalibration:

@@ -26,6 +26,7 @@ RECENT = 64  # stamps per sensor among which a duplicate is looked for
 FUTURE_NS = 1_000_000_000  # further ahead of the IMU's clock a stamp is an error
 LEAD_NS = 500_000_000  # further ahead than its sensor's stamps use to be, too
 LEAD_STEP_NS = 10_000_000  # by which what they use to be falls with each message
+STEADY: Array = np.zeros(6)  # [rad/s, m/s], of a twist that does not change
 MAX_DISTANCE_M = 1e6  # of a pose from the origin of its frame
 
 
@@ -79,7 +80,7 @@ class State(NamedTuple):
     joint: Joint | None = None
     parameter: Array = np.zeros(0)
     parameter_covariance: Array = np.zeros((0, 0))
-    twist_beyond: Callable[[float], Array] = lambda _: np.zeros(6)
+    twist_beyond: Callable[[float], Array] = lambda _: STEADY
 
 
 class Innovation(NamedTuple):
