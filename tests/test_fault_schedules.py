@@ -56,3 +56,9 @@ def test_no_hostile_schedule_breaks_the_engine_whose_optimiser_is_killed(seed):
 @pytest.mark.parametrize("seed", ONCE_FAILED)
 def test_a_schedule_that_broke_the_estimator_once_does_so_no_more(seed):
     assert complaints(seed) == []
+
+
+@pytest.mark.slow
+def test_antennas_that_were_swapped_leave_no_speed_that_leaves_the_earth():
+    """The hostile schedule 474: the window diverged to 7500 km/s, and its covariance was lost in rounding."""
+    assert complaints(474, hostile=True) == []

@@ -43,3 +43,17 @@ class Covariances:
         values = np.zeros((len(times_ns), SIZE, SIZE))
         values[:, UPPER[0], UPPER[1]] = values[:, UPPER[1], UPPER[0]] = triangles
         return cls(times_ns, values)
+
+
+def correlation_eigenvalues(covariances: Array) -> Array:
+    """Return the smallest eigenvalue (N,) of each correlation matrix; at most 0 is a covariance that is none.
+
+    A covariance (N, d, d) has as many units as rows: its own eigenvalues have no unit, and of sigmas of 1e6 m beside
+    1e-3 rad the smallest is lost in the rounding of the largest. NaN where a variance is not positive.
+    """
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
+    sigmas = np.sqrt(np.where(variances > 0.0, variances, np.nan))
+    known = np.isfinite(sigmas).all(axis=1)
+    smallest = np.full(len(covariances), np.nan)
+    smallest[known] = np.linalg.eigvalsh(covariances[known] / sigmas[known, :, None] / sigmas[known, None, :])[:, 0]
+    return smallest

@@ -252,7 +252,17 @@ def test_a_covariance_that_is_no_number_or_not_positive_is_found():
     published.covariances[700, 3, 3] = np.inf
     assert [line.split(" at ")[0] for line in violations(published, START)] == ["covariance is not finite"]
     published.covariances[700] = -np.eye(9)
-    assert [line.split(":")[0] for line in violations(published, START)] == ["the covariance is not positive at 7.00 s"]
+    assert list(violations(published, START)) == ["the covariance is not positive at 7.00 s, in 1 estimates"]
+
+
+def test_a_covariance_is_positive_whatever_the_units_of_its_rows():
+    """An attitude that moved the state by 300 km: the rounding of the largest eigenvalue is more than the smallest."""
+    published, _ = evidence()
+    root = np.diag([0.4] * 3 + [1.0] * 6)
+    root[3:6, :3] = root[6:, :3] = 3e5 * np.array([[1.0, 2.0, -3.0], [2.0, 1.0, 1.0], [-1.0, 3.0, 2.0]])
+    published.covariances[700] = root @ root.T
+    assert np.linalg.eigvalsh(published.covariances[700])[0] < 0.0
+    assert list(violations(published, START)) == []
 
 
 @pytest.mark.parametrize(("size", "found"), [(0.0019, 0), (0.0021, 1)])

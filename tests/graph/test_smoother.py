@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from motion import ARM, Drive, apart, machine, ns
-from rig import NO_BIAS, enter, position, smoother_of
+from rig import NO_BIAS, enter, position, smoother_of, truth
 
 from holdfast.estimator.standstill import Standing
 from holdfast.graph.biases import EPOCH_NS
@@ -253,14 +253,21 @@ def test_after_a_failure_it_begins_anew_at_its_last_good_state_with_a_larger_cov
 
 
 def test_a_solution_that_diverges_is_a_failure_and_its_velocity_is_never_had():
-    """A fix 20 km away that nobody has judged."""
+    """A fix 2 km away that nobody has judged."""
     smoother = smoother_of(DRIVE, 8.0)
     enter(smoother, position(DRIVE, 0.5, ARM))
     good = smoother.optimise()
-    enter(smoother, position(DRIVE, 0.6, ARM, (20e3, 0.0, 0.0)))
+    enter(smoother, position(DRIVE, 0.6, ARM, (2e3, 0.0, 0.0)))
     with pytest.raises(OptimiserError, match=r"^it diverges: the velocity steps by \d+ m/s$"):
         smoother.optimise()
     assert smoother.newest.nav.equals(good.nav, 1e-12)
+
+
+def test_a_solution_that_leaves_the_earth_is_a_failure_however_uncertain_the_velocity_was():
+    smoother = smoother_of(DRIVE, 8.0, state=truth(DRIVE, 0.0, np.repeat([0.1, 10.0, 1e5, 1e-3], [3, 3, 3, 6])))
+    enter(smoother, position(DRIVE, 0.5, ARM, (20e3, 0.0, 0.0)))
+    with pytest.raises(OptimiserError, match=r"^it diverges: the speed is \d+ m/s$"):
+        smoother.optimise()
 
 
 def test_a_covariance_that_is_not_positive_is_a_failure(monkeypatch):

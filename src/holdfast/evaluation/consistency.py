@@ -9,7 +9,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from holdfast.covariances import Covariances
+from holdfast.covariances import Covariances, correlation_eigenvalues
 from holdfast.errors import EstimatorError
 from holdfast.evaluation.association import Pairs
 from holdfast.evaluation.states import States, state_errors
@@ -52,10 +52,9 @@ def nees(errors: Array, covariances: Array) -> Array:
     count, dof = errors.shape
     if covariances.shape != (count, dof, dof):
         raise EstimatorError(f"errors {errors.shape} need covariances {(count, dof, dof)}, not {covariances.shape}")
-    smallest = np.linalg.eigvalsh(covariances)[:, 0]
-    if not (smallest > 0.0).all():
-        index = int(np.flatnonzero(~(smallest > 0.0))[0])
-        raise EstimatorError(f"covariance {index} is not positive definite: smallest eigenvalue {smallest[index]:g}")
+    positive = correlation_eigenvalues(covariances) > 0.0
+    if not positive.all():
+        raise EstimatorError(f"covariance {int(np.flatnonzero(~positive)[0])} is not positive definite")
     whitened = np.linalg.solve(covariances, errors[:, :, None])[:, :, 0]
     values: Array = np.einsum("ij,ij->i", errors, whitened)
     return values

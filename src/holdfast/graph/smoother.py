@@ -39,6 +39,7 @@ PARAMETER_THRESHOLD = 0.01  # 1 cm, 0.6 deg, 1 %: a sensor's parameter is reline
 FORGET_NS = 1_000_000_000  # measurements that left the window are dropped this often
 MAX_VARIANCE = 1e6  # beyond it a covariance says no more, whatever its unit
 GREATEST_VARIANCE = 1e16  # no solution: no position on the Earth is as uncertain, and its squares are still numbers
+GREATEST_SPEED_M_S = 1e4  # no solution: what is faster leaves the Earth
 MAX_STEP_M_S, MAX_STEP_SIGMA = 10.0, 10.0  # of the newest velocity, in one optimisation
 FAULT_INFLATION = 4.0  # of the covariance, when the graph is re-anchored after a failed optimisation
 
@@ -380,6 +381,8 @@ class Smoother:
             raise ValueError("the covariance of the optimised state is not positive")
         if not (np.abs(tail.covariance) < GREATEST_VARIANCE).all():
             raise ValueError("the covariance of the optimised state is beyond all bounds")
+        if (speed_m_s := float(np.linalg.norm(nav.velocity()))) > GREATEST_SPEED_M_S:
+            raise ValueError(f"it diverges: the speed is {speed_m_s:.0f} m/s")
         if (np.abs(bias.vector()) > self._greatest_bias).any():
             raise ValueError("it diverges: a bias is beyond the range of the IMU")
         return state, tail
