@@ -122,6 +122,13 @@ def test_an_accelerometer_in_g_is_a_warning(tmp_path: Path) -> None:
     assert "in g" not in configured(tmp_path / "good", standing())[0]
 
 
+def test_specific_force_without_gravity_is_a_warning(tmp_path: Path) -> None:
+    text, _ = configured(tmp_path, standing(scale=0.01))
+    assert "# WARNING: the mean specific force is 0.10 m/s^2 at rest" in text
+    assert "take gravity off" in text
+    assert "take gravity off" not in configured(tmp_path / "good", standing())[0]
+
+
 def test_a_coarse_imu_has_at_least_the_noise_of_its_resolution() -> None:
     rng, step = np.random.default_rng(2), 0.05
     values = np.round((rng.normal(size=(1000, 6)) * 0.03 + np.r_[np.zeros(3), GRAVITY]) / step) * step
@@ -158,10 +165,13 @@ def test_only_the_first_two_minutes_are_read(tmp_path: Path) -> None:
     assert config.imu == ImuConfig(kind="imu", topic="/imu")
 
 
-def moving(motion: Any = turning, fix_early_s: float = 0.0, velocity_early_s: float = 0.0) -> Iterator[Any]:
+def moving(
+    motion: Any = turning, fix_early_s: float = 0.0, velocity_early_s: float = 0.0, unit_rad_s: float = 1.0
+) -> Iterator[Any]:
     """A drive without a word on mounts and lever arms, the receiver's heading beside it."""
     for t, row in zip(*driven(motion), strict=True):
-        yield "/imu", START_NS + round(t * 1e9), imu(HUMBLE, START_NS + round(t * 1e9), rate=row[:3], force=row[3:])
+        stamp, rate = START_NS + round(t * 1e9), row[:3] / unit_rad_s
+        yield "/imu", stamp, imu(HUMBLE, stamp, rate=rate, force=row[3:])
     frame = LocalFrame(Geodetic(47.4, 8.0, 450.0))
     for t, p in zip(*received(motion, POSITIONS, 0.01, fix_early_s, 4), strict=True):
         stamp = START_NS + round(t * 1e9)
@@ -200,3 +210,12 @@ def test_a_clock_that_is_right_stays_alone_and_a_note_says_how_well_it_is_known(
     text, config = configured(tmp_path / "still", moving(at_rest, 0.2, 0.2))
     assert offsets(config) == [0.0] * 3
     assert text.count("# clock against the IMU: too little motion to measure it") == 3
+
+
+def test_an_imu_that_goes_otherwise_than_its_antennas_is_a_warning_and_measures_no_clock(tmp_path: Path) -> None:
+    text, config = configured(tmp_path, moving(fix_early_s=0.1, unit_rad_s=np.pi / 180.0))
+    assert "# WARNING: it goes with the motion of the antennas as if the gyroscope gave deg/s (residuals " in text
+    assert offsets(config) == [0.0] * 3
+    assert "clock against the IMU" not in text
+    text, _ = configured(tmp_path / "right", moving())
+    assert "motion of the antennas" not in text

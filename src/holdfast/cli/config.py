@@ -72,7 +72,7 @@ def init(recording: Path, output: Path | None, minimal: bool, force: bool) -> No
     with open_recording(recording) as opened, reading_bar("reading", opened, 0.0, LOOKED_AT_S) as progress:
         proposal = first_proposal(opened, progress)
     text = minimal_yaml(proposal) if minimal else starter_yaml(proposal)
-    for warning in proposal.warnings:
+    for warning in proposal.all_warnings:
         click.echo(f"warning: {warning}", err=True)
     if output is None:
         click.echo(text, nl=False)

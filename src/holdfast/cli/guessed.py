@@ -78,7 +78,7 @@ def assumptions(proposal: "Proposal", output: str) -> Iterator[str]:
     for sensor in proposal.sensors:
         if sensor.why_not:
             yield f"  left out: {sensor.name} ({sensor.guess.topic.topic}): {sensor.why_not}"
-    for warning in proposal.warnings:
+    for warning in proposal.all_warnings:
         yield f"  {warning}"
     yield f"  noise and gates are the defaults. Go on from {output}/{FILE}: correct it and give it with -c"
 

@@ -79,15 +79,22 @@ class Measured:
         notes: lines above the section.
         remarks: what stands beside a key.
         values: of keys whose default the messages contradict.
+        warnings: what is wrong with the messages, one line each.
     """
 
     notes: tuple[str, ...] = ()
     remarks: Mapping[str, str] = field(default_factory=dict)
     values: Mapping[str, float | str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
     def joined(self, other: "Measured") -> "Measured":
         """Return both in one."""
-        return Measured((*self.notes, *other.notes), {**self.remarks, **other.remarks}, {**self.values, **other.values})
+        return Measured(
+            (*self.notes, *other.notes),
+            {**self.remarks, **other.remarks},
+            {**self.values, **other.values},
+            (*self.warnings, *other.warnings),
+        )
 
 
 @dataclass(frozen=True)

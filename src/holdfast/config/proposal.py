@@ -84,7 +84,7 @@ class Proposal:
         mounts: of all sensors that sit elsewhere than the IMU, of the cabin and of the base.
         turn_joint: T_parent_child where the joint reads zero; None where nothing turns.
         base: the frame of the chassis.
-        warnings: what contradicts itself in the recording, or leads nowhere, one line each.
+        warnings: what contradicts itself in the frames of the recording, or leads nowhere, one line each.
         unused: topics that are taken for nothing, with what they could be.
     """
 
@@ -100,6 +100,12 @@ class Proposal:
     def used(self) -> list[SensorProposal]:
         """The sensors that are used."""
         return [sensor for sensor in self.sensors if not sensor.why_not]
+
+    @property
+    def all_warnings(self) -> tuple[str, ...]:
+        """Those of the messages of the sensors that are used, with their names, and those of the frames."""
+        of_sensors = (f"{one.name}: {warning}" for one in self.used for warning in one.measured.warnings)
+        return (*of_sensors, *self.warnings)
 
     def mount_of(self, sensor: SensorProposal) -> Mount | None:
         """Return where the frame of a sensor sits; None for that of the IMU, and for what has no mount."""

@@ -89,7 +89,7 @@ def minimal_yaml(proposal: Proposal) -> str:
         lines.append(f"turn_joint: {_flow(_entry(joint))}{_comment(comment)}")
     if proposal.base != BASE:
         lines.append(f"frames: {_flow({'base': proposal.base})}")
-    lines += [f"# WARNING: {one_line(warning)}" for warning in proposal.warnings]
+    lines += [f"# WARNING: {one_line(warning)}" for warning in proposal.all_warnings]
     return "\n".join(lines) + "\n"
 
 
@@ -162,6 +162,7 @@ def _section_lines(sensor: SensorProposal, todo: Sequence[str]) -> Iterator[str]
         return
     yield f"  # {sensor.name}: {one_line(guess.reason)}"
     yield from (f"  # {one_line(note)}" for note in sensor.measured.notes)
+    yield from (f"  # WARNING: {one_line(warning)}" for warning in sensor.measured.warnings)
     yield f"  {sensor.name}:{_comment(section.about)}"
     yield from _filled(section, dict(sensor.given), 2, todo, sensor.measured.remarks)
 

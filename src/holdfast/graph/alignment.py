@@ -196,7 +196,8 @@ class BatchAligner:
         scale = max(1.0, excess)
         if max(excess, *noise) >= MAX_EXCESS:
             times = sqrt(max(excess, *noise))
-            return Alignment(None, f"GNSS and IMU disagree: the residuals are {times:.0f} times what they claim")
+            why = f"GNSS and IMU disagree: the residuals are {times:.0f} times what they claim"
+            return Alignment(None, f"{why}; `holdfast config init` finds axes, units and clocks that are wrong")
         for other_error, other in solutions[1:]:
             apart = abs(nav.attitude().between(other.atNavState(last).attitude()).rpy()[2])
             if apart > 3.0 * max_heading_sigma_rad and other_error - error < DISTINCT * scale:

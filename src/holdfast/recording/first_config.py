@@ -5,10 +5,10 @@ from collections.abc import Callable, Iterator
 from holdfast.config.assignment import Measured, assign
 from holdfast.config.proposal import Proposal, propose
 from holdfast.config.starter import starter_yaml, workable
+from holdfast.recording.imu_beside_receivers import imu_beside_receivers
 from holdfast.recording.inspection import TopicFindings, inspect
 from holdfast.recording.kinds import KINDS
 from holdfast.recording.problems import topic_problems
-from holdfast.recording.receiver_clocks import receiver_clocks
 from holdfast.recording.recorded_frames import read_frames
 from holdfast.recording.source import Recording
 
@@ -32,8 +32,8 @@ def first_proposal(recording: Recording, progress: Callable[[int], None] | None 
     """
     inspection = inspect(recording, duration_s=LOOKED_AT_S, progress=progress)
     measured = {topic.topic: _measured(topic) for topic in inspection.topics if topic.kind is not None and topic.count}
-    for topic, clock in receiver_clocks(recording, assign(recording.topics, KINDS.values()).guesses).items():
-        measured[topic] = measured.get(topic, Measured()).joined(clock)
+    for topic, found in imu_beside_receivers(recording, assign(recording.topics, KINDS.values()).guesses).items():
+        measured[topic] = measured.get(topic, Measured()).joined(found)
     frames = read_frames(recording, LOOKED_AT_S)
     told, untold = (
         propose(str(recording.path), recording.topics, KINDS.values(), measured, of) for of in (frames, None)
@@ -44,8 +44,8 @@ def first_proposal(recording: Recording, progress: Callable[[int], None] | None 
 def _measured(topic: TopicFindings) -> Measured:
     """Return what was found in the messages of a topic and in their values."""
     values = Measured() if topic.values is None else topic.values.measured()
-    warnings = (f"WARNING: {problem}" for problem in topic_problems(topic))
-    return Measured((*_timing(topic), *values.notes, *warnings), values.remarks, values.values)
+    notes = (*_timing(topic), *values.notes)
+    return Measured(notes, values.remarks, values.values, (*values.warnings, *topic_problems(topic)))
 
 
 def _timing(topic: TopicFindings) -> Iterator[str]:

@@ -13,6 +13,7 @@ SHAKEN = 10.0  # times the bounds of standstill: an idling engine shakes less, a
 MIN_SAMPLES = 20
 SAME_READING = 1e-12  # differences below are round-off
 FORCE_IN_G = (0.8, 1.3)
+NO_FORCE_M_S2 = 0.8  # nothing on the ground is quiet with less
 Axes = tuple[float, float, float]
 
 
@@ -46,6 +47,10 @@ class ImuAtRest:
     def is_in_g(self) -> bool:
         """Whether the accelerometer gives multiples of gravity."""
         return FORCE_IN_G[0] < self.mean_force_m_s2 < FORCE_IN_G[1]
+
+    def is_without_gravity(self) -> bool:
+        """Whether gravity was taken off the specific force."""
+        return self.mean_force_m_s2 < NO_FORCE_M_S2
 
     def summary(self) -> str:
         """Return it in one line."""

@@ -77,6 +77,11 @@ class ImuFindings:
                 f"the mean specific force is {self.at_rest.mean_force_m_s2:.2f} at rest: the accelerometer seems to "
                 "measure in g; its driver must give m/s^2"
             )
+        if self.at_rest is not None and self.at_rest.is_without_gravity():
+            yield (
+                f"the mean specific force is {self.at_rest.mean_force_m_s2:.2f} m/s^2 at rest, where it is gravity's "
+                "9.8: the driver seems to take gravity off; it must give what the accelerometer measures"
+            )
 
     def measured(self) -> Measured:
         """Return what a configuration can say of the IMU; see `Findings`."""

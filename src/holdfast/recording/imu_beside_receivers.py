@@ -1,4 +1,4 @@
-"""The clocks of GNSS receivers against the IMU's, for the first configuration of a recording."""
+"""The IMU beside the GNSS receivers, for the first configuration of a recording: their clocks, its axes and units."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
@@ -10,8 +10,10 @@ from holdfast.errors import RecordingError
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.messages import Array, FixStatus, GnssFix, GnssVelocity, ImuSample, Message
 from holdfast.recording.clock_offset import ClockOffset, clock_offset, pooled
+from holdfast.recording.imu_convention import SPAN_S, mistake
 from holdfast.recording.kinds import SATELLITE
 from holdfast.recording.source import Recording, Subscription
+from holdfast.recording.stretch import Stretch, stretches
 
 WINDOWS_S = ((0.0, 120.0), (120.0, 180.0))  # begin and length; the second where the first tells too little
 WANTED_SIGMA_S = 0.012
@@ -19,28 +21,40 @@ MAX_RATE_HZ = 5.0  # of a receiver; more tell no more of a machine's motion
 ORDERS = {"gnss": 2, "gnss_velocity": 1}
 
 
-def receiver_clocks(recording: Recording, guesses: Sequence[Guess]) -> dict[str, Measured]:
-    """Return by topic what a configuration can say of the clocks of receivers; reads at most five minutes."""
+def imu_beside_receivers(recording: Recording, guesses: Sequence[Guess]) -> dict[str, Measured]:
+    """Return by topic what a configuration can say of the IMU and of the receivers; reads at most five minutes."""
     used = [guess for guess in guesses if not guess.rule.spare and guess.kind in {"imu", *ORDERS}]
-    kinds = {guess.kind for guess in used}
-    if "imu" not in kinds or kinds == {"imu"}:
+    receivers = {guess.topic.topic: ORDERS[guess.kind] for guess in used if guess.kind in ORDERS}
+    imu_topic = next((guess.topic.topic for guess in used if guess.kind == "imu"), None)
+    if imu_topic is None or not receivers:
         return {}
     messages: dict[str, list[Message]] = {guess.topic.topic: [] for guess in used}
-    offsets: dict[str, ClockOffset | None] = {guess.topic.topic: None for guess in used if guess.kind in ORDERS}
+    offsets: dict[str, ClockOffset | None] = dict.fromkeys(receivers)
+    compared: list[Stretch] = []
     for start_s, duration_s in WINDOWS_S:
         news = list(_read(recording, used, start_s, duration_s))
         if not news:
             continue
         for message in news:
             messages[message.sensor].append(message)
-        imu = next(_imu(messages[guess.topic.topic]) for guess in used if guess.kind == "imu")
-        for guess in used:
-            if guess.kind in ORDERS:
-                receiver = _receiver(messages[guess.topic.topic])
-                offsets[guess.topic.topic] = clock_offset(*imu, *receiver, ORDERS[guess.kind])
+        imu = _imu(messages[imu_topic])
+        compared = []
+        for topic, order in receivers.items():
+            received = _receiver(messages[topic])
+            offsets[topic] = clock_offset(*imu, *received, order)
+            compared += stretches(*imu, *received, order, span_s=SPAN_S)
         if all(offset is not None and offset.sigma_s <= WANTED_SIGMA_S for offset in offsets.values()):
             break
+    if (found := mistake(compared)) is not None:
+        return {imu_topic: Measured(warnings=(_told(*found),))}
     return {topic: _measured(offset) for topic, offset in _of_receivers(offsets, guesses).items()}
+
+
+def _told(explanation: str, times: float) -> str:
+    return (
+        f"it goes with the motion of the antennas as if {explanation} (residuals {times:.1f} times smaller); its "
+        "driver must give rad/s and the specific force in m/s^2, both in one right-handed frame"
+    )
 
 
 def _read(recording: Recording, guesses: Iterable[Guess], start_s: float, duration_s: float) -> Iterator[Message]:
