@@ -166,7 +166,11 @@ def test_only_the_first_two_minutes_are_read(tmp_path: Path) -> None:
 
 
 def moving(
-    motion: Any = turning, fix_early_s: float = 0.0, velocity_early_s: float = 0.0, unit_rad_s: float = 1.0
+    motion: Any = turning,
+    fix_early_s: float = 0.0,
+    velocity_early_s: float = 0.0,
+    unit_rad_s: float = 1.0,
+    axes: tuple[int, ...] = (0, 1, 2),
 ) -> Iterator[Any]:
     """A drive without a word on mounts and lever arms, the receiver's heading beside it."""
     for t, row in zip(*driven(motion), strict=True):
@@ -180,7 +184,7 @@ def moving(
         yield "/gnss/heading", stamp, stamped(HUMBLE, stamp, "QuaternionStamped", turned)
     for t, v in zip(*received(motion, VELOCITIES, 0.03, velocity_early_s, 4), strict=True):
         stamp = START_NS + round(t * 1e9)
-        message = twist_with_covariance(HUMBLE, np.eye(6).ravel() * 1e-3, linear=v)
+        message = twist_with_covariance(HUMBLE, np.eye(6).ravel() * 1e-3, linear=v[list(axes)])
         yield "/gnss/velocity", stamp, stamped(HUMBLE, stamp, "TwistWithCovarianceStamped", message)
 
 
@@ -219,3 +223,12 @@ def test_an_imu_that_goes_otherwise_than_its_antennas_is_a_warning_and_measures_
     assert "clock against the IMU" not in text
     text, _ = configured(tmp_path / "right", moving())
     assert "motion of the antennas" not in text
+
+
+def test_a_velocity_that_goes_otherwise_than_the_fixes_is_a_warning_and_spoils_no_other_measurement(
+    tmp_path: Path,
+) -> None:
+    text, config = configured(tmp_path, moving(fix_early_s=0.1, velocity_early_s=0.1, axes=(1, 0, 2)))
+    assert "# WARNING: it goes with the fixes of /gnss/fix as if it were north, east (NED), not east, north" in text
+    assert "motion of the antennas" not in text
+    assert offsets(config) == [pytest.approx(0.1, abs=0.02), 0.0, pytest.approx(0.1, abs=0.02)]

@@ -1,4 +1,4 @@
-"""The IMU beside the GNSS receivers, for the first configuration of a recording: their clocks, its axes and units."""
+"""The IMU beside the GNSS receivers, for the first configuration of a recording: clocks, axes and units of both."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
@@ -9,6 +9,7 @@ from holdfast.config.proposal import antenna_of
 from holdfast.errors import RecordingError
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.messages import Array, FixStatus, GnssFix, GnssVelocity, ImuSample, Message
+from holdfast.recording import velocity_convention
 from holdfast.recording.clock_offset import ClockOffset, clock_offset, pooled
 from holdfast.recording.imu_convention import SPAN_S, mistake
 from holdfast.recording.kinds import SATELLITE
@@ -29,8 +30,9 @@ def imu_beside_receivers(recording: Recording, guesses: Sequence[Guess]) -> dict
     if imu_topic is None or not receivers:
         return {}
     messages: dict[str, list[Message]] = {guess.topic.topic: [] for guess in used}
-    offsets: dict[str, ClockOffset | None] = dict.fromkeys(receivers)
+    offsets: dict[str, ClockOffset | None] = {}
     compared: list[Stretch] = []
+    wrong: dict[str, Measured] = {}
     for start_s, duration_s in WINDOWS_S:
         news = list(_read(recording, used, start_s, duration_s))
         if not news:
@@ -38,16 +40,35 @@ def imu_beside_receivers(recording: Recording, guesses: Sequence[Guess]) -> dict
         for message in news:
             messages[message.sensor].append(message)
         imu = _imu(messages[imu_topic])
-        compared = []
-        for topic, order in receivers.items():
-            received = _receiver(messages[topic])
-            offsets[topic] = clock_offset(*imu, *received, order)
-            compared += stretches(*imu, *received, order, span_s=SPAN_S)
+        received = {topic: _receiver(messages[topic]) for topic in receivers}
+        wrong = dict(_wrong_velocities(received, used))
+        offsets, compared = {}, []
+        for topic in (topic for topic in receivers if topic not in wrong):
+            offsets[topic] = clock_offset(*imu, *received[topic], receivers[topic])
+            compared += stretches(*imu, *received[topic], receivers[topic], span_s=SPAN_S)
         if all(offset is not None and offset.sigma_s <= WANTED_SIGMA_S for offset in offsets.values()):
             break
     if (found := mistake(compared)) is not None:
-        return {imu_topic: Measured(warnings=(_told(*found),))}
-    return {topic: _measured(offset) for topic, offset in _of_receivers(offsets, guesses).items()}
+        return wrong | {imu_topic: Measured(warnings=(_told(*found),))}
+    return wrong | {topic: _measured(offset) for topic, offset in _of_receivers(offsets, guesses).items()}
+
+
+def _wrong_velocities(
+    received: Mapping[str, tuple[Array, Array]], guesses: Sequence[Guess]
+) -> Iterator[tuple[str, Measured]]:
+    """Yield the topics whose velocities are not those of their receiver's fixes, with a warning."""
+    antennas = [guess for guess in guesses if guess.kind == "gnss"]
+    for guess in guesses:
+        antenna, topic = antenna_of(guess, antennas), guess.topic.topic
+        if antenna is None:
+            continue
+        found = velocity_convention.mistake(*received[antenna.topic.topic], *received[topic])
+        if found is not None:
+            warning = (
+                f"it goes with the fixes of {antenna.topic.topic} as if {found[0]} (residuals {found[1]:.1f} times "
+                "smaller); its driver must give the velocity east, north, up in m/s"
+            )
+            yield topic, Measured(warnings=(warning,))
 
 
 def _told(explanation: str, times: float) -> str:
@@ -106,7 +127,7 @@ def _of_receivers(offsets: Mapping[str, ClockOffset | None], guesses: Sequence[G
     antennas = [guess for guess in guesses if guess.kind == "gnss"]
     for guess in guesses:
         antenna = antenna_of(guess, antennas)
-        if antenna is not None and guess.kind == "gnss_velocity":
+        if antenna is not None and guess.topic.topic in offsets:
             fix, velocity = offsets[antenna.topic.topic], offsets[guess.topic.topic]
             found[antenna.topic.topic], found[guess.topic.topic] = pooled(fix, velocity)
     for guess in guesses:
