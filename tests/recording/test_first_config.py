@@ -169,8 +169,10 @@ def moving(
     motion: Any = turning,
     fix_early_s: float = 0.0,
     velocity_early_s: float = 0.0,
+    *,
     unit_rad_s: float = 1.0,
     axes: tuple[int, ...] = (0, 1, 2),
+    heading_sign: float = 1.0,
 ) -> Iterator[Any]:
     """A drive without a word on mounts and lever arms, the receiver's heading beside it."""
     for t, row in zip(*driven(motion), strict=True):
@@ -180,7 +182,8 @@ def moving(
     for t, p in zip(*received(motion, POSITIONS, 0.01, fix_early_s, 4), strict=True):
         stamp = START_NS + round(t * 1e9)
         yield "/gnss/fix", stamp, fix(HUMBLE, stamp, position=frame.to_geodetic(p))
-        turned = HUMBLE.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+        half = 0.5 * heading_sign * float(motion(np.array([t]))[1][0])
+        turned = HUMBLE.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, np.sin(half), np.cos(half))
         yield "/gnss/heading", stamp, stamped(HUMBLE, stamp, "QuaternionStamped", turned)
     for t, v in zip(*received(motion, VELOCITIES, 0.03, velocity_early_s, 4), strict=True):
         stamp = START_NS + round(t * 1e9)
@@ -232,3 +235,10 @@ def test_a_velocity_that_goes_otherwise_than_the_fixes_is_a_warning_and_spoils_n
     assert "# WARNING: it goes with the fixes of /gnss/fix as if it were north, east (NED), not east, north" in text
     assert "motion of the antennas" not in text
     assert offsets(config) == [pytest.approx(0.1, abs=0.02), 0.0, pytest.approx(0.1, abs=0.02)]
+
+
+def test_a_heading_that_counts_clockwise_is_a_warning_and_its_clock_is_that_of_its_receiver(tmp_path: Path) -> None:
+    text, config = configured(tmp_path, moving(fix_early_s=0.1, velocity_early_s=0.1, heading_sign=-1.0))
+    assert "# WARNING: it turns the other way than the gyroscope: it seems to count clockwise" in text
+    assert len(set(offsets(config))) == 1
+    assert "turns the other way" not in configured(tmp_path / "right", moving())[0]

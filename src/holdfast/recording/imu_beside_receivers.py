@@ -8,9 +8,10 @@ from holdfast.config.assignment import Guess, Measured, namespace
 from holdfast.config.proposal import antenna_of
 from holdfast.errors import RecordingError
 from holdfast.geometry.earth import Geodetic, LocalFrame
-from holdfast.messages import Array, FixStatus, GnssFix, GnssVelocity, ImuSample, Message
+from holdfast.messages import Array, FixStatus, GnssFix, GnssVelocity, Heading, ImuSample, Message
 from holdfast.recording import velocity_convention
 from holdfast.recording.clock_offset import ClockOffset, clock_offset, pooled
+from holdfast.recording.heading_convention import is_clockwise
 from holdfast.recording.imu_convention import SPAN_S, mistake
 from holdfast.recording.kinds import SATELLITE
 from holdfast.recording.source import Recording, Subscription
@@ -20,14 +21,20 @@ WINDOWS_S = ((0.0, 120.0), (120.0, 180.0))  # begin and length; the second where
 WANTED_SIGMA_S = 0.012
 MAX_RATE_HZ = 5.0  # of a receiver; more tell no more of a machine's motion
 ORDERS = {"gnss": 2, "gnss_velocity": 1}
+CLOCKWISE = Measured(
+    warnings=(
+        "it turns the other way than the gyroscope: it seems to count clockwise from north, as a compass does; its "
+        "driver must count counter-clockwise from east",
+    )
+)
 
 
 def imu_beside_receivers(recording: Recording, guesses: Sequence[Guess]) -> dict[str, Measured]:
     """Return by topic what a configuration can say of the IMU and of the receivers; reads at most five minutes."""
-    used = [guess for guess in guesses if not guess.rule.spare and guess.kind in {"imu", *ORDERS}]
+    used = [guess for guess in guesses if not guess.rule.spare and guess.kind in {"imu", "heading", *ORDERS}]
     receivers = {guess.topic.topic: ORDERS[guess.kind] for guess in used if guess.kind in ORDERS}
     imu_topic = next((guess.topic.topic for guess in used if guess.kind == "imu"), None)
-    if imu_topic is None or not receivers:
+    if imu_topic is None or len(used) < 2:
         return {}
     messages: dict[str, list[Message]] = {guess.topic.topic: [] for guess in used}
     offsets: dict[str, ClockOffset | None] = {}
@@ -42,6 +49,8 @@ def imu_beside_receivers(recording: Recording, guesses: Sequence[Guess]) -> dict
         imu = _imu(messages[imu_topic])
         received = {topic: _receiver(messages[topic]) for topic in receivers}
         wrong = dict(_wrong_velocities(received, used))
+        headings = [guess.topic.topic for guess in used if guess.kind == "heading"]
+        wrong |= {topic: CLOCKWISE for topic in headings if is_clockwise(*imu, *_heading(messages[topic]))}
         offsets, compared = {}, []
         for topic in (topic for topic in receivers if topic not in wrong):
             offsets[topic] = clock_offset(*imu, *received[topic], receivers[topic])
@@ -49,8 +58,9 @@ def imu_beside_receivers(recording: Recording, guesses: Sequence[Guess]) -> dict
         if all(offset is not None and offset.sigma_s <= WANTED_SIGMA_S for offset in offsets.values()):
             break
     if (found := mistake(compared)) is not None:
-        return wrong | {imu_topic: Measured(warnings=(_told(*found),))}
-    return wrong | {topic: _measured(offset) for topic, offset in _of_receivers(offsets, guesses).items()}
+        return {imu_topic: Measured(warnings=(_told(*found),))}
+    measured = {topic: _measured(offset) for topic, offset in _of_receivers(offsets, guesses).items()}
+    return measured | {topic: one.joined(measured.get(topic, Measured())) for topic, one in wrong.items()}
 
 
 def _wrong_velocities(
@@ -105,6 +115,14 @@ def _receiver(messages: Sequence[Message]) -> tuple[Array, Array]:
     times_s, values = _ordered(stamps, np.array(rows).reshape(-1, 3))
     step = max(1, round(1.0 / (MAX_RATE_HZ * float(np.median(np.diff(times_s)))))) if len(times_s) > 1 else 1
     return times_s[::step], values[::step]
+
+
+def _heading(messages: Sequence[Message]) -> tuple[Array, Array]:
+    """Return stamps (M,) [s] and headings (M,) [rad]."""
+    headings = [one for one in messages if isinstance(one, Heading)]
+    rows = np.array([one.yaw_rad for one in headings]).reshape(-1, 1)
+    times_s, values = _ordered([one.stamp_ns for one in headings], rows)
+    return times_s, values[:, 0]
 
 
 def _is_on_earth(point: Geodetic) -> bool:
