@@ -242,3 +242,10 @@ def test_a_heading_that_counts_clockwise_is_a_warning_and_its_clock_is_that_of_i
     assert "# WARNING: it turns the other way than the gyroscope: it seems to count clockwise" in text
     assert len(set(offsets(config))) == 1
     assert "turns the other way" not in configured(tmp_path / "right", moving())[0]
+
+
+def test_receivers_that_never_sent_anything_are_no_error(tmp_path: Path) -> None:
+    kinds = {row[0]: row for row in moving()}
+    late = ((topic, START_NS + 400_000 * MS, message) for topic, _, message in kinds.values() if topic != "/imu")
+    _, config = configured(tmp_path, standing(), late)
+    assert offsets(config) == [0.0] * 3

@@ -53,6 +53,7 @@ def test_where_the_readings_explain_most_stretches_nothing_is_said():
 def test_three_stretches_are_needed():
     scale = MISTAKES["the accelerometer gave multiples of g"]
     few = compared(turning, scale, RECEIVERS[:1])
+    assert mistake([]) is None
     assert len(few) >= 4
     assert mistake(few[:2]) is None
     assert mistake(few[:3]) is not None

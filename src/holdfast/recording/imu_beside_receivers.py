@@ -30,16 +30,20 @@ CLOCKWISE = Measured(
 
 
 def imu_beside_receivers(recording: Recording, guesses: Sequence[Guess]) -> dict[str, Measured]:
-    """Return by topic what a configuration can say of the IMU and of the receivers; reads at most five minutes."""
+    """Return by topic what a configuration can say of the IMU and of the receivers; reads at most five minutes.
+
+    Where a driver's units or axes are wrong, a warning says so, and what the clocks seem to be is left out.
+    """
     used = [guess for guess in guesses if not guess.rule.spare and guess.kind in {"imu", "heading", *ORDERS}]
     receivers = {guess.topic.topic: ORDERS[guess.kind] for guess in used if guess.kind in ORDERS}
     imu_topic = next((guess.topic.topic for guess in used if guess.kind == "imu"), None)
     if imu_topic is None or len(used) < 2:
         return {}
     messages: dict[str, list[Message]] = {guess.topic.topic: [] for guess in used}
-    offsets: dict[str, ClockOffset | None] = {}
+    offsets: dict[str, ClockOffset | None] = dict.fromkeys(receivers)
     compared: list[Stretch] = []
     wrong: dict[str, Measured] = {}
+    clockwise: dict[str, Measured] = {}
     for start_s, duration_s in WINDOWS_S:
         news = list(_read(recording, used, start_s, duration_s))
         if not news:
@@ -50,7 +54,7 @@ def imu_beside_receivers(recording: Recording, guesses: Sequence[Guess]) -> dict
         received = {topic: _receiver(messages[topic]) for topic in receivers}
         wrong = dict(_wrong_velocities(received, used))
         headings = [guess.topic.topic for guess in used if guess.kind == "heading"]
-        wrong |= {topic: CLOCKWISE for topic in headings if is_clockwise(*imu, *_heading(messages[topic]))}
+        clockwise = {topic: CLOCKWISE for topic in headings if is_clockwise(*imu, *_heading(messages[topic]))}
         offsets, compared = {}, []
         for topic in (topic for topic in receivers if topic not in wrong):
             offsets[topic] = clock_offset(*imu, *received[topic], receivers[topic])
@@ -58,9 +62,10 @@ def imu_beside_receivers(recording: Recording, guesses: Sequence[Guess]) -> dict
         if all(offset is not None and offset.sigma_s <= WANTED_SIGMA_S for offset in offsets.values()):
             break
     if (found := mistake(compared)) is not None:
-        return {imu_topic: Measured(warnings=(_told(*found),))}
+        return wrong | {imu_topic: Measured(warnings=(_told(*found),))}
     measured = {topic: _measured(offset) for topic, offset in _of_receivers(offsets, guesses).items()}
-    return measured | {topic: one.joined(measured.get(topic, Measured())) for topic, one in wrong.items()}
+    measured |= wrong
+    return measured | {topic: one.joined(measured.get(topic, Measured())) for topic, one in clockwise.items()}
 
 
 def _wrong_velocities(

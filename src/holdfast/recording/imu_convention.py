@@ -16,7 +16,7 @@ from holdfast.recording.stretch import GRID_S, Stretch, solve, spread
 
 SPAN_S = 1.0  # over which a change of velocity is taken: slow machines with RTK change theirs by more than its noise
 OFFSETS_S = GRID_S[4:-4:2]  # of the receiver's clock; how large it is, is measured elsewhere
-MIN_STRETCHES = 3
+MIN_STRETCHES, MAX_STRETCHES = 3, 20  # evenly taken from more
 PASSES = 2
 EXPLAINED = 3.0  # times what an explanation leaves is the spread of an antenna's changes of velocity
 BETTER = 1.4  # times; what is right is explained up to 1.06 times better by a mistake, where it hardly turns
@@ -44,6 +44,7 @@ def mistake(stretches: Iterable[Stretch]) -> tuple[str, float] | None:
         None where nothing does, or where fewer than three stretches hold enough motion.
     """
     compared = list(stretches)
+    compared = compared[:: 1 + len(compared) // MAX_STRETCHES]
     return _best(compared, 1) and _best(compared, PASSES)  # what is right hardly ever needs the second
 
 
