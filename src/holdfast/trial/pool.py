@@ -38,7 +38,8 @@ def processes(jobs: int, if_killed: str) -> Iterator[ProcessPoolExecutor]:
         pool.shutdown(wait=is_done, cancel_futures=True)
         for process in [] if is_done else set(active_children()).difference(others):
             process.kill()
-            process.join()
+            while process.is_alive():  # `join` alone returns early if the thread of the pool has just reaped it
+                process.join(POLL_S)
 
 
 def run_all(pool: ProcessPoolExecutor, calls: Sequence[Callable[[], T]], take: Callable[[list[T]], None]) -> None:
