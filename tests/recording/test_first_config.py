@@ -122,6 +122,12 @@ def test_an_accelerometer_in_g_is_a_warning(tmp_path: Path) -> None:
     assert "in g" not in configured(tmp_path / "good", standing())[0]
 
 
+def test_an_accelerometer_in_thousandths_of_g_is_a_warning(tmp_path: Path) -> None:
+    text, _ = configured(tmp_path, standing(scale=1000.0 / 9.81))
+    assert "# WARNING: the median specific force is 1000, where gravity alone is 9.8" in text
+    assert "another unit" not in configured(tmp_path / "good", standing())[0]
+
+
 def test_specific_force_without_gravity_is_a_warning(tmp_path: Path) -> None:
     text, _ = configured(tmp_path, standing(scale=0.01))
     assert "# WARNING: the mean specific force is 0.10 m/s^2 at rest" in text

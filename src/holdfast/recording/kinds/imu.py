@@ -22,6 +22,7 @@ LINE_TOLERANCE = 1e-6
 the stamps leaves of a line drawn over time (on the KITTI drive all tolerances from 1e-7 to 1e-4 find the same 8 lines).
 """
 MAX_REPEATS = 0.01
+GREATEST_MEDIAN_FORCE_M_S2 = 50.0  # five times gravity for half of the time is no machine
 NS_PER_S = 1e9
 REST_NEEDED = "record some seconds of standstill"
 
@@ -41,7 +42,7 @@ def imu_decoder(subscription: Subscription) -> Decoder:
 class ImuFindings:
     """Samples that an IMU cannot have measured; lines are runs of 4 or more samples on a line in all six channels.
 
-    `at_rest` is what it is like at its quietest, None if it never is quiet.
+    `at_rest` is what it is like at its quietest, None if it never is quiet; the force is the median of its length.
     """
 
     repeats: int
@@ -50,6 +51,7 @@ class ImuFindings:
     line_samples: int
     longest_line_s: float
     longest_line_at_s: float
+    median_force_m_s2: float
     at_rest: ImuAtRest | None
 
     def summary(self) -> str:
@@ -72,6 +74,11 @@ class ImuFindings:
             )
         if self.not_finite:
             yield f"{self.not_finite} sample(s) are not finite; they are counted and not used"
+        if self.median_force_m_s2 > GREATEST_MEDIAN_FORCE_M_S2:
+            yield (
+                f"the median specific force is {self.median_force_m_s2:.0f}, where gravity alone is 9.8: the driver "
+                "seems to give another unit (mg: 1000); it must give m/s^2"
+            )
         if self.at_rest is not None and self.at_rest.is_in_g():
             yield (
                 f"the mean specific force is {self.at_rest.mean_force_m_s2:.2f} at rest: the accelerometer seems to "
@@ -103,15 +110,17 @@ def check(stamps_ns: NDArray[np.int64], values: Array, start_ns: int) -> ImuFind
     """Return what was found; None if all values are zero: such messages hold an orientation alone."""
     if not values.any():
         return None
+    finite = np.isfinite(values).all(axis=1)
     lines = straight_lines(values)
     begin, end = max(lines, key=lambda line: stamps_ns[line[1] - 1] - stamps_ns[line[0]], default=(0, 0))
     return ImuFindings(
         repeats=int((values[1:] == values[:-1]).all(axis=1).sum()),
-        not_finite=int((~np.isfinite(values).all(axis=1)).sum()),
+        not_finite=int((~finite).sum()),
         lines=len(lines),
         line_samples=sum(end - begin for begin, end in lines),
         longest_line_s=float(stamps_ns[end - 1] - stamps_ns[begin]) / NS_PER_S if lines else 0.0,
         longest_line_at_s=float(stamps_ns[begin] - start_ns) / NS_PER_S if lines else 0.0,
+        median_force_m_s2=float(np.median(np.linalg.norm(values[finite, 3:], axis=1))) if finite.any() else 0.0,
         at_rest=imu_at_rest(stamps_ns, values, start_ns),
     )
 
