@@ -51,6 +51,18 @@ def test_the_innovation_has_the_derivatives_that_it_claims_also_behind_an_arm_th
         assert_derivatives(with_estimated_clock(model), position_of([3.0, -2.0, 1.0]), state)
 
 
+@given(st.integers(0, 10_000), st.floats(-0.1, 0.1))
+def test_a_velocity_that_is_corrected_by_metres_per_second_carries_the_position_over_the_offset(seed, offset_s):
+    """A factor is linear about the prediction: after an outage without lidar the velocity is wrong by that much."""
+    rng = np.random.default_rng(seed)
+    state = random_state(seed, (0.0,))._replace(parameter=np.array([offset_s]))
+    nav, off = state.nav, rng.uniform(-3.0, 3.0, 3)
+    other = state._replace(nav=gtsam.NavState(nav.pose(), nav.velocity() + nav.attitude().matrix() @ off))
+    model = with_estimated_clock(antenna())
+    before, after = (model.innovation(position_of([3.0, -2.0, 1.0]), one) for one in (state, other))
+    np.testing.assert_allclose(after.y, before.y - before.H[:, 6:9] @ off, atol=1e-9)
+
+
 def test_a_clock_that_is_known_is_not_estimated():
     known = antenna(time_offset_sigma_s=0.0)
     assert with_estimated_clock(known) is known and not has_estimated_clock(known)

@@ -55,7 +55,9 @@ class EstimatedClock:
         by_offset = found.H[:, :6] @ twist
         y, J = found.y - by_offset * off_s, np.empty((len(by_offset), len(state.parameter)))
         J[:, :-1], J[:, -1] = found.J, by_offset
-        return Innovation(y, found.H, found.R, J)
+        H = found.H.copy()
+        H[:, 6:9] += off_s * H[:, 3:6]  # a velocity that is corrected carries the position over the offset, too
+        return Innovation(y, H, found.R, J)
 
     def factor(
         self, keys: Sequence[int], measurement: Any, state: State, innovation: Innovation, inflation: float
