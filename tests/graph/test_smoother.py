@@ -270,10 +270,14 @@ def test_a_solution_that_leaves_the_earth_is_a_failure_however_uncertain_the_vel
         smoother.optimise()
 
 
-def test_a_covariance_that_is_not_positive_is_a_failure(monkeypatch):
+@pytest.mark.parametrize("correlated", [0.0, 1.5])
+def test_a_covariance_that_is_not_positive_is_a_failure(monkeypatch, correlated):
+    """Neither one with a negative variance nor one whose variances are positive, but whose correlations are none."""
     smoother = smoother_of(DRIVE, 8.0)
     smoother.node(ns(0.5))
-    monkeypatch.setattr(Window, "covariance", lambda *_: -np.eye(15))
+    wrong = np.eye(15) if correlated else -np.eye(15)
+    wrong[0, 8] = wrong[8, 0] = correlated
+    monkeypatch.setattr(Window, "covariance", lambda *_: wrong)
     with pytest.raises(OptimiserError, match="covariance of the optimised state is not positive"):
         smoother.optimise()
 
