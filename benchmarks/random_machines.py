@@ -1,6 +1,6 @@
 """Prints what the defaults are worth on random machines whose configuration says where sensors are, and nothing else.
 
-`python benchmarks/random_machines.py --count 40`: rates, noise, mounts, clocks and claims are those of
+`python benchmarks/random_machines.py --count 100`: rates, noise, mounts, clocks and claims are those of
 `holdfast.sim.random_machine`, seed by seed; GNSS is lost for 30 s. A row per score tells the median of the machines,
 the nine in ten that are no worse, and the worst with its seed; `--each` prints every machine's, too.
 """
