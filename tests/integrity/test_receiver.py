@@ -247,6 +247,17 @@ def test_another_sensor_may_correct_the_prediction_meanwhile_by_as_much_as_it_wa
     assert (len(gate.quarantine) == 2) is agrees
 
 
+@pytest.mark.parametrize(("metres", "agrees"), [(1.0, True), (5.0, False)])
+def test_a_prediction_may_drift_meanwhile_by_as_much_as_its_covariance_grows(metres, agrees):
+    """An odometry wanders by 0.5 m between two fixes, whatever the velocity is known to."""
+    gate = new_gate(innovation=False)
+    gate.become(Trust.LOST)
+    for t, innovation_m, variance_m2 in ((0.0, 0.0, 20.0**2), (0.5, metres, 20.0**2 + 0.5**2)):
+        prediction = Prediction(np.array([innovation_m, 0.0, 0.0]), np.eye(3) * variance_m2, NOISE, STEADY)
+        gate.judge(fix((0.0, 0.0, 0.0), NOISE, t), prediction, now_ns=EPOCH_NS)
+    assert (len(gate.quarantine) == 2) is agrees
+
+
 FIVE_SIGMA = (5.0 * np.sqrt(2.0) * 0.01, 0.0, 0.0)
 
 

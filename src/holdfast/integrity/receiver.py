@@ -21,7 +21,7 @@ from holdfast.sensors.sensor import Innovation, Position, State
 from holdfast.state import Outcome
 
 HOLD_BACK = 4.0  # in units of the limit on NIS: twice the gate in sigma
-UNCORRECTED = np.zeros((3, 3))
+UNCHANGED = np.zeros((3, 3))
 AGREEMENT_SIGMA = 4.0  # positions in quarantine are no further from their mean
 COMPARED = 20  # with the mean of so many of the newest
 OUTLIERS = 3  # so many in a row that disagree end a run of agreement
@@ -221,7 +221,7 @@ class ReceiverGate:
 
     def _wait(self, one: Held) -> None:
         """Put a good position into quarantine; if it disagrees with those that wait, they wait no longer."""
-        if self.quarantine and not _agree(self.quarantine, one, _corrected(self.quarantine, one)):
+        if self.quarantine and not _agree(self.quarantine, one, _changed(self.quarantine, one)):
             self.quarantine.clear()
         self.quarantine.append(one)
 
@@ -245,20 +245,20 @@ def _span_s(held: list[Held]) -> float:
     return abs(held[-1].position.stamp_ns - held[0].position.stamp_ns) * 1e-9
 
 
-def _agree(others: list[Held], one: Held, corrected: Array = UNCORRECTED) -> bool:
+def _agree(others: list[Held], one: Held, changed: Array = UNCHANGED) -> bool:
     """Whether an innovation lies near the mean of others, by the noise of both and the drift of the prediction.
 
-    `corrected` (3, 3) is the covariance of what has been corrected in the prediction meanwhile [m^2].
+    `changed` (3, 3) is the covariance of how other sensors have moved the prediction meanwhile [m^2].
     """
     residual = one.prediction.innovation - np.mean([other.prediction.innovation for other in others], axis=0)
     since_s = float(np.mean([one.position.stamp_ns - other.position.stamp_ns for other in others])) * 1e-9
     covariance = one.position.covariance * (1.0 + 1.0 / len(others)) + one.prediction.of_velocity * since_s**2
-    return float(residual @ np.linalg.solve(covariance + corrected, residual)) <= AGREEMENT_SIGMA**2
+    return float(residual @ np.linalg.solve(covariance + changed, residual)) <= AGREEMENT_SIGMA**2
 
 
-def _corrected(others: list[Held], one: Held) -> Array:
-    """Return the covariance (3, 3) of what other sensors corrected in a prediction: by as much as it shrank [m^2]."""
+def _changed(others: list[Held], one: Held) -> Array:
+    """Return the covariance (3, 3) of how a prediction moved: corrected by what shrank, drifted by what grew [m^2]."""
     shrunk = np.mean([other.prediction.of_state for other in others], axis=0) - one.prediction.of_state
     values, axes = np.linalg.eigh(shrunk)
-    covariance: Array = (axes * np.maximum(values, 0.0)) @ axes.T
+    covariance: Array = (axes * np.abs(values)) @ axes.T
     return covariance
