@@ -64,7 +64,7 @@ def starter_config(bag: Path) -> Config:
 def run_system(system: Any, messages: list[Message], rules: Sequence[HoldOut], from_ns: int = 0) -> Run:
     """Replay messages; fixes that the rules hold back are judged. Messages before `from_ns` are passed over."""
     run, held_out = Run(), HoldOutFilter(rules, system.config)
-    judge = HeldOutJudge(system.config, getattr(system, "noise", lambda _: 1.0))
+    judge = HeldOutJudge(system.config, system if isinstance(system, Estimator) else None)
     for message in held_out.split(messages):
         if message.stamp_ns < from_ns:
             held_out.held.clear()

@@ -25,6 +25,7 @@ from small_drive import (
 from holdfast.config.load import parse_config
 from holdfast.errors import ConfigError
 from holdfast.geometry.earth import Geodetic, LocalFrame
+from holdfast.integrity.learnt_snapshot import LearntSnapshot
 from holdfast.messages import FixStatus, GnssFix, PointPosition
 from holdfast.recording.source import open_recording
 from holdfast.recording.subscriptions import subscriptions
@@ -32,6 +33,8 @@ from holdfast.recording.tum import read_tum
 from holdfast.replay.held_out import HeldOutJudge, HoldOut, HoldOutFilter, Judgement
 from holdfast.replay.runner import Replay
 from holdfast.replay.summary import by_circumstance, held_out_summary
+from holdfast.sensors.clock import GNSS_CLOCK
+from holdfast.sensors.constants import LearntConstant
 from holdfast.state import Estimate
 
 FIXES = round(SECONDS * 5)
@@ -255,6 +258,31 @@ def test_a_fix_cannot_judge_a_world_without_a_datum(config):
     for t in (0.9, 1.1):
         judge.add_smoothed(stamp(t), gtsam.NavState(), None)
     assert judge.judgements == []
+
+
+class Learnt:
+    """An estimator that has found a clock that is off, or may be right after all."""
+
+    def __init__(self, is_off: bool) -> None:
+        self._clock = LearntConstant(mean=(0.04,), sigmas=(0.002,), is_off=is_off)
+
+    def noise(self, _sensor: str) -> float:
+        return 1.0
+
+    def learnt(self) -> LearntSnapshot:
+        return LearntSnapshot(constants={GNSS_CLOCK: self._clock})
+
+
+@pytest.mark.parametrize(("is_off", "error_m"), [(True, 0.0), (False, -0.4)])
+def test_a_fix_judges_the_track_at_the_time_that_the_clock_of_its_receiver_was_found_to_mean(config, is_off, error_m):
+    judge, frame = HeldOutJudge(config, Learnt(is_off)), LocalFrame(Geodetic(*DATUM))
+    at = frame.to_geodetic(np.array([10.4, 0.0, 0.0]) + ARM)
+    judge.add_message(GnssFix(stamp(1.0), stamp(1.1), "gnss", *at, np.eye(3), FixStatus.GBAS), False)
+    for t in (0.9, 1.0, 1.02, 1.1):  # 10 m/s east
+        judge.add_smoothed(stamp(t), gtsam.NavState(gtsam.Rot3(), np.array([10.0 * t, 0.0, 0.0]), np.zeros(3)), frame)
+    (judged,) = judge.judgements
+    assert judged.stamp_ns == stamp(1.0)
+    np.testing.assert_allclose(judged.error, [error_m, 0.0, 0.0], atol=1e-6)
 
 
 def test_without_hold_out_nothing_is_judged(replayed):

@@ -2,13 +2,14 @@
 
 What is held back never reaches the estimator. Each held-out position, of an antenna or a prism, is compared with the
 track at its own time, through the lever arm; the causal track is what was published at IMU rate, and where the IMU was
-silent the newest optimised states.
+silent the newest optimised states. Clock and lever arm are those that the estimator has found from what it was given:
+a track that is right at the stamps of the IMU is not wrong because the receiver's are late.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple, cast
+from typing import NamedTuple, Protocol, cast
 
 import gtsam
 import numpy as np
@@ -17,7 +18,9 @@ from holdfast.config.model import Config
 from holdfast.errors import ConfigError
 from holdfast.geometry.earth import LocalFrame
 from holdfast.geometry.world import World
+from holdfast.integrity.learnt_snapshot import LearntSnapshot
 from holdfast.messages import Array, Message
+from holdfast.sensors.clock import receiver_constants, with_estimated_clock
 from holdfast.sensors.registry import sensors_of
 from holdfast.sensors.sensor import Position, PositionSensor, Role, State
 from holdfast.smoothing.block import Block
@@ -176,19 +179,39 @@ class Judgement(NamedTuple):
     imu_silent: bool
 
 
+class _Due(NamedTuple):
+    """A held-out position, when it was measured by the clock of the IMU, and the lever arm (3,) through which."""
+
+    position: Position
+    in_outage: bool
+    time_ns: int
+    arm: Array
+
+
+class Learning(Protocol):
+    """An estimator that learns its sensors."""
+
+    def noise(self, sensor: str) -> float:
+        """Return how many times larger the noise of a sensor is than it claims."""
+
+    def learnt(self) -> LearntSnapshot:
+        """Return what was learnt until now."""
+
+
 class HeldOutJudge:
     """Compares held-out positions with one track as both stream by.
 
     Args:
         config: of the estimator.
-        noise: tells how many times larger the noise of a sensor is than it claims, as the estimator has found.
+        estimator: whose track it is, if it learns noise, clocks and lever arms of its sensors.
     """
 
-    def __init__(self, config: Config, noise: Callable[[str], float] = lambda _: 1.0) -> None:
-        self._noise = noise
+    def __init__(self, config: Config, estimator: Learning | None = None) -> None:
+        self._estimator = estimator
         self._sensors = _position_sensors(config)
         self._track: deque[TrackPoint] = deque()
         self._waiting: deque[tuple[Message, bool]] = deque()
+        self._due: deque[_Due] = deque()
         self.judgements: list[Judgement] = []
 
     def add_message(self, message: Message, in_outage: bool) -> None:
@@ -231,23 +254,36 @@ class HeldOutJudge:
             world.frame = frame
             position = self._sensors[message.sensor].convert(message, world)
             if not isinstance(position, Outcome) and world.frame is frame:  # it has not set a datum itself
-                self._judge(position, in_outage)
+                self._due.append(self._calibrated(position, in_outage))
+        while self._due and self._due[0].time_ns <= point.stamp_ns:
+            self._judge(self._due.popleft())
 
     def _stamp_ns(self, message: Message) -> int:
         return message.stamp_ns + self._sensors[message.sensor].offset_ns
 
-    def _judge(self, position: Position, in_outage: bool) -> None:
+    def _calibrated(self, position: Position, in_outage: bool) -> _Due:
+        """Return a position with what has been learnt of its receiver until now."""
+        sensor = with_estimated_clock(self._sensors[position.sensor])
+        name = "" if sensor.parameter is None else sensor.parameter.name(position.sensor)
+        known = None if self._estimator is None else self._estimator.learnt().constants.get(name)
+        arm, offset_s = receiver_constants(sensor, None if known is None else np.array(known.mean))
+        is_late = known is not None and known.is_off
+        return _Due(position, in_outage, position.stamp_ns + (round(offset_s * 1e9) if is_late else 0), arm)
+
+    def _judge(self, due: _Due) -> None:
+        position, in_outage, time_ns, arm = due
         k = len(self._track) - 1
-        while k > 0 and self._track[k - 1].stamp_ns >= position.stamp_ns:
+        while k > 0 and self._track[k - 1].stamp_ns >= time_ns:
             k -= 1
-        if k == 0 or self._track[k].stamp_ns < position.stamp_ns:
+        if k == 0 or self._track[k].stamp_ns < time_ns:
             return  # before the track began
         before, after = self._track[k - 1], self._track[k]
-        fraction = (position.stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
+        fraction = (time_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
         nav = gtsam.NavState(before.pose.slerp(fraction, after.pose), np.zeros(3))
-        state = State(nav, after.covariance)
+        state = State(nav, after.covariance, parameter=arm, parameter_covariance=np.zeros((3, 3)))
         innovation = self._sensors[position.sensor].innovation(position, state)
-        nees = innovation._replace(R=innovation.R * self._noise(position.sensor) ** 2).nis(state)
+        ratio = 1.0 if self._estimator is None else self._estimator.noise(position.sensor)
+        nees = innovation._replace(R=innovation.R * ratio**2).nis(state)
         silent = not (before.from_imu and after.from_imu)
         self.judgements.append(
             Judgement(position.stamp_ns, position.sensor, in_outage, -innovation.y, nees, position.p_W_P, silent)

@@ -79,9 +79,9 @@ class Replay:
         self.timing = Timing()
         self.health: Counter[Health] = Counter()  # estimates by health
         self.warnings: list[str] = []  # known once it has run and events are written
-        self.causal = HeldOutJudge(config, self.estimator.noise)
-        self.smoothed = HeldOutJudge(config, self.estimator.noise)
-        self.batch = HeldOutJudge(config, self.estimator.noise)
+        self.causal = HeldOutJudge(config, self.estimator)
+        self.smoothed = HeldOutJudge(config, self.estimator)
+        self.batch = HeldOutJudge(config, self.estimator)
         self._filter = HoldOutFilter(hold_out, config)
         self._outputs = outputs
         self._judged = 0  # held-out positions that were written
