@@ -1,6 +1,8 @@
 """Each library on a cabin that slews and stops."""
 
 import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -33,6 +35,13 @@ def slewing():
 def small_gicp(slewing):
     pytest.importorskip("small_gicp")
     return run("small-gicp", slewing)
+
+
+def test_the_extra_lidar_needs_no_scipy():
+    pytest.importorskip("small_gicp")
+    program = "import sys; sys.modules['scipy'] = None; import holdfast.lidar_odometry.small_gicp"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_a_slew_and_back_leaves_no_yaw_and_no_drift(small_gicp):

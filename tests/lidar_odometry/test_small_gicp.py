@@ -30,7 +30,7 @@ def alignments():
         distance = cast(origins, rays @ pose.rotation().matrix().T, WALLS)
         seen = distance < 60.0
         distance = distance[seen] + rng.normal(0, 0.02, int(seen.sum()))
-        return odometry._cloud(Sweep(START_NS, "lidar", rays[seen] * distance[:, None], None), 0.0, 0.25)
+        return odometry._cloud(Sweep(START_NS, "lidar", rays[seen] * distance[:, None], None), 0.0, 0.25)[0]
 
     for _ in range(8):
         moved = gtsam.Pose3.Expmap(rng.normal(0, [0.01, 0.01, 0.3, 0.4, 0.4, 0.05]))

@@ -12,14 +12,13 @@ in the place of their threshold).
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import eigh
-from scipy.spatial import cKDTree
+import small_gicp
 
 from holdfast.messages import Array
 
 UNHELD = 5.0  # it is 0 to 3 along smooth walls, 6 to 50 on a flat yard with three containers, 10 and more on a site
 WEAK = 10.0  # below, thick planes pull so much that the motion is in doubt; what was lost is held again from here on
-SAMPLES = 2500
+SAMPLES = 2000
 NEIGHBOURS = 10
 FINEST_M = 0.002  # the noise of thinned points is that of their neighbourhood, and not less than this
 RANGE_NOISE_M = 0.02  # of the usual lidar; a surface is not smoother than that
@@ -87,22 +86,22 @@ class Degeneracy:
     """
 
     unheld_s: float = 0.0
-    _before: cKDTree | None = field(default=None, repr=False)
+    _before: small_gicp.KdTree | None = field(default=None, repr=False)
 
-    def look(self, points: Array, motion: Array) -> Observability:
+    def look(self, points: Array, tree: small_gicp.KdTree, motion: Array) -> Observability:
         """Return what a sweep holds, of the points near which there was one in the sweep before.
 
         Args:
             points: (N, 3) thinned, in L [m].
+            tree: of these points.
             motion: (4, 4) pose of L in the L of the sweep before.
         """
-        tree, before = cKDTree(points), self._before
-        self._before = tree
+        before, self._before = self._before, tree
         sampled = points[:: max(1, len(points) // SAMPLES)]
         if before is not None:
-            there, _ = before.query(sampled @ motion[:3, :3].T + motion[:3, 3], distance_upper_bound=PARTNER_M)
-            sampled = sampled[np.isfinite(there)]
-        found = observability(sampled, points[tree.query(sampled, NEIGHBOURS)[1]])
+            there = sampled @ motion[:3, :3].T + motion[:3, 3]
+            sampled = sampled[before.batch_knn_search(there, 1)[1][:, 0] < PARTNER_M**2]
+        found = observability(sampled, points[tree.batch_knn_search(sampled, NEIGHBOURS)[0]])
         return replace(found, least=WEAK) if self.unheld_s > 0.0 else found
 
     def guess_covariance(self, interval_s: float, found: Observability, has_gyroscope: bool) -> Array:
@@ -128,19 +127,21 @@ def observability(points: Array, neighbours: Array) -> Observability:
     """
     count = neighbours.shape[1]
     apart = neighbours - neighbours.mean(axis=1, keepdims=True)
-    variances, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart) / count)
+    variances, frames = np.linalg.eigh(apart.transpose(0, 2, 1) @ apart / count)
     noise = np.maximum(variances[:, 0] * count / (count - 3), FINEST_M**2)
     weights = RANGE_NOISE_M**2 / np.maximum(noise, RANGE_NOISE_M**2)
-    held = _information(points, axes[:, :, 0], weights)
+    held = _information(points, frames[:, :, 0], weights)
     pull = np.zeros((6, 6))
     for axis in (1, 2):
         across = np.maximum(variances[:, axis], noise)
         tilt = np.clip(noise * across / (count * np.maximum(across - noise, 1e-9) ** 2), 0.0, 1.0)
-        held -= _information(points, axes[:, :, axis], weights * tilt)
-        pull += _information(points, axes[:, :, axis], weights * np.maximum(tilt, THICKNESS))
+        held -= _information(points, frames[:, :, axis], weights * tilt)
+        pull += _information(points, frames[:, :, axis], weights * np.maximum(tilt, THICKNESS))
     pull += 1e-9 * np.trace(pull) * np.eye(6)
-    ratios, directions = eigh(held, pull)
-    return Observability(directions, pull @ directions, ratios)
+    root = np.linalg.cholesky(pull)
+    whitened = np.linalg.solve(root, np.linalg.solve(root, held).T)
+    ratios, axes = np.linalg.eigh(0.5 * (whitened + whitened.T))
+    return Observability(np.linalg.solve(root.T, axes), root @ axes, ratios)
 
 
 def _information(points: Array, normals: Array, weights: Array) -> Array:

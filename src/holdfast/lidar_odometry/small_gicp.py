@@ -74,12 +74,13 @@ class SmallGicp:
         for resolution_m in (
             [self._scan_voxel_m] * 2 if is_guided else [COARSE * self._scan_voxel_m, self._scan_voxel_m]
         ):
-            cloud, deskewed_by = self._cloud(sweep, at_s, resolution_m), self._velocity
+            (cloud, tree), deskewed_by = self._cloud(sweep, at_s, resolution_m), self._velocity
             result = self._align(cloud, T_L0_L)
             if result.num_inliers < LOST_INLIER_FRACTION * cloud.size():
                 return self._begin(sweep, at_s, T_L0_L)
             if resolution_m == self._scan_voxel_m and not has_looked:
-                has_looked, found = True, self._degeneracy.look(_points(cloud), self._T_L0_L.between(guess).matrix())
+                guessed_motion = self._T_L0_L.between(guess).matrix()
+                has_looked, found = True, self._degeneracy.look(_points(cloud), tree, guessed_motion)
             T_L0_L = _where_held(found, guess, gtsam.Pose3(result.T_target_source))
             motion = self._T_L0_L.between(T_L0_L)
             self._velocity = motion.rotation().unrotate(motion.translation()) / interval_s
@@ -98,21 +99,23 @@ class SmallGicp:
         at_ns, restarted = sweep.stamp_ns + round(at_s * 1e9), self._at_ns > NEVER_NS
         self._map = small_gicp.GaussianVoxelMap(self._map_voxel_m)
         self._map.set_lru(MEMORY_SWEEPS, 100)
-        cloud = self._cloud(sweep, at_s, self._scan_voxel_m)
+        cloud, tree = self._cloud(sweep, at_s, self._scan_voxel_m)
         self._map.insert(cloud, T_L0_L.matrix())
         self._degeneracy, self._found = Degeneracy(), None
-        self._degeneracy.look(_points(cloud), np.eye(4))
+        self._degeneracy.look(_points(cloud), tree, np.eye(4))
         self._at_ns, self._T_L0_L = at_ns, T_L0_L
         return Registered(at_ns, T_L0_L.matrix(), restarted=restarted)
 
     def _rates(self, sweep: Sweep) -> Rates:
         return sweep.rates or Rates.constant(self._angular)
 
-    def _cloud(self, sweep: Sweep, at_s: float, resolution_m: float) -> small_gicp.PointCloud:
+    def _cloud(self, sweep: Sweep, at_s: float, resolution_m: float) -> tuple[small_gicp.PointCloud, small_gicp.KdTree]:
+        """Return a sweep as from one instant, thinned, with a plane around each point, and the tree of its points."""
         points = sweep.points
         if sweep.offsets_s is not None:
             points = deskew(points, sweep.offsets_s, at_s, self._rates(sweep), self._velocity)
-        return small_gicp.preprocess_points(points, resolution_m, NEIGHBOURS, self._threads)[0]
+        cloud, tree = small_gicp.preprocess_points(points, resolution_m, NEIGHBOURS, self._threads)
+        return cloud, tree
 
     def _align(self, cloud: small_gicp.PointCloud, guess: gtsam.Pose3) -> small_gicp.RegistrationResult:
         return small_gicp.align(
