@@ -1,13 +1,31 @@
 """A lever arm that is wrong in the configuration: named in seconds, survived, and learnt from the motion."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from motion import ARM, ARM_RIGHT, Drive, error, estimates, fixes, imu, in_order, machine, ns, run, scans, seconds
+from motion import (
+    ARM,
+    ARM_RIGHT,
+    Drive,
+    StopAndGo,
+    error,
+    estimates,
+    fixes,
+    imu,
+    in_order,
+    machine,
+    ns,
+    run,
+    scans,
+    seconds,
+)
 from test_begun_anew import largest_step_m
 
 from holdfast.messages import Heading
-from holdfast.state import EventKind, Health
+from holdfast.state import EventKind, Health, Outcome
 
+SWINGING = StopAndGo(radius_m=5.0, speed=0.7)
 DRIVE = Drive(start_s=9.0, ramp_s=4.0, radius_m=15.0, speed=0.1, tilt=0.0, heave_m=0.0)  # 1.5 m/s
 END_S = 30.0
 BASELINE = ARM_RIGHT - ARM
@@ -78,3 +96,30 @@ def test_arms_that_are_right_stay_out_of_doubt():
     estimator, outputs = drive(0.0, end_s=20.0)
     assert arm_events(estimator) == [] and estimator.health is Health.NOMINAL
     assert abs(heading_errors_deg(outputs, 5.0)).max() < 0.5
+
+
+@pytest.mark.parametrize(("arm", "has_heading"), [(ARM_RIGHT, True), (ARM, False)], ids=["heading", "no-heading"])
+def test_two_receivers_that_report_one_position_are_named_once_and_count_as_one(arm, has_heading):
+    """One topic in two sections, or a driver that publishes a fix twice: the direction between them was divided by."""
+    rng, end_s = np.random.default_rng(0), 25.0
+    first, headings = fixes(SWINGING, 0.0, end_s, 10.0, rng, arm=arm), []
+    for t in np.arange(0.0, end_s if has_heading else 0.0, 0.1):
+        x, y, _ = SWINGING.nav(t).attitude().rotate(BASELINE)
+        headings.append(Heading(ns(t), ns(t), "heading", float(np.arctan2(y, x) + rng.normal(0.0, 5e-3)), 5e-3))
+    sent = in_order(
+        imu(SWINGING, 0.0, end_s, 50.0, rng),
+        first,
+        [replace(fix, sensor="gnss_right") for fix in first],
+        scans(SWINGING, 0.0, end_s, 5.0, rng, (0.001, 0.01), phase_s=0.0071),
+        headings,
+    )
+    estimator, outputs = run(machine(right=True, heading=has_heading, heading_deg=None), sent)
+    (event,) = arm_events(estimator)
+    assert event.reason.startswith("both receivers report the same position") and seconds(event.stamp_ns) < 1.0
+    assert estimator.counts["gnss_right", Outcome.DUPLICATE] > 240
+    errors = np.array([error(SWINGING, one)[:6] for one in estimates(outputs)])
+    covariances = np.array([one.covariance[:6, :6] for one in estimates(outputs)])
+    assert len(errors) > 500
+    assert np.linalg.norm(errors[-100:, 3:], axis=1).max() < 1.0
+    ratios = [e @ np.linalg.solve(P, e) / 6.0 for e, P in zip(errors[::25], covariances[::25], strict=True)]
+    assert np.mean(ratios) < 5.0

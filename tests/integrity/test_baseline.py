@@ -6,8 +6,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from holdfast.integrity.baseline import PAIRED_NS, BaselineTest
-from holdfast.integrity.lever_arms import LeverArms
+from holdfast.integrity.baseline import BaselineTest
+from holdfast.integrity.lever_arms import PAIRED_NS, LeverArms
 from holdfast.sensors.sensor import Position, Role
 
 ARMS = {"left": np.zeros(3), "right": np.array([0.0, -2.0, 0.0]), "mast": np.array([0.0, 0.0, 3.0])}

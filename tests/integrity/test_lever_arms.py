@@ -9,7 +9,7 @@ from motion import ARM, ARM_RIGHT, Drive, at, machine, ns
 from rig import truth
 
 from holdfast.event_log import EventLog
-from holdfast.integrity.lever_arms import LeverArms
+from holdfast.integrity.lever_arms import LeverArms, variance_along
 from holdfast.messages import Heading
 from holdfast.sensors.registry import sensors_of
 from holdfast.sensors.sensor import Position, State
@@ -151,3 +151,52 @@ def test_a_state_that_rests_on_wrong_arms_is_in_doubt_by_what_they_may_have_done
     np.testing.assert_allclose(added[3:6], 0.5, rtol=0.1)
     np.testing.assert_allclose(added[6:], np.repeat([0.0, 0.1, 0.0], 3), atol=1e-9)
     assert Run().arms.doubtful(state, 0.1) is state
+
+
+@pytest.mark.parametrize("apart_m", [0.0, 1e-15, 1e-9, 1e-6, 1e-4])
+def test_two_receivers_that_report_one_position_are_named_once_and_each_may_be_on_either_antenna(apart_m):
+    """The direction from one to the other was divided by, and an arm that is off by its length passed as right."""
+    together, log = LeverArms(SENSORS), EventLog("imu")
+    off = {"gnss_right": ARM - ARM_RIGHT + apart_m * ALONG}
+    for k in range(600):
+        attitude = gtsam.Rot3.Yaw(0.03 * k)
+        one, other = (
+            Position(ns(0.1 * k), name, attitude.rotate(arm + off.get(name, 0.0)), np.eye(3) * 1e-4, 0.0)
+            for name, arm in ARMS.items()
+        )
+        together.repeats(one)
+        together.repeats(other)
+        together.note(other, one, attitude)
+        together.review(ns(0.1 * k), log)
+    (event,) = log.events
+    assert event.reason.startswith("both receivers report the same position, the configuration says 1.78 m apart")
+    assert event.stamp_ns < ns(1.0)
+    assert together.doubts() == pytest.approx(dict.fromkeys(ARMS, np.linalg.norm(BASELINE)))
+    assert together.believed(SENSORS)["heading"] is SENSORS["heading"]  # nothing is said against the mounts
+
+
+def test_receivers_that_report_one_position_are_named_as_they_arrive_and_each_counts_once_until_they_differ():
+    arms, log = LeverArms(SENSORS), EventLog("imu")
+    repeated = []
+    for k in range(20):
+        for name in ARMS:
+            at_W = np.array([0.1 * k, 0.0, 1.0 if k >= 15 and name == "gnss" else 0.0])
+            repeated.append(arms.repeats(Position(ns(0.1 * k), name, at_W, np.eye(3) * 1e-4, 0.0)))
+        arms.review(ns(0.1 * k), log)
+    assert len(log.events) == 1 and set(arms.doubts()) == set(ARMS)
+    assert repeated == [False] * 10 + [False, True] * 10 + [False] * 10
+
+
+@pytest.mark.parametrize("length_m", [0.0, 1e-300, 1e-9])
+def test_the_variance_along_a_vector_without_a_direction_is_the_largest_of_all(length_m):
+    assert variance_along(np.array([length_m, 0.0, 0.0]), np.diag([1.0, 9.0, 4.0])) == pytest.approx(9.0)
+    assert variance_along(np.array([0.0, 0.0, 1.0]), np.diag([1.0, 9.0, 4.0])) == pytest.approx(4.0)
+
+
+def test_two_receivers_on_one_mount_that_report_one_position_count_once_and_cast_no_doubt():
+    arms, log = LeverArms(sensors_of(machine(more={"twin": {"kind": "gnss", "mount": at(ARM)}}))), EventLog("imu")
+    repeated = []
+    for k in range(10):
+        repeated += [arms.repeats(Position(ns(k), name, np.zeros(3), np.eye(3), 0.0)) for name in ("gnss", "twin")]
+        assert not arms.review(ns(k), log)
+    assert repeated[-2:] == [False, True] and len(log.events) == 1 and arms.doubts() == {}

@@ -6,6 +6,7 @@ from math import atan2, hypot, sqrt
 import gtsam
 import numpy as np
 
+from holdfast.integrity.lever_arms import SAME_M
 from holdfast.sensors.heading import yaw_of
 from holdfast.sensors.sensor import Position, PositionSensor
 
@@ -44,6 +45,8 @@ def baseline_heading(
     baseline = np.mean([b.p_W_P - a.p_W_P for a, b in pairs], axis=0)
     a, b = pairs[-1]
     sigma = sqrt(float(np.trace(a.covariance[:2, :2] + b.covariance[:2, :2])) / 2) / length
+    if float(np.linalg.norm(baseline)) < SAME_M:
+        return f"both receivers report the same position: do {first.name} and {second.name} come from one antenna?"
     measured, expected = float(np.linalg.norm(baseline)), float(np.linalg.norm(arm))
     if abs(measured - expected) > 5.0 * sigma * length + 0.02 * expected:
         return f"the antennas are {measured:.2f} m apart, the extrinsics say {expected:.2f} m"

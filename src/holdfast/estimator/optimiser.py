@@ -73,6 +73,7 @@ class Optimiser:
         self.monitor = HealthMonitor(config)
         self.world = World()
         self.gravity = config.frames.gravity or STANDARD_GRAVITY_M_S2
+        self._lever_arms = LeverArms(self._sensors)
         self._phase: Initialising | Tracking = self._initialising()
         self._begin()
         datum = config.frames.datum
@@ -91,7 +92,7 @@ class Optimiser:
         self._phase = self._initialising()
 
     def _initialising(self) -> Initialising:
-        return Initialising(self._config, self._buffer, self._sensors, self.gravity)
+        return Initialising(self._config, self._buffer, self._lever_arms.believed(self._sensors), self.gravity)
 
     def _know(self, learnt: LearntSnapshot) -> None:
         """Know this of the sensors, and nothing else."""
@@ -190,6 +191,10 @@ class Optimiser:
             if self._astray[name] <= 1 or outcome not in (Outcome.CLOCK_JUMP, Outcome.LATE):
                 self._log.report(EventKind.REJECTED, message.stamp_ns, name, outcome)
             return None
+        if isinstance(measurement, Position) and self._lever_arms.repeats(measurement):
+            self._log.count(name, Outcome.DUPLICATE)
+            self._record(message, measurement, Outcome.DUPLICATE)
+            return None
         if self._density is not None and not self._density.admits(name, measurement.stamp_ns, message.arrival_ns):
             self._record(message, measurement, Outcome.OVERLOAD)
             return None
@@ -266,6 +271,8 @@ class Optimiser:
         self._begin()
 
     def _try_to_start(self, phase: Initialising, measurement: Measurement) -> OptimisedState | None:
+        if self._lever_arms.review(self._buffer.latest_ns, self._log):
+            phase = self._phase = self._initialising()
         if not phase.add(measurement):
             return None
         before = phase.reason

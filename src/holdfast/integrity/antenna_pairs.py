@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 
 from holdfast.graph.smoother import Smoother
-from holdfast.integrity.baseline import PAIRED_NS
+from holdfast.integrity.lever_arms import PAIRED_NS, are_the_same
 from holdfast.integrity.residual import residual
 from holdfast.integrity.yaw_learning import WITNESS_NS, Witness
 from holdfast.sensors.sensor import Position, PositionSensor
@@ -30,6 +30,8 @@ def witness_of(
     beyond_rad, variances = [], []
     for one, other in combinations(near, 2):
         if one.sensor == other.sensor or abs(one.stamp_ns - other.stamp_ns) > PAIRED_NS:
+            continue
+        if are_the_same(one, other):
             continue
         here, there = (residual(sensors[at.sensor], at, smoother) for at in (one, other))
         if isinstance(here, Outcome) or isinstance(there, Outcome):

@@ -5,11 +5,10 @@ from math import sqrt
 import gtsam
 import numpy as np
 
-from holdfast.integrity.lever_arms import LeverArms
+from holdfast.integrity.lever_arms import PAIRED_NS, LeverArms, variance_along
 from holdfast.messages import Array
 from holdfast.sensors.sensor import Position
 
-PAIRED_NS = 1_000_000  # in which even a fast machine moves by less than a fix is wrong
 BASELINE_SIGMA = 4.0
 BASELINE_SLACK_M = 0.02  # calibration of the mounting
 
@@ -41,7 +40,6 @@ class BaselineTest:
     def _agrees(self, one: Position, other: Position) -> bool:
         between: Array = other.p_W_P - one.p_W_P
         distance = float(np.linalg.norm(between))
-        axis = between / max(distance, 1e-9)
-        sigma = sqrt(float(axis @ (one.covariance + other.covariance) @ axis))
+        sigma = sqrt(variance_along(between, one.covariance + other.covariance))
         mounted_m = self._lever_arms.distance_m(one.sensor, other.sensor)
         return abs(distance - mounted_m) <= BASELINE_SIGMA * sigma + BASELINE_SLACK_M

@@ -5,10 +5,10 @@ that one is wrong, not which, nor in which direction: an error e across a baseli
 e^2 / 2b only, and its direction, which is the heading, by e / b.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from enum import Enum
 from itertools import combinations
-from math import atan2, exp, radians, sqrt
+from math import atan2, exp, hypot, radians, sqrt
 
 import gtsam
 import numpy as np
@@ -29,6 +29,8 @@ SIGMA = 4.0
 LARGE_M = 0.5  # a gross error in measuring an arm
 KNOWN_M = 0.01  # sigma of a mean that can show two arms to be right
 MAX_ROTATION_SIGMA_RAD = radians(60.0)
+PAIRED_NS = 1_000_000  # in which even a fast machine moves by less than a fix is wrong
+SAME_M, SAME_IN_A_ROW = 1e-3, 5  # two receivers of their own never agree so well so often
 
 
 class Belief(Enum):
@@ -37,6 +39,20 @@ class Belief(Enum):
     OPEN = 0
     WRONG = 1
     RIGHT = 2
+
+
+def are_the_same(one: Position, other: Position) -> bool:
+    """Whether two simultaneous positions are at one place, as if one receiver repeated the other: no direction."""
+    return float(np.linalg.norm(other.p_W_P - one.p_W_P)) < SAME_M
+
+
+def variance_along(vector: Array, covariance: Array) -> float:
+    """Return the variance [m^2] along a vector (3,) [m], or the largest of all (3, 3) if it has no direction."""
+    length_m = float(np.linalg.norm(vector))
+    if length_m < SAME_M:
+        return float(np.linalg.eigvalsh(covariance)[-1])
+    axis = vector / length_m
+    return float(axis @ covariance @ axis)
 
 
 class MeanBaseline:
@@ -54,9 +70,8 @@ class MeanBaseline:
         if self._last_ns is not None:
             self.seen_s += min(since_s, MAX_INTERVAL_S)
         self._last_ns = stamp_ns
-        axis = between_I / max(float(np.linalg.norm(between_I)), 1e-9)
         inflation = correlation_inflation(correlation_s, min(since_s, MAX_INTERVAL_S))
-        weight = 1.0 / (inflation * float(axis @ covariance_I @ axis))
+        weight = 1.0 / (inflation * variance_along(between_I, covariance_I))
         kept = exp(-since_s / MEMORY_S)
         self._weight = kept * self._weight + weight
         self._sum = kept * self._sum + weight * between_I
@@ -70,12 +85,12 @@ class MeanBaseline:
         """
         mean = self._sum / self._weight
         length_m = float(np.linalg.norm(mean))
-        axis = mean / max(length_m, 1e-9)
         claimed, shown = self._claims / self._weight, self._squares / self._weight - np.outer(mean, mean)
-        along = float(axis @ claimed @ axis)
-        growth = max(1.0, float(axis @ shown @ axis) / along)
-        across = max(float(np.trace(claimed)) - along, float(np.trace(shown) - axis @ shown @ axis))
-        return length_m, sqrt(growth / self._weight), across / along / self._weight / (2.0 * max(length_m, 1e-9))
+        along, shown_along = variance_along(mean, claimed), variance_along(mean, shown)
+        across = max(float(np.trace(claimed)) - along, float(np.trace(shown)) - shown_along)
+        across_m = sqrt(max(across, 0.0) / along / self._weight)
+        lengthened_m = hypot(length_m, across_m) - length_m  # across^2 / 2 length, of a long one
+        return length_m, sqrt(max(1.0, shown_along / along) / self._weight), lengthened_m
 
 
 class Pair:
@@ -85,6 +100,25 @@ class Pair:
         self.mounted_m = self.distance_m = mounted_m
         self.belief = Belief.OPEN
         self.mean = MeanBaseline()
+        self._same_in_a_row = 0
+
+    def note(self, one: Position, other: Position, attitude: gtsam.Rot3) -> None:
+        """Take in two simultaneous positions of a machine of some attitude, whose heading may be wrong."""
+        R = attitude.matrix()
+        correlation_s = max(one.correlation_s, other.correlation_s)
+        covariance_I = R.T @ (one.covariance + other.covariance) @ R
+        self.mean.add(R.T @ (other.p_W_P - one.p_W_P), covariance_I, one.stamp_ns, correlation_s)
+
+    def counts_as_same(self, one: Position, other: Position) -> bool:
+        """Count simultaneous positions at one place in a row; say whether these two are, whatever the attitude is."""
+        is_same = are_the_same(one, other)
+        self._same_in_a_row = self._same_in_a_row + 1 if is_same else 0
+        return is_same
+
+    @property
+    def is_one_receiver(self) -> bool:
+        """Whether the belief is wrong because both report one position: which antenna it is of, nobody knows."""
+        return self.belief is Belief.WRONG and self.distance_m < SAME_M
 
     @property
     def across_m(self) -> float:
@@ -98,6 +132,9 @@ class Pair:
 
     def review(self) -> bool:
         """Say whether the belief in the arms has changed."""
+        if self.belief is Belief.OPEN and self._same_in_a_row >= SAME_IN_A_ROW:
+            self.belief, self.distance_m = Belief.WRONG, 0.0
+            return True
         if self.belief is Belief.RIGHT or self.mean.seen_s < DECIDED_AFTER_S:
             return False
         length_m, sigma_m, lengthened_m = self.mean.length()
@@ -125,10 +162,29 @@ class LeverArms:
             (a, b): Pair(float(np.linalg.norm(receivers[b].p_I_P - receivers[a].p_I_P)))
             for a, b in combinations(receivers, 2)
         }
+        self._newest: dict[str, Position] = {}  # of each antenna, as it arrived
 
     def distance_m(self, one: str, other: str) -> float:
         """Return how far apart two receivers are: as mounted, or as measured if their arms are in doubt."""
-        return self._pairs[(one, other) if (one, other) in self._pairs else (other, one)].distance_m
+        return self._pair(one, other).distance_m
+
+    def _pair(self, one: str, other: str) -> Pair:
+        return self._pairs[(one, other) if (one, other) in self._pairs else (other, one)]
+
+    def repeats(self, position: Position) -> bool:
+        """Take in a position as it arrives; say whether it is that of another receiver once more.
+
+        It is where the two have reported the same before, so often that they are one.
+        """
+        if position.sensor not in self._antennas:
+            return False
+        self._newest[position.sensor] = position
+        is_repeated = False
+        for other in self._newest.values():
+            if other is not position and abs(other.stamp_ns - position.stamp_ns) <= PAIRED_NS:
+                pair = self._pair(position.sensor, other.sensor)
+                is_repeated |= pair.counts_as_same(position, other) and pair.is_one_receiver
+        return is_repeated
 
     def note(self, one: Position, other: Position, attitude: gtsam.Rot3) -> None:
         """Take in two simultaneous positions of a machine of some attitude, whose heading may be wrong."""
@@ -137,10 +193,7 @@ class LeverArms:
         pair = self._pairs[one.sensor, other.sensor]
         if pair.belief is Belief.RIGHT or not self._antennas >= {one.sensor, other.sensor}:
             return  # the grid of a prism may lie elsewhere: that is no arm
-        R = attitude.matrix()
-        correlation_s = max(one.correlation_s, other.correlation_s)
-        covariance_I = R.T @ (one.covariance + other.covariance) @ R
-        pair.mean.add(R.T @ (other.p_W_P - one.p_W_P), covariance_I, one.stamp_ns, correlation_s)
+        pair.note(one, other, attitude)
 
     def review(self, now_ns: int, log: EventLog) -> bool:
         """Report what is new; say whether other arms are in doubt than before."""
@@ -151,6 +204,11 @@ class LeverArms:
                 continue
             if was_wrong:
                 reason = f"the antennas are {pair.mounted_m:.2f} m apart after all, as the configuration says"
+            elif pair.is_one_receiver:
+                reason = (
+                    f"both receivers report the same position, the configuration says {pair.mounted_m:.2f} m apart: "
+                    f"do the topics of {one} and {other} come from one antenna?"
+                )
             else:
                 reason = (
                     f"the antennas are {pair.distance_m:.2f} m apart, the configuration says {pair.mounted_m:.2f} m: "
@@ -161,7 +219,11 @@ class LeverArms:
 
     def doubts(self) -> dict[str, float]:
         """Return the antennas that may be the wrong ones, and how far their arms may be off [m]."""
-        wrong = {names: pair for names, pair in self._pairs.items() if pair.belief is Belief.WRONG}
+        wrong = {
+            names: pair
+            for names, pair in self._pairs.items()
+            if pair.belief is Belief.WRONG and pair.arm_sigma_m >= SAME_M  # not two receivers on one mount
+        }
         right = {name for names, pair in self._pairs.items() if pair.belief is Belief.RIGHT for name in names}
         found: dict[str, float] = {}
         for names, pair in wrong.items():
@@ -170,9 +232,16 @@ class LeverArms:
         return found
 
     def believed(self, sensors: Mapping[str, Sensor]) -> dict[str, Sensor]:
-        """Return the models, with arms that are in doubt as constants to be estimated, without headings from them."""
+        """Return the models, with arms that are in doubt as constants to be estimated, without headings from them.
+
+        Two receivers that report one position say nothing against the mounts: a heading of the antennas is kept.
+        """
         doubts = self.doubts()
-        return {name: _believed(sensor, doubts) for name, sensor in sensors.items()}
+        wrong = {names for names, pair in self._pairs.items() if pair.belief is Belief.WRONG}
+        misplaced = {
+            name for names in wrong if not self._pairs[names].is_one_receiver for name in names
+        } & doubts.keys()
+        return {name: _believed(sensor, doubts, misplaced) for name, sensor in sensors.items()}
 
     def doubtful(self, state: OptimisedState, accelerometer_bias_sigma: float) -> OptimisedState:
         """Return a state that rests on arms in doubt, with a covariance that says so: (51) in docs/math.md.
@@ -183,8 +252,12 @@ class LeverArms:
         if not doubts:
             return state
         arm_m = max(doubts.values())
-        wrong = [pair for pair in self._pairs.values() if pair.belief is Belief.WRONG]
-        rotation_rad = min(max(atan2(pair.across_m, pair.mounted_m) for pair in wrong), MAX_ROTATION_SIGMA_RAD)
+        turned_rad = [
+            atan2(pair.across_m, pair.mounted_m)
+            for pair in self._pairs.values()
+            if pair.belief is Belief.WRONG and not pair.is_one_receiver  # positions that agree do not turn a machine
+        ]
+        rotation_rad = min(max(turned_rad, default=0.0), MAX_ROTATION_SIGMA_RAD)
         covariance = state.covariance.copy()
         covariance[:3, :3] += rotation_rad**2 * np.eye(3)
         covariance[3:6, 3:6] += arm_m**2 * np.eye(3)
@@ -192,9 +265,9 @@ class LeverArms:
         return OptimisedState(state.stamp_ns, state.nav, state.bias, covariance, state.angular_velocity)
 
 
-def _believed(sensor: Sensor, doubts: Mapping[str, float]) -> Sensor:
+def _believed(sensor: Sensor, doubts: Mapping[str, float], misplaced: Set[str]) -> Sensor:
     if isinstance(sensor, GnssModel) and sensor.name in doubts:
         return sensor.with_estimated_arm(doubts[sensor.name])
-    if isinstance(sensor, HeadingModel) and not doubts.keys().isdisjoint(sensor.antennas):
+    if isinstance(sensor, HeadingModel) and not misplaced.isdisjoint(sensor.antennas):
         return sensor.without_axis()
     return sensor
