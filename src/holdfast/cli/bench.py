@@ -142,7 +142,8 @@ def _print(result: dict[str, Any]) -> None:
     columns = ("median", "p90", "p99", "max")
     for key, title, digits in (("imu_us", "IMU sample to estimate [us]", 1), ("update_ms", "update [ms]", 2)):
         for column in columns:
-            cells = [f"{run['timing'][key][column]:.{digits}f}" for run in runs.values()]
+            found = [run["timing"][key] for run in runs.values()]  # None where nothing was timed
+            cells = ["-" if one is None else f"{one[column]:.{digits}f}" for one in found]
             rows.append((f"{title}, {column}", cells))
     rows.append(
         ("floor: GTSAM alone, per sample [us], median", [f"{run['floor_us']['median']:.1f}" for run in runs.values()])

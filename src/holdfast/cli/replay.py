@@ -1,6 +1,6 @@
 """`holdfast replay`: a recording in, trajectories, ROS messages, events and a summary out."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -158,13 +158,21 @@ def check_window(start_s: float, duration_s: float | None, rate: float | None = 
         raise ConfigError(f"--rate {rate:g}: must be > 0, at least {SLOWEST_RATE:g}")
 
 
+def timing_line(timing: Mapping[str, Any]) -> str:
+    """Return how long it took, and one message as far as any was timed: a short run may complete no update."""
+    factor = timing["real_time_factor"]
+    pace = "" if factor is None else f" ({factor:.0f} x real time)"
+    parts = [f"{timing['recorded_s']:.0f} s in {timing['wall_s']:.1f} s{pace}"]
+    if timing["imu_us"] is not None:
+        parts.append(f"IMU sample {timing['imu_us']['median']:.0f} us")
+    if timing["update_ms"] is not None:
+        parts.append(f"update {timing['update_ms']['median']:.1f} ms")
+    return ", ".join(parts) + (" (medians)" if len(parts) > 1 else "")
+
+
 def print_summary(summary: dict[str, Any], output: str) -> None:
     """Print what a user wants to know first: was it used, how good, how fast, where."""
-    timing = summary["timing"]
-    click.echo(
-        f"{timing['recorded_s']:.0f} s in {timing['wall_s']:.1f} s ({timing['real_time_factor']:.0f} x real time), "
-        f"IMU sample {timing['imu_us']['median']:.0f} us, update {timing['update_ms']['median']:.1f} ms (medians)"
-    )
+    click.echo(timing_line(summary["timing"]))
     for sensor, outcomes in summary["counts"].items():
         click.echo(f"  {sensor:10s} " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()))
     for sensor, reason in summary["missing"].items():

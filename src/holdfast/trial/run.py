@@ -80,7 +80,7 @@ def judged(simulation: Simulation, recorder: PublishedRecorder) -> Trial:
     config = recorder.estimator.config
     verdict = judge(published, truth(simulation, config, published.world.poses.stamps_ns))
     timing = recorder.timing
-    verdict.scores["update_ms"] = float(np.median(timing.update_ns)) * 1e-6
+    verdict.scores["update_ms"] = float(np.median(timing.update_ns)) * 1e-6 if timing.update_ns else nan
     return Trial(
         seed=simulation.seed,
         verdict=verdict,
