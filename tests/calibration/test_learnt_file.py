@@ -38,6 +38,7 @@ KNOWN = LearntSnapshot(
         "lidar": LearntConstant(mean=(*TURNED, 0.035), sigmas=(1e-3, 1e-3, 1e-3, 1e-3), is_off=True),
         "clock of GNSS": LearntConstant(mean=(1e-5,), sigmas=(1e-4,)),
     },
+    accelerometer=LearntScale(log_mean=0.2, log_sigma=0.3),
 )
 
 
@@ -144,7 +145,7 @@ def test_a_lidar_that_was_moved_in_the_file_forgets_its_mounting(file):
 def test_with_another_gyroscope_only_what_rests_on_it_is_forgotten(file):
     learnt, _ = load_learnt(file, machine(imu_={"gyroscope_error_ratio": 0.01}))
     assert learnt.odometries["lidar"] == LIDAR.model_copy(update={"yaw": None})
-    assert learnt.constants == KNOWN.constants
+    assert learnt.constants == KNOWN.constants and learnt.accelerometer is None
 
 
 def test_a_file_where_the_results_go_or_that_is_read_is_refused(tmp_path):

@@ -9,6 +9,8 @@ sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
 from calibration import calibrate, learn, run
 
+from holdfast.calibration.held_out import is_worse
+
 pytestmark = pytest.mark.slow
 CLOCKS = ("gnss", "gnss_right", "heading", "lidar")
 
@@ -33,7 +35,7 @@ def test_offsets_of_clocks_are_found_and_written(seed):
         one, true = by_key[name, "time_offset_s"]
         assert one.is_written and is_within(one, true) and one.sigma < 0.003
         assert abs(found.config.sensors[name].time_offset_s - true) < 0.004
-    assert found.held_out[-1].rms(in_outage=False) < found.held_out[0].rms(in_outage=False)
+    assert is_worse(found.held_out[0], found.held_out[-1]) == ""  # the estimator finds them by itself, too
 
 
 def test_a_lidar_that_is_mounted_otherwise_is_turned_and_no_clock_is_accused():

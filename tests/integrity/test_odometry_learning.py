@@ -106,7 +106,7 @@ def test_what_is_far_from_the_file_is_told_once():
     rig.log.take_events()
     review = NoiseReview("imu", rig.log)
     for t in range(10, 200):
-        review.review(rig.odometries, ns(t))
+        review.review(rig.odometries, None, ns(t))
     told = [event.reason for event in rig.log.take_events() if event.kind is EventKind.CALIBRATION]
     named = [one.split(":")[0] for one in told]
     assert len(named) == len(set(named)) and {"rotation drift", "translation drift"} <= set(named)
@@ -118,7 +118,7 @@ def test_what_is_far_from_the_file_is_told_once():
 def test_what_is_as_the_file_says_is_not_told():
     rig = driven(1.0, 1.0)
     rig.log.take_events()
-    NoiseReview("imu", rig.log).review(rig.odometries, ns(100.0))
+    NoiseReview("imu", rig.log).review(rig.odometries, None, ns(100.0))
     assert rig.log.take_events() == []
 
 

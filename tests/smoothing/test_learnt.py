@@ -67,6 +67,7 @@ def learnt(white):
         used=lambda _, __: [],
         constants=dict,
         colour=lambda _, colour, above: colour.with_white(white / above),
+        force_scale=lambda: 1.0,
     )
 
 

@@ -165,8 +165,9 @@ def _fitting(file: LearntFile, config: Config) -> Loaded:
     noisy = {name for name, keys in changed.items() if keys.keys() - CLOCK_KEYS - MOUNT_KEYS}
     known = changed.keys() - noisy
     odometries = {name: one for name, one in file.learnt.odometries.items() if name in known}
-    if config.imu_name in noisy or config.imu_name not in changed:
-        odometries = {name: _without_yaw(one) for name, one in odometries.items()}
+    accelerometer = file.learnt.accelerometer
+    if config.imu_name not in known:
+        odometries, accelerometer = {name: _without_yaw(one) for name, one in odometries.items()}, None
     owners = _owners(config)
     constants = {
         constant: one
@@ -176,7 +177,10 @@ def _fitting(file: LearntFile, config: Config) -> Loaded:
     noise = {name: one for name, one in file.learnt.noise.items() if name in known}
     at_joint = [changed.get(one[0]) for one in (config.joint, config.base_imu) if one is not None]
     joint = file.learnt.joint if at_joint == [{}, {}] else NOTHING_OF_JOINT
-    return Loaded(LearntSnapshot(odometries=odometries, noise=noise, constants=constants, joint=joint), warnings)
+    learnt = LearntSnapshot(
+        odometries=odometries, noise=noise, constants=constants, accelerometer=accelerometer, joint=joint
+    )
+    return Loaded(learnt, warnings)
 
 
 def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, str]:

@@ -1,6 +1,6 @@
 """What was learnt of the sensors beside what the configuration says, and which of its keys look wrong."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import degrees, fmod, hypot, radians, sqrt
 from typing import Any
@@ -25,6 +25,7 @@ from holdfast.integrity.learnt_snapshot import (
     LearntNoiseScale,
     LearntOdometry,
     LearntSnapshot,
+    accelerometer_factor,
     gyroscope_factor,
 )
 from holdfast.integrity.noise_scale import NoiseScale
@@ -84,7 +85,8 @@ def learnt_rows(learnt: LearntSnapshot, config: Config) -> list[Row]:
         section = config.sensors.get(name)
         if isinstance(section, DriftingConfig):
             rows += _of_odometry(name, section, odometry)
-    rows += _of_gyroscope(config, learnt.odometries.values())
+    of_imu = gyroscope_factor(learnt.odometries.values()), accelerometer_factor(learnt.accelerometer)
+    rows += [row for factor in of_imu for row in _of_imu_noise(config, factor)]
     rows += _of_joint(config, learnt.joint)
     for name, noise in learnt.noise.items():
         rows += _of_noise(name, config, noise)
@@ -122,8 +124,7 @@ def _of_odometry(name: str, section: DriftingConfig, learnt: LearntOdometry) -> 
     return [row if not row.looks_wrong else replace(row, write=f"{most[row.key]:.3g}") for row in rows]
 
 
-def _of_gyroscope(config: Config, learnt: Iterable[LearntOdometry]) -> list[Row]:
-    factor = gyroscope_factor(learnt)
+def _of_imu_noise(config: Config, factor: Factor | None) -> list[Row]:
     if factor is None or factor.log_sigma > SEEN:
         return []
     return [

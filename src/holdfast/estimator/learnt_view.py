@@ -16,9 +16,11 @@ class LearntView(NamedTuple):
         used: the measurements later than one time [ns] and not later than another whose factors the graph holds.
         constants: what the graph knows of mountings and clocks.
         colour: how the errors of a sensor are composed, by name, where the claim is believed times a factor.
+        force_scale: how many times larger the error of the accelerometer in proportion to the motion is.
     """
 
     noise: Callable[[str], float]
     used: Callable[[int, int], list[Measurement]]
     constants: Callable[[], Mapping[str, Constant]]
     colour: Callable[[str, Colour, float], Colour]
+    force_scale: Callable[[], float]

@@ -98,7 +98,15 @@ class Tracking:
         believe_after_s = config.gate.patience_s(has_odometry=bool(of_role(sensors, Role.ODOMETRY)))
         sensors = {name: with_estimated_clock(sensor) for name, sensor in sensors.items()}
         receivers = of_role(sensors, Role.POSITION)
-        self._positions = Positions(config.gate, receivers, scales, lever_arms, log, believe_after_s=believe_after_s)
+        self._positions = Positions(
+            config.gate,
+            receivers,
+            scales,
+            lever_arms,
+            log,
+            believe_after_s=believe_after_s,
+            accelerometer=carried.accelerometer,
+        )
         self._headings = Headings(of_role(sensors, Role.HEADING), scales, log)
         odometries = of_role(sensors, Role.ODOMETRY)
         self._odometries = Odometries(config, odometries, log, self._heading_witness, carried.odometries)
@@ -148,7 +156,13 @@ class Tracking:
 
     def view(self) -> LearntView:
         """Return what is known of the sensors, to be read at any time until the next start."""
-        return LearntView(self._monitor.noise, self.graph.published.measured, self.constants, self._colour)
+        return LearntView(
+            self._monitor.noise,
+            self.graph.published.measured,
+            self.constants,
+            self._colour,
+            lambda: self.graph.main.imu_noise.force_scale,
+        )
 
     def _colour(self, sensor: str, colour: Colour, above: float) -> Colour:
         return self._scales[sensor].white.colour(colour, above)
@@ -164,6 +178,7 @@ class Tracking:
             odometries=self._odometries.learnt(),
             noise={name: one for name, one in noise.items() if one is not None},
             constants=learnt_constants(constants),
+            accelerometer=self._positions.learnt_accelerometer(),
         )
 
     def distrust(self, names: Iterable[str]) -> None:
@@ -239,7 +254,7 @@ class Tracking:
             channel.review(self.graph, now_ns)
         self._odometries.review(now_ns)
         self._calibration.review(self.graph.main, now_ns)
-        self._noise_review.review(self._odometries, now_ns)
+        self._noise_review.review(self._odometries, self._positions.learnt_accelerometer(), now_ns)
         published = self.graph.published
         contradicting = None if self._odometries.has_agreed() else self._positions.contradicted_by()
         beginning = self.successor.settle_doubt()

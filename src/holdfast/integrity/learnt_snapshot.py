@@ -141,6 +141,18 @@ def gyroscope_factor(odometries: Iterable[LearntOdometry]) -> Factor | None:
     return min(seen, key=lambda one: one.value, default=None)
 
 
+def accelerometer_factor(scale: LearntScale | None) -> Factor | None:
+    """Return the factor that is used for the accelerometer in motion.
+
+    One that is better than configured is no error of the file: most are, on smooth ground.
+    """
+    if scale is None:
+        return None
+    found = Factor.of("accelerometer in motion", scale, exp(-MOST), "accelerometer_error_ratio")
+    value = found.value * exp(found.log_sigma)
+    return found._replace(value=value, is_wrong=found.is_wrong and found.value > 1.0)
+
+
 class LearntNoiseScale(Section):
     """What is learnt of the noise of one sensor that claims its own."""
 
@@ -155,6 +167,7 @@ class LearntSnapshot(Section):
     odometries: dict[str, LearntOdometry] = Field({}, description="noise and drift")
     noise: dict[str, LearntNoiseScale] = Field({}, description="of what fixes, headings and others claim")
     constants: dict[str, LearntConstant] = Field({}, description="mountings, clocks and lever arms")
+    accelerometer: LearntScale | None = Field(None, description="factor on `accelerometer_error_ratio`")
     joint: LearntJoint = Field(NOTHING_OF_JOINT, description="encoder and mountings at the turn joint")
 
     def updated(self, newer: "LearntSnapshot") -> "LearntSnapshot":
@@ -163,6 +176,7 @@ class LearntSnapshot(Section):
             odometries={**self.odometries, **newer.odometries},
             noise={**self.noise, **newer.noise},
             constants={**self.constants, **newer.constants},
+            accelerometer=newer.accelerometer or self.accelerometer,
             joint=self.joint,
         )
 

@@ -3,7 +3,7 @@
 from math import log
 
 from holdfast.event_log import EventLog
-from holdfast.integrity.learnt_snapshot import WRONG, Factor, gyroscope_factor
+from holdfast.integrity.learnt_snapshot import WRONG, Factor, LearntScale, accelerometer_factor, gyroscope_factor
 from holdfast.integrity.odometries import Odometries
 from holdfast.measured_fields import NEVER_NS
 from holdfast.state import EventKind
@@ -12,7 +12,7 @@ REVIEW_NS = 10_000_000_000
 
 
 class NoiseReview:
-    """What was told of the odometries, and of the gyroscope as they see it.
+    """What was told of the odometries, of the gyroscope as they see it, and of the accelerometer as fixes see it.
 
     Args:
         imu: its name.
@@ -24,7 +24,7 @@ class NoiseReview:
         self._told: dict[tuple[str, str], float] = {}
         self._reviewed_ns = NEVER_NS
 
-    def review(self, odometries: Odometries, now_ns: int) -> None:
+    def review(self, odometries: Odometries, accelerometer: LearntScale | None, now_ns: int) -> None:
         """Report what is new, every ten seconds."""
         if now_ns - self._reviewed_ns < REVIEW_NS:
             return
@@ -33,9 +33,9 @@ class NoiseReview:
         for name, one in learnt.items():
             for factor in one.factors():
                 self._report(name, factor, now_ns)
-        gyroscope = gyroscope_factor(learnt.values())
-        if gyroscope is not None:
-            self._report(self._imu, gyroscope, now_ns)
+        for of_imu in gyroscope_factor(learnt.values()), accelerometer_factor(accelerometer):
+            if of_imu is not None:
+                self._report(self._imu, of_imu, now_ns)
 
     def _report(self, name: str, factor: Factor, now_ns: int) -> None:
         told = self._told.get((name, factor.what))

@@ -12,15 +12,17 @@ from holdfast.graph.smoother import Smoother
 from holdfast.integrity.antenna_pairs import witness_of
 from holdfast.integrity.baseline import BaselineTest
 from holdfast.integrity.consensus import Consensus
+from holdfast.integrity.force_learning import ForceLearning, least_scale
 from holdfast.integrity.innovation import in_words
+from holdfast.integrity.learnt_snapshot import LearntScale
 from holdfast.integrity.lever_arms import LeverArms
 from holdfast.integrity.noise_scale import LOWEST, NoiseScale
 from holdfast.integrity.receiver import Held, ReceiverGate, Trust, predict
 from holdfast.integrity.review import UsedPositions
 from holdfast.integrity.yaw_learning import WITNESS_NS, Witness
 from holdfast.measured_fields import NEVER_NS
-from holdfast.sensors.coloured import Compared, coloured, coloured_factor
-from holdfast.sensors.noise import correlation_inflation, shared_inflation
+from holdfast.sensors.coloured import NAV_SIZE, Compared, coloured, coloured_factor
+from holdfast.sensors.noise import WHITE, correlation_inflation, shared_inflation
 from holdfast.sensors.sensor import Position, PositionSensor, State
 from holdfast.state import EventKind, Outcome
 
@@ -41,6 +43,7 @@ class Positions:
         lever_arms: what is believed of them.
         log: where counts and events go.
         believe_after_s: for so long positions must agree among themselves to be right against the estimate.
+        accelerometer: what was learnt of it before.
     """
 
     def __init__(
@@ -52,6 +55,7 @@ class Positions:
         log: EventLog,
         *,
         believe_after_s: float,
+        accelerometer: LearntScale | None = None,
     ) -> None:
         self.gates = {name: ReceiverGate(config, sensor.limit) for name, sensor in sensors.items()}
         self.used = UsedPositions(sensors)
@@ -61,6 +65,7 @@ class Positions:
         self._log = log
         self._reviewed_ns = NEVER_NS
         self._scales = scales
+        self._force = {name: ForceLearning(accelerometer) for name in sensors}
         self._consensus = {
             name: Consensus(config.max_speed_m_s, config.regain_after, believe_after_s) for name in sensors
         }
@@ -92,7 +97,7 @@ class Positions:
             self._log.record(position.stamp_ns, name, Outcome.LATE, p_W_P=position.p_W_P)
             return Outcome.LATE
         gate, scale = self.gates[name], self._scales[name]
-        above, colour = scale.above, position.colour
+        above, colour, claimed = scale.above, position.colour, position
         if colour is not None:
             colour = scale.white.colour(colour, above)
         position = replace(position, covariance=position.covariance * above, colour=colour)
@@ -112,6 +117,7 @@ class Positions:
             lowest = LOWEST_SLOW if position.correlation_s >= SLOW_S and found.slow is None else LOWEST
             scale.learn(innovation._replace(R=innovation.R / above), state, position, self._log, lowest)
         if outcome is Outcome.USED:
+            self._learn_force(graph, claimed, found)
             if position.colour is not None:
                 sensor, white = self._sensors[name], scale.white
                 white.learn(sensor, position, position.colour, smoother, state, scale.above)
@@ -125,6 +131,22 @@ class Positions:
         gate_limit = gate.limit_on_nis
         self._log.record(position.stamp_ns, name, outcome, prediction.nis, 3, limit=gate_limit, p_W_P=position.p_W_P)
         return outcome
+
+    def learnt_accelerometer(self) -> LearntScale | None:
+        """Return what is known of the accelerometer; None where nothing is."""
+        known = [found for one in self._force.values() if (found := one.learnt()) is not None]
+        return min(known, key=lambda one: one.log_mean, default=None)
+
+    def _learn_force(self, graph: DualGraph, claimed: Position, found: Compared) -> None:
+        """Learn from a position that was used what the accelerometer is worth; such as are not resolved jump."""
+        if claimed.correlation_s >= SLOW_S or graph.published is not graph.main:
+            return
+        innovation, slow = found.innovation, found.slow
+        beyond = innovation.y
+        if slow is not None:
+            beyond = beyond + innovation.H[:, NAV_SIZE:] @ slow.value[slow.first : slow.first + 3]
+        self._force[claimed.sensor].learn(graph.main, claimed, beyond, claimed.colour or WHITE)
+        graph.main.imu_noise.force_scale = least_scale(self._force.values())
 
     def heading_witness(self, smoother: Smoother, stamp_ns: int) -> Witness | None:
         """Return what pairs of antennas near a time say of the heading of an estimate; None where there are none."""

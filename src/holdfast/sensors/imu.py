@@ -326,6 +326,14 @@ class ImuBuffer:
         steps = self._steps(start_ns, end_ns)
         return [Step(*one) for one in zip(steps["dt_s"].tolist(), steps["force"], steps["rate"], strict=True)]
 
+    def readings(self, start_ns: int, end_ns: int) -> tuple[Array, Array, Array]:
+        """Return the mean forces (N, 3) [m/s^2], rates (N, 3) [rad/s] and lengths (N,) [s] of the steps in a time.
+
+        They fill [start, end], which must hold no gap.
+        """
+        steps = self._steps(start_ns, end_ns)
+        return steps["force"], steps["rate"], steps["dt_s"]
+
     def angular_velocity(self, stamp_ns: int) -> Array:
         """Return the reading of the gyroscope (3,) [rad/s] at a time: interpolated, or the last one before it."""
         return np.array(find_rate(self.record, self.samples, stamp_ns))

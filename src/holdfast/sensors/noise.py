@@ -39,6 +39,9 @@ class Colour(NamedTuple):
         return self._replace(white=white, slow=1.0 - white)
 
 
+WHITE = Colour(1.0, 0.0, 1.0)
+
+
 def noise_model(covariance: Array, loss: RobustLoss) -> gtsam.noiseModel.Base:
     """Return the noise model of a residual with covariance (n, n), under the sensor's robust loss."""
     gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)

@@ -17,6 +17,7 @@ from holdfast.messages import Array
 MOTION_INTEGRATION_SIGMA = 0.1  # of position where the motion model stands in [m/sqrt(s)]
 MOTION_CORRELATION_S = 1.0  # of the error that is proportional to the motion
 LEAST_DENSITY, LEAST_RATIO = 5e-5, 3e-4  # of a gyroscope, whatever is learnt: [rad/s/sqrt(Hz)] and of the turning
+LEAST_FORCE_RATIO = 1e-3  # of an accelerometer
 EYE = np.eye(3)
 
 
@@ -53,30 +54,31 @@ class ImuNoise:
     """
 
     def __init__(self, config: InertialConfig, integration_sigma: float, gravity: float) -> None:
-        self._config = config
+        self.config = config
         self._integration_sigma = integration_sigma
         self._up = np.array([0.0, 0.0, gravity])
         self.gravity = gravity
         self.density = Density(config.accelerometer_noise_density, config.gyroscope_noise_density)
+        self.force_scale = 1.0  # how many times larger the accelerometer's error in proportion is, as has been learnt
         self.yaw_scale = 1.0  # how many times larger the gyroscope's noise is about the vertical, as has been learnt
-        self._force_error = config.accelerometer_error_ratio * sqrt(MOTION_CORRELATION_S)
         self._rate_error = config.gyroscope_error_ratio * sqrt(MOTION_CORRELATION_S)
 
     def params(
         self, specific_force: Array, rate: Array, attitude: gtsam.Rot3, seen: Density
     ) -> gtsam.PreintegrationParams:
         """Return the parameters while the machine, at attitude R_W_I, senses (3,) [m/s^2] and (3,) [rad/s]."""
-        config = self._config
+        config = self.config
         fx, fy, fz = specific_force.tolist()
         up = attitude.unrotate(self._up)
         ux, uy, uz = up.tolist()
         ax, ay, az = fx - ux, fy - uy, fz - uz
         wx, wy, wz = rate.tolist()
+        force_ratio = _scaled(config.accelerometer_error_ratio, self.force_scale, LEAST_FORCE_RATIO)
         turning = sqrt(wx * wx + wy * wy + wz * wz)
         params = preintegration_params(
             hypot(
                 max(config.accelerometer_noise_density, seen.accelerometer),
-                self._force_error * sqrt(ax * ax + ay * ay + az * az),
+                force_ratio * sqrt(MOTION_CORRELATION_S * (ax * ax + ay * ay + az * az)),
             ),
             hypot(max(config.gyroscope_noise_density, seen.gyroscope), self._rate_error * turning),
             self._integration_sigma,

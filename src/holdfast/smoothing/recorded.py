@@ -140,6 +140,11 @@ class Recorded:
         found = None if self._learnt is None else self._learnt.constants().get(constant)
         return found is not None and found.is_off
 
+    @property
+    def force_scale(self) -> float:
+        """How many times larger the error of the accelerometer in proportion to the motion is than configured."""
+        return 1.0 if self._learnt is None else self._learnt.force_scale()
+
     def _colour(self, measurement: Measurement) -> Colour | None:
         colour: Colour | None = getattr(measurement, "colour", None)
         if colour is None or self._learnt is None:

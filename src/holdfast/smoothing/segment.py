@@ -97,6 +97,7 @@ class Segment:
 
     def extend(self, until_ns: int) -> None:
         """Take in all that was measured until a time."""
+        self._smoother.imu_noise.force_scale = self._recorded.force_scale
         self._sensors = {name: self._with_clock(sensor) for name, sensor in self._sensors.items()}
         for time_ns, measurement in self._recorded.take(until_ns):
             self._lead_to(time_ns)
