@@ -1,6 +1,7 @@
 """`holdfast view` without a screen: what is in the file that the viewer opens."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from holdfast.config.load import load_config
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.recording.mcap_writer import McapWriter
 from holdfast.recording.tum import read_tum
+from holdfast.viz.show import draw_live
 
 FIX = "sensor_msgs/msg/NavSatFix"
 SINGLE = 1e-5  # Rerun keeps positions as float32: 1e-7 of the 100 m within which the drive stays
@@ -136,6 +138,29 @@ def test_a_mistake_of_the_user_is_one_line(run, arguments, code, words):
     found, printed = run("view", *arguments)
     assert found == code
     assert len(printed.splitlines()) == 1 and words in printed, printed
+
+
+def test_a_viewer_that_does_not_run_is_one_line(drive, run):
+    found, printed = run("view", drive / "recording.mcap", "--connect", "rerun+http://127.0.0.1:1/proxy")
+    assert found == 2
+    assert len(printed.splitlines()) == 1 and "127.0.0.1:1/proxy: no viewer listens there" in printed, printed
+
+
+def test_a_viewer_that_goes_away_while_it_is_sent_to_is_one_line(drive, run, monkeypatch):
+    def gone(*_, **__):
+        raise RuntimeError("gRPC connection severed")
+
+    monkeypatch.setattr("rerun.RecordingStream.flush", gone)
+    found, printed = run("view", drive / "recording.mcap", "-o", drive.parent / "gone.rrd")
+    assert found == 2
+    assert len(printed.splitlines()) == 1 and "not all could be drawn (gRPC connection severed)" in printed, printed
+
+
+def test_a_live_stream_without_its_viewer_complains_in_one_line_and_ends():
+    complaints = []
+    feed = SimpleNamespace(batches=lambda _: [], complain=complaints.append)
+    draw_live(feed, "rerun+http://127.0.0.1:1/proxy")
+    assert len(complaints) == 1 and complaints[0].startswith("--view rerun+http://127.0.0.1:1/proxy: no viewer")
 
 
 def test_a_file_that_cannot_be_written_is_one_line(drive, run, tmp_path):

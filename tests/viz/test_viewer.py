@@ -37,8 +37,34 @@ def test_the_viewer_listens_on_this_machine_only(monkeypatch):
 def test_a_viewer_that_cannot_open_a_window_is_one_line(monkeypatch):
     monkeypatch.setattr(viewer, "PORT", free_port())
     monkeypatch.setattr(viewer, "command", lambda: [sys.executable, "-c", "raise SystemExit(3)"])
-    with pytest.raises(viewer.ConfigError, match=r"^the viewer ended at once \(exit code 3\): is there a display\?$"):
+    monkeypatch.setenv("DISPLAY", ":77")
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    ends = r"^the viewer ended at once \(exit code 3\): is there a display DISPLAY=:77\?$"
+    with pytest.raises(viewer.ConfigError, match=ends):
         viewer.open_viewer()
+
+
+def test_a_viewer_that_ends_after_it_began_to_listen_is_one_line(monkeypatch):
+    """As it does where its display is not there: all was drawn to nobody, or ended in a traceback."""
+    monkeypatch.setattr(viewer, "PORT", free_port())
+    listens = "import socket, time; s = socket.create_server(('127.0.0.1', %d)); time.sleep(0.4)"
+    monkeypatch.setattr(viewer, "command", lambda: [sys.executable, "-c", listens % viewer.PORT])
+    with pytest.raises(viewer.ConfigError, match=r"ended at once \(exit code 0\): is there a display"):
+        viewer.open_viewer()
+
+
+@pytest.mark.parametrize(("url", "words"), [
+    ("rerun+http://127.0.0.1:{port}/proxy", "no viewer listens there"),
+    ("rerun+http://127.0.0.1:99999/proxy", "must be rerun"),
+    ("rerun+http://127.0.0.1/proxy", "must be rerun"),
+    ("rerun+http://", "must be rerun"),
+])  # fmt: skip
+def test_an_address_at_which_no_viewer_listens_is_refused_at_once(url, words):
+    url = url.format(port=free_port())
+    began = time.monotonic()
+    with pytest.raises(viewer.ConfigError, match=words) as refused:
+        viewer.check_viewer(url)
+    assert str(refused.value).startswith(url) and time.monotonic() - began < 2.0
 
 
 def listening(port):

@@ -37,10 +37,11 @@ def view(recording: str, output: str | None, connect: str | None) -> None:
     source = path / "estimates.mcap" if (path / "estimates.mcap").is_file() else path
     with open_recording(source) as opened:  # fails in one line if there is nothing to see
         begin_ns, end_ns = opened.start_ns, opened.end_ns
-    sink = show.open_sink(output or connect or "window", path.name)
+    target = output or connect or "window"
+    sink = show.open_sink(target, path.name)
     with progress_bar("drawing", begin_ns, end_ns) as progress:
         show.draw_recording(path, sink, progress)
-    sink.disconnect()
+    show.close_sink(sink, target)
     if output is not None:
         add_results(Path(output))
         click.echo(f"written to {output}")

@@ -16,12 +16,13 @@ from holdfast.replay.outputs import ESTIMATES, EVENTS, SUMMARY
 from holdfast.replay.results import read_events
 from holdfast.replay.summary_file import datum_in, read_summary
 from holdfast.viz.scene import DATUM, FIX, Scene
-from holdfast.viz.viewer import open_viewer
+from holdfast.viz.viewer import DISPLAYS, a_display, check_viewer, open_viewer
 
 APPLICATION = "holdfast"
 FLUSH_ROWS = 20_000
 LIVE_FLUSH_S = 0.25
-DISPLAYS = "DISPLAY", "WAYLAND_DISPLAY"
+FOR_EVER_S = 1e38  # as the SDK has it
+LIVE_END_S = 3.0  # for what is left at the end of a live stream
 WITHOUT_DISPLAY = "write a file *.rrd, or name a viewer that runs, as --help says"
 
 
@@ -37,6 +38,8 @@ def open_sink(target: str, name: str) -> rr.RecordingStream:
     """
     if target == "window" and sys.platform == "linux" and not any(map(os.environ.get, DISPLAYS)):
         raise ConfigError(f"window: there is no display ({', '.join(DISPLAYS)} are not set): {WITHOUT_DISPLAY}")
+    if target != "window" and not target.endswith(".rrd"):
+        check_viewer(target)
     recording = rr.RecordingStream(APPLICATION)
     recording.send_recording_name(name)
     try:
@@ -51,12 +54,26 @@ def open_sink(target: str, name: str) -> rr.RecordingStream:
     return recording
 
 
+def close_sink(recording: rr.RecordingStream, target: str, within_s: float = FOR_EVER_S) -> None:
+    """Send what is left to where a recording was opened, and end it.
+
+    Raises:
+        ConfigError: not all could be sent: the viewer is gone, or the disk is full.
+    """
+    where = f"{target} at {a_display()}" if target == "window" else target
+    try:
+        recording.flush(timeout_sec=within_s)
+    except RuntimeError as error:
+        raise ConfigError(f"{where}: not all could be drawn ({error}): does the viewer run?") from None
+    recording.disconnect()
+
+
 def draw_recording(path: Path, recording: rr.RecordingStream, progress: Callable[[int], None] | None = None) -> None:
     """Draw a bag, or the output folder of a replay.
 
     Args:
         path: of either.
-        recording: where to draw.
+        recording: where to draw; `close_sink` sends what is left.
         progress: called with the arrival [ns] every now and then.
 
     Raises:
@@ -76,7 +93,6 @@ def draw_recording(path: Path, recording: rr.RecordingStream, progress: Callable
         if is_replay:
             _add_events(path, scene)
         scene.flush()
-    recording.flush()
 
 
 def _datum_of_replay(folder: Path) -> Geodetic | None:
@@ -140,5 +156,7 @@ def draw_live(feed: LiveFeed, target: str) -> None:
             flushed = monotonic()
             scene.flush()
     scene.flush()
-    recording.flush()
-    recording.disconnect()
+    try:
+        close_sink(recording, target, LIVE_END_S)
+    except ConfigError as error:
+        feed.complain(f"--view {error}")

@@ -7,7 +7,7 @@ import numpy as np
 from holdfast.mapping.colours import Colouring
 from holdfast.mapping.site_map import SiteMap
 from holdfast.state import Trajectory
-from holdfast.viz.show import open_sink
+from holdfast.viz.show import close_sink, open_sink
 
 POINTS = 2_000_000  # more than a viewer draws smoothly
 TRACK_POINTS = 20_000
@@ -33,5 +33,4 @@ def write_rrd(site_map: SiteMap, colouring: Colouring, trajectory: Trajectory, v
     step = max(1, len(trajectory.stamps_ns) // TRACK_POINTS)
     track = rr.LineStrips3D([trajectory.positions[::step] - middle], colors=[(209, 73, 91)])
     sink.log("map/track", track, static=True)
-    sink.flush()
-    sink.disconnect()
+    close_sink(sink, str(file))
