@@ -89,6 +89,24 @@ WRONG = {
     ),
     "status: must be one of .*2 GBAS, got 7": lambda e: e.add_gnss(1, 47.0, 8.0, 400.0, status=7),
     "yaw_rad: must be a number": lambda e: e.add_heading(1, [0.1]),
+    r"angular_velocity: must be an array \(3,\) of numbers \[rad/s\], got a list of 3": lambda e: e.add_imu(
+        1, [10**400, 0, 0], V3
+    ),
+    r"specific_force: must be an array \(3,\) of numbers \[m/s\^2\], got a list of 3: \['1'": lambda e: e.add_imu(
+        1, V3, ["1", "2", "3"]
+    ),
+    r"angular_velocity: .*, got an array \(3,\) of complex128": lambda e: e.add_imu(1, V3 * 1j, V3),
+    r"specific_force: .*, got an array \(3,\) of bool": lambda e: e.add_imu(1, V3, V3 == 0.0),
+    r"angular_velocity: .*, got a list of 3: \[None": lambda e: e.add_imu(1, [None, 0.0, 0.0], V3),
+    "stamp_ns: must be a whole number of nanoseconds within 64 bits, got True": lambda e: e.add_imu(True, V3, V3),
+    "arrival_ns: must be a whole number of nanoseconds .*, got True": lambda e: e.add_imu(1, V3, V3, True),
+    "latitude_deg: must be a number .deg., got a number of more than 64 bits": lambda e: e.add_gnss(
+        1, 10**400, 8.0, 5.0
+    ),
+    "yaw_rad: must be a number .rad., got a number of more": lambda e: e.add_heading(1, -(10**400)),
+    r"covariance: must be an array \(3, 3\) of numbers .*, got a list of 3: ": lambda e: e.add_gnss(
+        1, 47.0, 8.0, 5.0, covariance=[[10**400, 0, 0], [0, 1, 0], [0, 0, 1]]
+    ),
     r"position: must be an array \(3,\)": lambda e: e.add_odometry(1, [1.0], V4),
     r"quaternion: must be an array \(4,\)": lambda e: e.add_odometry(1, V3, V3),
     r"covariance: must be an array \(6, 6\)": lambda e: e.add_odometry(1, V3, V4, covariance=M3),
@@ -124,9 +142,22 @@ def test_an_arrival_of_zero_is_one_like_any_other():
 
 
 def test_readings_that_are_no_numbers_are_named_when_they_are_processed():
-    words = np.array(["x", "y", "z"])
-    with pytest.raises(MessageError, match=r"^ImuSample.angular_velocity: must be .* of <U1$"):
-        Estimator(parse_config(CONFIG)).process(ImuSample(1, 2, "imu", words, V3))
+    for words, dtype in (
+        (["x", "y", "z"], "<U1"),
+        (["1", "2", "3"], "<U1"),
+        ([1j, 0, 0], "complex128"),
+        ([10**400, 0, 0], "object"),
+    ):
+        with pytest.raises(MessageError, match=rf"^ImuSample.angular_velocity: must be .* of {dtype}$"):
+            Estimator(parse_config(CONFIG)).process(ImuSample(1, 2, "imu", np.array(words), V3))
+
+
+def test_whole_numbers_that_a_double_can_be_are_taken_however_long_they_are():
+    engine = Estimator(parse_config(CONFIG))
+    engine.add_imu(1, [2**70, 0, 0], [0, 0, 9])
+    engine.add_imu(np.int64(2), V3, V3, np.int64(3))
+    engine.add_imu(np.uint64(4), V3, V3)
+    engine.add_gnss(1, 47, 8, 2**70)
 
 
 def test_both_engines_take_in_the_same_arguments():

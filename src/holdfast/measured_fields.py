@@ -13,6 +13,7 @@ NEVER_NS = -LIMIT_NS
 TEXT_CHARACTERS = 40
 NUMBERS = (float, int, np.floating, np.integer)
 WHOLE = (int, np.integer)
+REAL_KINDS = "fiu"  # of a dtype: neither text nor truth values nor complex numbers, which numpy would convert
 
 
 class Quantity(NamedTuple):
@@ -34,8 +35,8 @@ class Quantity(NamedTuple):
         if value is None:
             return self.may_be_none
         if not self.shape:
-            return is_number(value)
-        return isinstance(value, np.ndarray) and value.shape == self.shape and value.dtype.kind in "fiu"
+            return is_number(value) and has_double(value)
+        return isinstance(value, np.ndarray) and value.shape == self.shape and value.dtype.kind in REAL_KINDS
 
 
 def check_message(message: Any, quantities: Mapping[str, Quantity]) -> None:
@@ -59,7 +60,7 @@ def check_message(message: Any, quantities: Mapping[str, Quantity]) -> None:
 
 def is_stamp(value: object) -> bool:
     """Whether a value is a time as messages have it."""
-    return is_whole(value) and -LIMIT_NS <= value < LIMIT_NS
+    return is_whole(value) and -LIMIT_NS <= int(value) < LIMIT_NS
 
 
 def array_of(values: Any, shape: tuple[int, ...], name: str, unit: str) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -69,12 +70,19 @@ def array_of(values: Any, shape: tuple[int, ...], name: str, unit: str) -> np.nd
         MessageError: it has another shape, or is not made of numbers.
     """
     try:
-        array = np.asarray(values, np.float64)
+        found = np.asarray(values)
     except (TypeError, ValueError):
         refuse(values, shape, name, unit)
-    if array.shape != shape:
+    if found.shape != shape or not _are_real(found):
         refuse(values, shape, name, unit)
-    return array
+    return np.asarray(found, np.float64)
+
+
+def _are_real(found: np.ndarray[Any, Any]) -> bool:
+    """Whether an array holds numbers that a double can be; beyond 64 bits whole numbers are objects to numpy."""
+    if found.dtype.kind != "O":
+        return found.dtype.kind in REAL_KINDS
+    return all(is_number(one) and has_double(one) for one in found.flat)
 
 
 def refuse(values: object, shape: tuple[int, ...], name: str, unit: str) -> NoReturn:
@@ -100,6 +108,15 @@ def _cut(text: str) -> str:
 def is_number(value: object) -> TypeGuard[float]:
     """Whether a value is a number; a truth value is none."""
     return isinstance(value, NUMBERS) and not isinstance(value, bool)
+
+
+def has_double(value: float) -> bool:
+    """Whether a number is one of a double, infinity among them: whole numbers of Python have no end."""
+    try:
+        float(value)
+    except OverflowError:
+        return False
+    return True
 
 
 def is_whole(value: object) -> TypeGuard[int]:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from holdfast.errors import MessageError
-from holdfast.measured_fields import LIMIT_NS, Quantity, check_message, got
+from holdfast.measured_fields import LIMIT_NS, REAL_KINDS, Quantity, check_message, got
 
 Array = NDArray[np.float64]
 Row = tuple[float, ...]
@@ -76,7 +76,8 @@ class ImuSample:
     def __post_init__(self) -> None:
         # hundreds a second: of a sound sample no more is asked than this
         try:
-            is_sound = -LIMIT_NS <= (self.stamp_ns | self.arrival_ns) < LIMIT_NS
+            is_sound = self.stamp_ns.__class__ is int is self.arrival_ns.__class__  # a truth value is none
+            is_sound = is_sound and -LIMIT_NS <= (self.stamp_ns | self.arrival_ns) < LIMIT_NS
             if is_sound and self.angular_velocity.shape == AXES == self.specific_force.shape:
                 return
         except (AttributeError, TypeError):
@@ -100,11 +101,11 @@ def as_doubles(reading: Array, field: str) -> Array:
     Raises:
         MessageError: it is not made of numbers.
     """
-    try:
-        return np.asarray(reading, np.float64)
-    except (TypeError, ValueError):
+    found = np.asarray(reading)
+    if found.dtype.kind not in REAL_KINDS:
         must_be = ImuSample.QUANTITIES[field]
-        raise MessageError(f"ImuSample.{field}: must be {must_be}, {got(reading)}") from None
+        raise MessageError(f"ImuSample.{field}: must be {must_be}, {got(reading)}")
+    return np.asarray(found, np.float64)
 
 
 class FixStatus(IntEnum):

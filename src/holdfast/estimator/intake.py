@@ -3,7 +3,6 @@
 from time import monotonic_ns, time_ns
 from typing import Protocol
 
-from numpy import asarray, float64
 from numpy.typing import ArrayLike
 
 from holdfast.config.model import Config
@@ -36,11 +35,8 @@ class Intake(Protocol):
             ConfigError: the configuration has no such sensor, or several.
             EstimatorError: the estimator is closed.
         """
-        try:  # what is wrong is found by the sample
-            rate, force = asarray(angular_velocity, float64), asarray(specific_force, float64)
-        except (TypeError, ValueError):
-            rate, force = _readings(angular_velocity, specific_force)
-        return self.process(ImuSample(stamp_ns, _arrival(arrival_ns), self.config.imu_name, rate, force))
+        readings = _readings(angular_velocity, specific_force)
+        return self.process(ImuSample(stamp_ns, _arrival(arrival_ns), self.config.imu_name, *readings))
 
     def add_gnss(
         self,
