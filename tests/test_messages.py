@@ -155,8 +155,8 @@ def test_readings_that_are_no_numbers_are_named_when_they_are_processed():
 def test_whole_numbers_that_a_double_can_be_are_taken_however_long_they_are():
     engine = Estimator(parse_config(CONFIG))
     engine.add_imu(1, [2**70, 0, 0], [0, 0, 9])
-    engine.add_imu(np.int64(2), V3, V3, np.int64(3))
-    engine.add_imu(np.uint64(4), V3, V3)
+    for stamp_ns in (-1, np.uint64(4), np.int64(5)):  # numpy would overflow where these are compared
+        engine.add_imu(stamp_ns, V3, V3, np.int64(3))
     engine.add_gnss(1, 47, 8, 2**70)
 
 

@@ -40,7 +40,7 @@ class Quantity(NamedTuple):
 
 
 def check_message(message: Any, quantities: Mapping[str, Quantity]) -> None:
-    """Refuse a message of which a field has another type, shape or range.
+    """Refuse a message of which a field has another type, shape or range; its stamps become whole numbers of Python.
 
     Raises:
         MessageError: names the field, what it must be, and what came.
@@ -50,6 +50,8 @@ def check_message(message: Any, quantities: Mapping[str, Quantity]) -> None:
         value = getattr(message, field)
         if not is_stamp(value):
             raise MessageError(f"{name}.{field}: must be a whole number of nanoseconds within 64 bits, {got(value)}")
+        if value.__class__ is not int:  # those of numpy overflow where ours do not
+            object.__setattr__(message, field, int(value))
     if not isinstance(message.sensor, str):
         raise MessageError(f"{name}.sensor: must be a name of the configuration, {got(message.sensor)}")
     for field, quantity in quantities.items():
