@@ -23,7 +23,7 @@ COARSE = 2.0  # times that resolution is the first pass where nothing measures t
 DESKEWED_M = 0.01  # a velocity that errs by so much over half a sweep is worth a second pass
 NEIGHBOURS = 10
 PARTNER_M = 1.0
-EPSILON_RAD, EPSILON_M = 1e-5, 1e-4
+EPSILON_RAD, EPSILON_M = 5e-5, 5e-4  # a fifth of what scans are known by against each other
 MEMORY_SWEEPS = 3000  # ten minutes at 5 Hz: a machine that returns finds its map
 # neighbouring points have the error of their voxel in common, which H takes for independent: on two ray-cast sites
 # s^2 H^-1 is right for new noise at one position, and 2.3 to 3.6 times too small over positions; deskewing errors add
