@@ -12,8 +12,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "recording"))
 from bags import HUMBLE, START_NS, drive, write_bag
 from test_recorded_frames import told, transform
 
+from holdfast.api.run import resolved
 from holdfast.cli import main
 from holdfast.config.load import load_config, parse_config
+from holdfast.errors import ConfigError
 from holdfast.recording.source import Subscription
 from holdfast.recording.subscriptions import subscriptions
 
@@ -118,6 +120,24 @@ def test_check_refuses_two_antennas_at_one_place(run: Run, tmp_path: Path) -> No
     )
     file.write_text(TWO_ANTENNAS.replace("0.01", "1.8"))
     assert run("check", file)[0] == 0
+
+
+@pytest.mark.parametrize("command", ["replay", "smooth", "live"])
+def test_what_check_calls_impossible_is_refused_by_whatever_estimates(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Antennas 0.1 um apart were estimated with, without a word."""
+    file = tmp_path / "machine.yaml"
+    file.write_text(TWO_ANTENNAS.replace("0.01", "0.0000001"))
+    where = [] if command == "live" else [str(tmp_path / "recording.mcap"), "-o", str(tmp_path / "out")]
+    monkeypatch.setattr(sys, "argv", ["holdfast", command, *where, "-c", str(file)])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    assert stop.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"error: {file}: extrinsics: the antennas of left and right are 0.000 m apart, must be")
+    with pytest.raises(ConfigError, match=r"the antennas of left and right are 0\.000 m apart"):
+        resolved(load_config(file))
 
 
 def test_schema_is_json_with_units(run: Run) -> None:

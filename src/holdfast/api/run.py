@@ -15,6 +15,7 @@ from holdfast.api.session import Session, run
 from holdfast.calibration.learnt_file import check_learnt_file
 from holdfast.config.load import config_of, load_config
 from holdfast.config.model import Config
+from holdfast.config.review import check_possible
 from holdfast.errors import ConfigError
 from holdfast.measured_fields import got, is_number, is_whole
 from holdfast.output_folder import replaced
@@ -150,11 +151,11 @@ def resolved(config: AnyConfig) -> Config:
         ConfigError: it is none of them, or holds mistakes; the text has one line per mistake.
     """
     if isinstance(config, Config):
-        return config
+        return check_possible(config, "config")
     if isinstance(config, Mapping):
-        return config_of(dict(config), "config")
+        return check_possible(config_of(dict(config), "config"), "config")
     if isinstance(config, str | PathLike):
-        return load_config(config)
+        return check_possible(load_config(config), str(config))
     raise ConfigError(f"config: must be a path, a dict or a Config, not {type(config).__name__}")
 
 

@@ -19,11 +19,9 @@ def config() -> None:
 def check(file: Path) -> None:
     """Check FILE and show what it comes to; every mistake is listed with its line."""
     from holdfast.config.load import load_config
-    from holdfast.config.review import impossibilities, sensor_rows, warnings
+    from holdfast.config.review import check_possible, sensor_rows, warnings
 
-    loaded = load_config(file)
-    if impossible := impossibilities(loaded):
-        raise ConfigError("\n".join(f"{file}: {line}" for line in impossible))
+    loaded = check_possible(load_config(file), str(file))
     click.echo(f"{file}: ok")
     rows = [("sensor", "topic", "frame", "lever arm")]
     for row in sensor_rows(loaded):

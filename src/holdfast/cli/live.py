@@ -60,9 +60,10 @@ def live(
     if duration_s is not None and not duration_s > 0:
         raise ConfigError(f"--duration {duration_s:g}: must be > 0")
     from holdfast.config.load import load_config
+    from holdfast.config.review import check_possible
     from holdfast.recording.subscriptions import subscriptions
 
-    config = load_config(config_path)
+    config = check_possible(load_config(config_path), config_path)
     learnt = _learnt(learnt_path, config, config_path)
     with ExitStack() as stack:
         stopped = stack.enter_context(_signals())

@@ -73,12 +73,13 @@ def replay(  # noqa: PLR0917 (click passes the options by name)
     from holdfast.cli.command_line import command_line
     from holdfast.cli.guessed import FILE, guessed_config
     from holdfast.config.load import load_config
+    from holdfast.config.review import check_possible
     from holdfast.recording.source import open_recording
 
     if child:
         end_with_parent()
     check_window(start_s, duration_s, rate)
-    config = None if config_path is None else load_config(config_path)
+    config = None if config_path is None else check_possible(load_config(config_path), config_path)
     reads = [recording] if config_path is None else [recording, config_path]
     if learnt_path is not None:
         check_learnt_file(learnt_path, output, reads)

@@ -49,13 +49,14 @@ def smooth(  # noqa: PLR0917 (click passes the options by name)
     from holdfast.api.session import Session, run
     from holdfast.cli.command_line import command_line
     from holdfast.config.load import load_config
+    from holdfast.config.review import check_possible
     from holdfast.recording.source import open_recording
 
     check_window(start_s, duration_s)
     from holdfast.smoothing.batch_smoother import check_lengths
 
     check_lengths(window_s, overlap_s, ("--window", "--overlap"))
-    config = load_config(config_path)
+    config = check_possible(load_config(config_path), config_path)
     rules = rules_of(hold_out, outage, config)
     with open_recording(recording) as opened, naming_the_output(output):
         wanted, missing = wanted_of(opened, config, strict)

@@ -17,6 +17,7 @@ from holdfast.config.sensors import (
     JointConfig,
     MountedConfig,
 )
+from holdfast.errors import ConfigError
 
 MAX_USUAL_OFFSET_S = 0.5
 MIN_BASELINE_M = 0.05  # antennas are wider
@@ -62,6 +63,17 @@ def impossibilities(config: Config) -> list[str]:
                 f"{MIN_BASELINE_M:g} m: measure the translation_m of {frames}"
             )
     return found
+
+
+def check_possible(config: Config, name: str) -> Config:
+    """Return a configuration with which something is to be estimated; `name` stands for its file in the message.
+
+    Raises:
+        ConfigError: no machine is like that, one line per impossibility.
+    """
+    if impossible := impossibilities(config):
+        raise ConfigError("\n".join(f"{name}: {line}" for line in impossible))
+    return config
 
 
 def warnings(config: Config) -> list[str]:
