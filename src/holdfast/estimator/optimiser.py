@@ -16,6 +16,7 @@ from holdfast.estimator.density import Density
 from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import Received
 from holdfast.estimator.initialisation import Initialising
+from holdfast.estimator.stamp_faults import StampFaults
 from holdfast.estimator.successor import Successor
 from holdfast.estimator.tracking import Tracking, Update
 from holdfast.event_log import EventLog
@@ -29,7 +30,7 @@ from holdfast.sensors.constants import Constant
 from holdfast.sensors.gnss import GnssModel
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.registry import inputs_of, sensors_of
-from holdfast.sensors.sensor import Joint, Measurement, Position, Role, StampFilter
+from holdfast.sensors.sensor import Joint, Measurement, Position, Role, StampFilter, of_role
 from holdfast.state import EventKind, Health, OptimisedState, Outcome
 
 if TYPE_CHECKING:
@@ -69,6 +70,7 @@ class Optimiser:
         self._joint = None if config.joint is None else JointTrack(JointModel(config.joint[1]))
         self._has_imu = True
         self._reported = Health.INITIALISING
+        self._stamp_faults = StampFaults()
         self._assumed: set[tuple[str, str]] = set()
         self.monitor = HealthMonitor(config)
         self.world = World()
@@ -121,7 +123,9 @@ class Optimiser:
     @property
     def waiting_for(self) -> str:
         """What keeps the estimator from starting."""
-        return self._phase.waiting_for if isinstance(self._phase, Initialising) else ""
+        if not isinstance(self._phase, Initialising):
+            return ""
+        return self._stamp_faults.why_not(of_role(self._sensors, Role.POSITION)) or self._phase.waiting_for
 
     @property
     def waiting(self) -> Counter[str]:
@@ -232,6 +236,8 @@ class Optimiser:
         name, stamp_ns = message.sensor, measurement.stamp_ns
         reached_ns, reached_arrival_ns = self._buffer.latest_ns, self._buffer.arrival_ns
         behind_ns = reached_ns + max(0, message.arrival_ns - reached_arrival_ns) - stamp_ns
+        if not isinstance(self._phase, Tracking):
+            self._stamp_faults.note(name, message.stamp_ns, behind_ns if reached_ns else None)
         outcome = self._stamps.check(name, stamp_ns, message.arrival_ns, reached_ns, reached_arrival_ns)
         if outcome is Outcome.USED and reached_ns and behind_ns > self._start_window_ns:
             outcome = Outcome.LATE
