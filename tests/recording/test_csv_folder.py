@@ -150,6 +150,9 @@ def test_the_header_of_euroc_is_understood(tmp_path: Path) -> None:
         ("temperature," + IMU, "imu.csv:1: column 'temperature' is unknown or there twice"),
         (IMU + "1,0,0,0,0,0,0\n2,0,zero,0,0,0,0\n", "imu.csv:3: column wy_rad_s is 'zero' (allowed: a number"),
         (IMU + "1,0,0,0,0,0,0\n2,0,,0,0,0,0\n", "imu.csv:3: column wy_rad_s is '' (allowed: a number"),
+        (IMU + "1,0,0,1_0.5,0,0,0\n", "imu.csv:2: column wz_rad_s is '1_0.5' (allowed: a number"),
+        (IMU + "1,0,0,\u0661\u0662,0,0,0\n", "imu.csv:2: column wz_rad_s is '\u0661\u0662' (allowed: a number"),
+        (IMU + "1_0,0,0,0,0,0,0\n", "imu.csv:2: column stamp_ns is '1_0' (allowed: a whole number of nanoseconds"),
         (
             IMU + "1.5,0,0,0,0,0,0\n",
             "imu.csv:2: column stamp_ns is '1.5' (allowed: a whole number of nanoseconds in 64 bits)",

@@ -82,6 +82,7 @@ def test_quaternions_of_few_digits_are_normalised(tmp_path: Path) -> None:
         (ROW + "2.5 1 2 3\n", "t.tum:2: has 4 columns (allowed: 8, t x y z qx qy qz qw)"),
         (ROW + "2.5 1 2 x 0 0 0 1\n", "t.tum:2: is not made of 8 numbers"),
         (ROW + "now 1 2 3 0 0 0 1\n", "t.tum:2: is not made of 8 numbers"),
+        (ROW + "2.5 1_0 2 3 0 0 0 1\n", "t.tum:2: is not made of 8 numbers"),
         (ROW + "inf 1 2 3 0 0 0 1\n", "t.tum:2: has a number that is not finite or a stamp beyond 292 years"),
         (ROW + "1e999999 1 2 3 0 0 0 1\n", "t.tum:2: has a number that is not finite or a stamp beyond 292 years"),
         (ROW + "2.5 1 2 nan 0 0 0 1\n", "t.tum:2: has a number that is not finite"),

@@ -8,6 +8,7 @@ import numpy as np
 from holdfast.covariances import SIZE, UPPER, Covariances
 from holdfast.errors import RecordingError
 from holdfast.measured_fields import LIMIT_NS
+from holdfast.recording.plain_numbers import check_plain
 from holdfast.recording.source import Closing
 
 AXES = ("rx", "ry", "rz", "px", "py", "pz", "vx", "vy", "vz")
@@ -36,6 +37,7 @@ def read_covariances(path: Path) -> Covariances:
     for number, line in enumerate(lines[1:], start=2):
         cells = line.split(",")
         try:
+            check_plain(cells)
             stamps.append(int(cells[0]))
             rows.append([float(cell) for cell in cells[1:]])
         except ValueError:

@@ -16,6 +16,7 @@ from holdfast.recording.columns import Columns
 from holdfast.recording.decode import UndecodableError
 from holdfast.recording.kinds import KINDS
 from holdfast.recording.merge import SkippedMessages
+from holdfast.recording.plain_numbers import check_plain
 from holdfast.recording.source import TopicInfo
 from holdfast.recording.tracks import TrackRecording, last_line
 
@@ -105,6 +106,7 @@ class CsvTrack:
                 f"{self.file}:{line}: has {len(cells)} columns (allowed: {len(self._names)}, as above)"
             )
         try:
+            check_plain((cells[self._stamp], cells[self._arrival]))
             stamp_ns, arrival_ns = int(cells[self._stamp]), int(cells[self._arrival])
             if is_stamp(stamp_ns) and is_stamp(arrival_ns):
                 return stamp_ns, arrival_ns
@@ -118,6 +120,7 @@ class CsvTrack:
 
     def _parse(self, cells: list[str], indices: list[int], columns: Columns, line: int) -> list[float]:
         try:
+            check_plain(cells)
             return [float(cells[index]) for index in indices]
         except ValueError:
             named = zip(columns.names, indices, strict=True)
@@ -128,6 +131,7 @@ class CsvTrack:
         if not text and may_be_empty:
             return nan
         try:
+            check_plain((text,))
             return float(text)
         except ValueError:
             raise RecordingError(
@@ -186,6 +190,7 @@ def _column_name(text: str) -> str:
 
 def _is_stamp(text: str) -> bool:
     try:
+        check_plain((text,))
         return is_stamp(int(text))
     except ValueError:
         return False

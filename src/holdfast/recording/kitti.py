@@ -15,6 +15,7 @@ import numpy as np
 from holdfast.errors import RecordingError
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.messages import FixStatus, GnssFix, ImuSample, Message
+from holdfast.recording.plain_numbers import check_plain
 from holdfast.recording.source import TopicInfo
 from holdfast.recording.tracks import TrackRecording, last_line
 
@@ -85,6 +86,7 @@ def _read_rows(file: Path, columns: int, separator: str | None) -> Iterator[tupl
         for number, line in enumerate(stream, start=2):
             cells = line.split(separator)
             try:
+                check_plain(cells)
                 values = [float(cell) for cell in cells[1:]]
                 if len(cells) != columns or not all(map(isfinite, values)):
                     raise ValueError

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from holdfast.errors import RecordingError
+from holdfast.recording.plain_numbers import check_plain
 from holdfast.recording.source import Closing
 from holdfast.state import Trajectory
 
@@ -55,6 +56,7 @@ def _parse(cells: list[str], place: str) -> tuple[int, list[float]]:
     if len(cells) != 8:
         raise RecordingError(f"{place}: has {len(cells)} columns (allowed: 8, t x y z qx qy qz qw)")
     try:
+        check_plain(cells)
         stamp_s = Decimal(cells[0])
         if not stamp_s.copy_abs() < LIMIT_S:  # to make an integer of 1e999999999 takes forever
             raise RecordingError(f"{place}: has a number that is not finite or a stamp beyond 292 years")
