@@ -233,6 +233,13 @@ def test_a_mistake_of_the_user_is_one_line_and_exit_code_2(domain, tmp_path, mis
     assert len(lines) == 1 and words in lines[0], lines
 
 
+def test_the_end_that_a_service_manager_asks_for_is_told_as_ctrl_c_is(live):
+    process = live()
+    process.wait_for("publishing")
+    assert process.end(signal.SIGTERM) == 128 + signal.SIGTERM
+    assert process.lines()[-1] == "interrupted"
+
+
 @pytest.mark.parametrize("after_s", [0.6, 1.2, 1.8])
 def test_ctrl_c_while_it_starts_is_one_word_and_no_traceback_of_any_process(live, tmp_path, after_s):
     process = live("--record", tmp_path / "log.mcap")

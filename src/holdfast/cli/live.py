@@ -123,9 +123,8 @@ def _why_not(engine: "RealtimeEstimator", config: "Config") -> str:
 
 
 def _end(caught: int | None, why: str | None) -> None:
-    if caught == signal.SIGINT:
-        raise KeyboardInterrupt
     if caught is not None:
+        click.echo("interrupted", err=True)
         raise SystemExit(128 + caught)
     if why is not None:
         raise EstimatorError(f"the estimator never started: {why}")

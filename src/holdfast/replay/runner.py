@@ -28,6 +28,9 @@ if TYPE_CHECKING:  # starting processes is left to whoever wants them
     from holdfast.realtime.engine import RealtimeEstimator
 
 
+CLOCK_STEP_NS = 3_600_000_000_000  # between two arrivals: not a silence, but a clock that was set
+
+
 @dataclass(slots=True)
 class Timing:
     """Processing times: `imu_ns` per IMU sample without, `update_ns` per message with an optimisation."""
@@ -100,12 +103,13 @@ class Replay:
         """
         if self._realtime is not None:
             self._realtime.wait_until_ready()
-        began, first_ns, last_ns = perf_counter(), 0, 0
+        began, first_ns, last_ns, recorded_ns = perf_counter(), 0, 0, 0
         uninterrupted = Uninterrupted()
         uninterrupted.start()
         try:
             for count, message in enumerate(self._filter.split(messages)):
-                last_ns = message.arrival_ns
+                since_ns, last_ns = message.arrival_ns - (last_ns or message.arrival_ns), message.arrival_ns
+                recorded_ns += since_ns if 0 < since_ns < CLOCK_STEP_NS else 0
                 first_ns = first_ns or last_ns
                 if rate is not None:
                     ahead_s = (last_ns - first_ns) * 1e-9 / rate - (perf_counter() - began)
@@ -120,7 +124,7 @@ class Replay:
             uninterrupted.stop()
             self._end_batch()
             self.timing.wall_s = perf_counter() - began
-            self.timing.recorded_s = (last_ns - first_ns) * 1e-9
+            self.timing.recorded_s = recorded_ns * 1e-9
             if self._realtime is None:
                 self._judge(Output())
             else:
