@@ -2,7 +2,8 @@
 
 `python benchmarks/wrong_by_ten.py` simulates a scenario and estimates it with the configuration as it is, and then with
 each noise, drift, correlation time and prior multiplied, one key at a time for all sensors of a kind. It prints ratios
-of the errors to those of the configuration as it is; `--worst 1.5` leaves out rows whose ratios are all below.
+of the errors to those of the configuration as it is; `--worst 1.5` leaves out rows whose ratios are all below, `--key
+ratio` tries only keys with that in their name.
 """
 
 import argparse
@@ -79,12 +80,13 @@ def main() -> None:
     parser.add_argument("scenario", nargs="?", default="rounds")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--factors", type=float, nargs="+", default=[0.1, 10.0])
+    parser.add_argument("--key", default="", help="only keys with this in their name")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--worst", type=float, default=0.0, help="print only rows with a ratio beyond this")
     given = parser.parse_args()
     scenario = load_scenario(given.scenario)
     data = configuration_data(scenario, given.seed)
-    found = list(changes(data, given.factors))
+    found = [change for change in changes(data, given.factors) if given.key in change.key]
     with TemporaryDirectory() as folder, ProcessPoolExecutor(given.jobs) as pool:
         score = partial(scores, Path(folder), write_simulation(scenario, given.seed, Path(folder)))
         base = score(data)
