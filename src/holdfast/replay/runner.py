@@ -103,16 +103,15 @@ class Replay:
         """
         if self._realtime is not None:
             self._realtime.wait_until_ready()
-        began, first_ns, last_ns, recorded_ns = perf_counter(), 0, 0, 0
+        began, last_ns, recorded_ns = perf_counter(), 0, 0
         uninterrupted = Uninterrupted()
         uninterrupted.start()
         try:
             for count, message in enumerate(self._filter.split(messages)):
                 since_ns, last_ns = message.arrival_ns - (last_ns or message.arrival_ns), message.arrival_ns
                 recorded_ns += since_ns if 0 < since_ns < CLOCK_STEP_NS else 0
-                first_ns = first_ns or last_ns
                 if rate is not None:
-                    ahead_s = (last_ns - first_ns) * 1e-9 / rate - (perf_counter() - began)
+                    ahead_s = recorded_ns * 1e-9 / rate - (perf_counter() - began)
                     if ahead_s > 0.0:
                         sleep(ahead_s)
                 with uninterrupted:
