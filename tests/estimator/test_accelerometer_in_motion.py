@@ -44,6 +44,12 @@ def test_one_that_is_six_times_worse_than_the_file_says_is_found(boastful):
     assert 3.0 < used(boastful[0]) < 12.0
 
 
+def test_a_second_receiver_that_is_silent_does_not_vouch_for_it():
+    config = machine(lidar=False, right=True, imu_={"accelerometer_error_ratio": RATIO})
+    optimiser, *_ = optimised(config, messages(0.03))
+    assert 3.0 < used(optimiser) < 12.0
+
+
 def test_at_one_fix_a_second_too():
     assert 3.0 < used(learnt(0.03, hz=1.0)[0]) < 12.0
 

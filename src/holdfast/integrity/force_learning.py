@@ -6,7 +6,6 @@ What is left over a second is the noise of the fixes, over several seconds the e
 
 from collections import deque
 from collections.abc import Iterable
-from math import exp
 from typing import NamedTuple
 
 import gtsam
@@ -115,8 +114,8 @@ class ForceLearning:
         known = lever_s2**2 * _acceleration_variance(smoother, R_W_I) + density
         known += smoother.imu_noise.gravity**2 * turning * TILTING * half_s**5 / total_s * np.array([1.0, 1.0, 0.0])
         weights = np.array([ratio - 1.0, -ratio, 1.0])
-        apart_s = np.abs(np.subtract.outer(*[np.array([0.0, half_s, total_s])] * 2))
-        alike = float(weights @ np.vectorize(lambda s: exp(-s / colour.time_constant_s))(apart_s) @ weights)
+        at_s = np.array([0.0, half_s, total_s])
+        alike = float(weights @ np.exp(-np.abs(at_s[:, None] - at_s) / colour.time_constant_s) @ weights)
         white = colour.white * float(weights @ weights) * middle.claim
         slow = colour.slow * alike * middle.claim
         self._scales.learn(Seen(beyond**2, known, error, white, slow), 0.5 / span)
@@ -187,5 +186,5 @@ def _acceleration_variance(smoother: Smoother, R_W_I: Array) -> Array:
 
 
 def least_scale(learners: Iterable[ForceLearning]) -> float:
-    """Return the scale of the accelerometer: an error of it shows against each receiver."""
-    return min((one.accelerometer_scale for one in learners), default=1.0)
+    """Return the scale of the accelerometer: an error of it shows against each receiver that has told anything."""
+    return min((one.accelerometer_scale for one in learners if one.learnt() is not None), default=1.0)
