@@ -24,7 +24,7 @@ import holdfast
 from holdfast.config.load import load_config
 from holdfast.evaluation.association import Pairs, associate
 from holdfast.evaluation.relative import rpe
-from holdfast.lidar_odometry.gyroscope import RateSamples
+from holdfast.lidar_odometry.inertial_guide import ImuSamples
 from holdfast.lidar_odometry.registration import METHODS
 from holdfast.lidar_odometry.runner import DECODE_IMU, Options, choose_topic, guide_of, settings_of_options
 from holdfast.lidar_odometry.scan_odometry import ScanOdometry
@@ -66,7 +66,7 @@ def register(folder: Path, method: str, gyroscope_helps: bool, threads: int, sec
                 continue
             scan = point_cloud(stamp_ns(message), arrival_ns, "", message)
             began_s, cpu_s = perf_counter(), process_time()
-            registered = odometry.register(scan, RateSamples.of(samples))
+            registered = odometry.register(scan, ImuSamples.of(samples))
             times_ms.append(((perf_counter() - began_s) * 1e3, (process_time() - cpu_s) * 1e3))
             samples.clear()
             pose = gtsam.Pose3(registered.T_L0_L)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import small_gicp
 
-from holdfast.lidar_odometry.degeneracy import Degeneracy
+from holdfast.lidar_odometry.degeneracy import WEAK, Degeneracy, Observability
 
 STILL = np.eye(4)
 INFORMED = np.diag(np.repeat([1e-6, 1e-4], 3))  # covariance of a registration
@@ -34,6 +34,9 @@ def room(rng):
     return np.concatenate([tunnel(rng), *ends])
 
 
+NO_DOUBT = np.zeros(6)
+
+
 def look(points, motion=STILL, by=None):
     return (by or Degeneracy()).look(points, small_gicp.KdTree(points), motion)
 
@@ -47,7 +50,7 @@ def test_a_tunnel_leaves_one_direction_free_a_field_three_and_a_room_none(scene,
 def test_along_a_tunnel_the_motion_is_not_measured_and_across_it_is():
     found = look(tunnel(np.random.default_rng(1)))
     moved = np.array([0.01, -0.02, 0.03, 0.5, 0.2, -0.1])
-    part = found.held_part(moved)
+    part = found.held_part(moved, np.eye(6), NO_DOUBT)
     np.testing.assert_allclose(part[[0, 1, 2, 4, 5]], moved[[0, 1, 2, 4, 5]], atol=0.02)
     assert abs(part[3]) < 0.02
 
@@ -55,7 +58,7 @@ def test_along_a_tunnel_the_motion_is_not_measured_and_across_it_is():
 def test_over_a_field_height_and_tilt_are_measured_only():
     found = look(field(np.random.default_rng(1)))
     moved = np.array([0.01, -0.02, 0.03, 0.5, 0.2, -0.1])
-    part = found.held_part(moved)
+    part = found.held_part(moved, np.eye(6), NO_DOUBT)
     np.testing.assert_allclose(part[[0, 1, 5]], moved[[0, 1, 5]], atol=2e-3)
     np.testing.assert_allclose(
         part[[2, 3, 4]], 0.0, atol=0.09
@@ -65,7 +68,7 @@ def test_over_a_field_height_and_tilt_are_measured_only():
 def test_the_free_direction_has_the_covariance_of_the_guess_and_the_others_that_of_the_registration():
     found = look(tunnel(np.random.default_rng(2)))
     guess = np.diag(np.repeat([1e-2, 4.0], 3))
-    sigmas = np.sqrt(np.diag(found.covariance(INFORMED, guess, np.zeros(6))))
+    sigmas = np.sqrt(np.diag(found.covariance(INFORMED, guess, NO_DOUBT)))
     assert sigmas[3] == pytest.approx(2.0, rel=0.05)
     assert (sigmas[4:] < 0.1).all()
     assert sigmas[2] < 5e-3
@@ -73,7 +76,23 @@ def test_the_free_direction_has_the_covariance_of_the_guess_and_the_others_that_
 
 def test_where_all_is_held_the_registration_claims_for_itself():
     found = look(room(np.random.default_rng(3)))
-    np.testing.assert_array_equal(found.covariance(INFORMED, np.eye(6), WALKED), INFORMED)
+    np.testing.assert_array_equal(found.covariance(INFORMED, np.eye(6), found.doubted(WALKED)), INFORMED)
+
+
+def test_what_a_weak_direction_corrects_is_believed_as_much_as_the_guess_is_doubted_more():
+    weak = Observability(np.eye(6), np.eye(6), np.array([99.0, 99.0, 99.0, WEAK / 2.0, 99.0, 99.0]))
+    doubted = weak.doubted(WALKED)
+    np.testing.assert_allclose(doubted, [0.0, 0.0, 0.0, 0.5 * abs(WALKED[3]), 0.0, 0.0])
+    correction = np.full(6, 0.01)
+    surer, equal = np.diag(np.full(6, 1e-8)), np.diag(np.full(6, doubted[3] ** 2))
+    np.testing.assert_allclose(weak.held_part(correction, surer, doubted)[3], 0.0, atol=1e-4)
+    np.testing.assert_allclose(weak.held_part(correction, equal, doubted), [0.01] * 3 + [0.005] + [0.01] * 2)
+    assert weak.joined(doubted, equal)[3] == pytest.approx(doubted[3] / np.sqrt(2.0))
+
+
+def test_only_directions_that_move_the_lidar_leave_its_velocity_unmeasured():
+    ratios = np.array([0.0, 99.0, 99.0, 0.0, 99.0, 99.0])
+    np.testing.assert_allclose(np.abs(Observability(np.eye(6), np.eye(6), ratios).unheld_axes), [[1.0], [0.0], [0.0]])
 
 
 def test_an_end_that_the_sweep_before_did_not_see_holds_nothing_yet():

@@ -7,7 +7,7 @@ from yard import T_W_L, slow_rad, standing, sweep
 
 from holdfast.lidar_odometry.machine_mask import MachineMask
 from holdfast.lidar_odometry.masked import Masked, Masking, boxes_of
-from holdfast.lidar_odometry.registration import Registered
+from holdfast.lidar_odometry.registration import Registered, Registration
 
 rng = np.random.default_rng(3)
 HOOD = rng.uniform([-2.6, -0.7, -1.2], [-1.6, 0.7, -0.8], (400, 3))
@@ -77,7 +77,7 @@ def test_boxes_are_cut_from_the_first_sweep_on():
     assert not mask.covers(HOOD + np.array([0.0, 0.0, 1.0])).any()
 
 
-class _Counting:
+class _Counting(Registration):
     """A registration that only notes what it got."""
 
     def __init__(self):

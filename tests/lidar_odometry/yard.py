@@ -101,7 +101,8 @@ def sweep(number, rng, angle=slewed_rad, *, gyroscope=False, times=True, noise_m
     if gyroscope:
         at_s = np.arange(-0.5, 0.21, 0.01)
         rate = (angle(start_s + at_s + 1e-3) - angle(start_s + at_s - 1e-3)) / 2e-3
-        rates = Rates(at_s, np.column_stack([np.zeros((len(at_s), 2)), rate]))
+        forces = np.tile([0.0, 0.0, 9.81], (len(at_s), 1))  # the IMU is on the axis
+        rates = Rates(at_s, np.column_stack([np.zeros((len(at_s), 2)), rate]), forces, ARM)
     return Sweep(
         START_NS + round(start_s * 1e9),
         "lidar",

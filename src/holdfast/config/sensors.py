@@ -209,9 +209,9 @@ class ScansConfig(DriftingConfig):
     learn_machine: bool = Field(True, description="cut what is learnt to move with the machine, such as its arm")
     map_voxel_m: float = quantity("m", 0.5, gt=0.05, le=5, doc="cell of the map (small-gicp)")
     scan_voxel_m: float = quantity(
-        "m", 0.25, gt=0.02, le=5, doc="of each cell of a scan one point is used (small-gicp)"
+        "m", 0.35, gt=0.02, le=5, doc="of each cell of a scan one point is used (small-gicp)"
     )
-    use_gyroscope: bool = Field(True, description="deskew and predict with the rotation that the IMU measures")
+    use_gyroscope: bool = Field(True, description="deskew and predict with what the IMU measures")
     latency_s: float = quantity(
         "s", 0.08, ge=0, le=5, doc="in a replay a pose comes so long after its scan; live it is what it is"
     )

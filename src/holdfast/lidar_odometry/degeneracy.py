@@ -16,8 +16,12 @@ import small_gicp
 
 from holdfast.messages import Array
 
-UNHELD = 5.0  # it is 0 to 3 along smooth walls, 6 to 50 on a flat yard with three containers, 10 and more on a site
-WEAK = 10.0  # below, thick planes pull so much that the motion is in doubt; what was lost is held again from here on
+UNHELD = (
+    3.0  # it is 0 to 3 along smooth walls, 3 to 8 in a wood, 6 to 50 on a flat yard with three containers or a site
+)
+HELD_AGAIN = 5.0  # what was lost is held again from here on
+WEAK = 15.0  # below, thick planes pull so much that the motion is in doubt
+LEVER_M = 10.0  # a direction that moves the lidar less than points at this distance is one of its attitude
 SAMPLES = 2000
 NEIGHBOURS = 10
 FINEST_M = 0.002  # the noise of thinned points is that of their neighbourhood, and not less than this
@@ -51,30 +55,64 @@ class Observability:
         """The number of directions that are not held."""
         return int((self.ratios < self.least).sum())
 
-    def held_part(self, motion: Array) -> Array:
-        """Return the part of a motion (6,) that the scan measures."""
-        held = self.ratios >= self.least
-        part: Array = self.directions[:, held] @ (self.duals[:, held].T @ motion)
+    @property
+    def unheld_axes(self) -> Array:
+        """Axes (3, K) in L along which the scan does not hold the lidar, whatever it holds of its attitude."""
+        turns, shifts = self.directions[:3], self.directions[3:]
+        moves = np.linalg.norm(shifts, axis=0) > LEVER_M * np.linalg.norm(turns, axis=0)
+        axes: Array = np.linalg.qr(shifts[:, moves & (self.ratios < self.least)])[0]
+        return axes
+
+    def doubted(self, motion: Array) -> Array:
+        """Return the sigmas (6,) of what thick planes pull by along the directions, towards no motion.
+
+        Args:
+            motion: (6,) since the pose before.
+        """
+        doubted: Array = np.clip(1.0 - self.ratios / WEAK, 0.0, 1.0) * np.abs(self.duals.T @ motion)
+        return doubted
+
+    def held_part(self, correction: Array, guess: Array, doubted: Array) -> Array:
+        """Return the part of a correction (6,) of the guess that the scan measures.
+
+        Nothing of it in directions that are not held; of what is in doubt, as much as the guess is in more.
+
+        Args:
+            correction: from the guess to the registration.
+            guess: (6, 6) covariance of the guess.
+            doubted: (6,) sigmas along the directions.
+        """
+        variances = self._along(guess)
+        believed = np.where(self.ratios < self.least, 0.0, variances / (variances + doubted**2))
+        part: Array = self.directions @ (believed * (self.duals.T @ correction))
         return part
 
-    def covariance(self, registered: Array, guess: Array, motion: Array) -> Array:
-        """Return the covariance (6, 6) of a pose: that of the registration where it holds, else that of the guess.
-
-        Where it holds weakly, thick planes pull towards no motion: so much of the motion is in doubt.
+    def covariance(self, registered: Array, unheld: Array, doubted: Array) -> Array:
+        """Return the covariance (6, 6) of a pose: that of the registration, more where it is in doubt or holds nothing.
 
         Args:
             registered: (6, 6) covariance of the registration.
-            guess: (6, 6) covariance of the guess.
-            motion: (6,) since the pose before.
+            unheld: (6, 6) covariance in directions that it does not hold.
+            doubted: (6,) sigmas along the others.
         """
         if self.ratios[0] >= WEAK:
             return registered
         held = self.ratios >= self.least
         V, D, W = self.directions[:, held], self.directions[:, ~held], self.duals[:, ~held]
-        doubted = np.clip(1.0 - self.ratios[held] / WEAK, 0.0, 1.0) * (self.duals[:, held].T @ motion)
-        inner = np.linalg.inv(V.T @ np.linalg.solve(registered, V)) + np.diag(doubted**2)
-        covariance: Array = V @ inner @ V.T + D @ (W.T @ guess @ W) @ D.T
+        inner = np.linalg.inv(V.T @ np.linalg.solve(registered, V)) + np.diag(doubted[held] ** 2)
+        covariance: Array = V @ inner @ V.T + D @ (W.T @ unheld @ W) @ D.T
         return (covariance + covariance.T) / 2.0
+
+    def joined(self, doubted: Array, guess: Array) -> Array:
+        """Return the sigmas (6,) of a guess (6, 6) that is corrected by what is in doubt."""
+        variances = self._along(guess)
+        sigmas: Array = doubted * np.sqrt(variances / (variances + doubted**2))
+        return sigmas
+
+    def _along(self, covariance: Array) -> Array:
+        """Return the variances (6,) along the directions."""
+        variances: Array = np.einsum("ji,jk,ki->i", self.duals, covariance, self.duals)
+        return variances
 
 
 @dataclass(slots=True)
@@ -102,7 +140,7 @@ class Degeneracy:
             there = sampled @ motion[:3, :3].T + motion[:3, 3]
             sampled = sampled[before.batch_knn_search(there, 1)[1][:, 0] < PARTNER_M**2]
         found = observability(sampled, points[tree.batch_knn_search(sampled, NEIGHBOURS)[0]])
-        return replace(found, least=WEAK) if self.unheld_s > 0.0 else found
+        return replace(found, least=HELD_AGAIN) if self.unheld_s > 0.0 else found
 
     def guess_covariance(self, interval_s: float, found: Observability, has_gyroscope: bool) -> Array:
         """Return the covariance (6, 6) of the guessed motion over an interval, and count how long it goes on.
@@ -114,7 +152,7 @@ class Degeneracy:
         self.unheld_s = before_s + interval_s if found.unheld else 0.0
         after_s = before_s + interval_s
         shift = _distance_m(after_s) ** 2 - _distance_m(before_s) ** 2
-        turn = _angle_rad(after_s, has_gyroscope) ** 2 - _angle_rad(before_s, has_gyroscope) ** 2
+        turn = turned_rad(after_s, has_gyroscope) ** 2 - turned_rad(before_s, has_gyroscope) ** 2
         return np.diag(np.repeat([turn, shift], 3))
 
 
@@ -157,7 +195,7 @@ def _distance_m(time_s: float) -> float:
     return VELOCITY_SIGMA_M_S * time_s + accelerated
 
 
-def _angle_rad(time_s: float, has_gyroscope: bool) -> float:
+def turned_rad(time_s: float, has_gyroscope: bool) -> float:
     """Return how much the guessed attitude may be off after a time."""
     if has_gyroscope:
         return GYROSCOPE_RAD_S * time_s

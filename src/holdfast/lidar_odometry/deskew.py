@@ -1,6 +1,7 @@
 """Deskewing: the points of a sweep, measured one after the other, brought to one instant."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -9,19 +10,50 @@ from holdfast.messages import Array
 
 SHORTEST_S = 1e-6
 STEPS = 511  # the usual sweep has 512 columns; for others times are rounded by 0.2 ms, 0.1 mrad at 0.6 rad/s
+STILL = np.zeros(3)
+
+
+class Travelled(NamedTuple):
+    """What an IMU alone says of its motion since the first of K times, without gravity, in the axes of then.
+
+    Attributes:
+        rotations: (K, 3, 3) axes of L then in those of the first time.
+        velocities: (K, 3) the integral of the specific force [m/s].
+        shifts: (K, 3) the integral of that [m].
+    """
+
+    rotations: Array
+    velocities: Array
+    shifts: Array
+
+
+class Moving(NamedTuple):
+    """How the IMU moves at an instant, in the axes of L then: (3,) each; the lidar itself where there is no IMU.
+
+    Attributes:
+        velocity: [m/s].
+        gravity: [m/s^2], and with it whatever is to be added to specific forces.
+    """
+
+    velocity: Array = STILL
+    gravity: Array = STILL
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rates:
-    """Angular rates of the lidar, measured by a gyroscope or constant; extrapolated as constant at both ends.
+    """What an IMU measured around a sweep, or a constant rate; extrapolated as constant at both ends.
 
     Attributes:
         times_s: (K,) increasing, after the stamp of a sweep [s].
         angular: (K, 3) angular velocity of L in L [rad/s].
+        forces: (K, 3) specific force at the IMU in the axes of L [m/s^2]; None where none was measured.
+        lever: (3,) the lidar's origin from the IMU's in the axes of L [m].
     """
 
     times_s: Array
     angular: Array
+    forces: Array | None = None
+    lever: Array = field(default_factory=lambda: np.zeros(3))
 
     @classmethod
     def constant(cls, angular: Array) -> "Rates":
@@ -30,9 +62,7 @@ class Rates:
 
     def rotations(self, times_s: Array) -> Array:
         """Return the attitude (K, 3, 3) at each of K increasing times in the frame at the first of them."""
-        middles_s = (times_s[1:] + times_s[:-1]) / 2.0
-        rates = np.column_stack([np.interp(middles_s, self.times_s, axis) for axis in self.angular.T])
-        products = np.concatenate([np.eye(3)[None], _exponentials(rates * np.diff(times_s)[:, None])])
+        products = np.concatenate([np.eye(3)[None], _exponentials(self._at(times_s, self.angular))])
         reach = 1
         while reach < len(products):  # in log2(K) rounds (Hillis and Steele, 1986)
             products[reach:] = products[:-reach] @ products[reach:]
@@ -43,9 +73,21 @@ class Rates:
         """Return the attitude at one time in the frame at an earlier one."""
         return gtsam.Rot3(self.rotations(np.linspace(from_s, to_s, 32))[-1])
 
-    def less(self, bias: Array) -> "Rates":
-        """Return the rates without a bias (3,) [rad/s]."""
-        return Rates(self.times_s, self.angular - bias)
+    def travelled(self, times_s: Array) -> Travelled:
+        """Return the motion up to each of K increasing times from the first of them."""
+        R = self.rotations(times_s)
+        velocities, shifts = np.zeros((2, len(times_s), 3))
+        if self.forces is not None:
+            turned = np.einsum("nij,nj->ni", (R[1:] + R[:-1]) / 2.0, self._at(times_s, self.forces))
+            steps_s = np.diff(times_s)[:, None]
+            velocities[1:] = np.cumsum(turned, axis=0)
+            shifts[1:] = np.cumsum((velocities[:-1] + turned / 2.0) * steps_s, axis=0)
+        return Travelled(R, velocities, shifts)
+
+    def _at(self, times_s: Array, readings: Array) -> Array:
+        """Return the integrals (K - 1, 3) of readings between times."""
+        middles_s, steps_s = (times_s[1:] + times_s[:-1]) / 2.0, np.diff(times_s)
+        return np.column_stack([np.interp(middles_s, self.times_s, axis) * steps_s for axis in readings.T])
 
 
 def _exponentials(vectors: Array) -> Array:
@@ -60,22 +102,30 @@ def _exponentials(vectors: Array) -> Array:
     return found
 
 
-def deskew(points: Array, offsets_s: Array, at_s: float, rates: Rates, velocity: Array) -> Array:
+def deskew(points: Array, offsets_s: Array, at_s: float, rates: Rates, moving: Moving) -> Array:
     """Return the points (N, 3) as the lidar would have seen them all at `at_s`.
 
-    A point p measured at t is R_at_t p + (t - at) v.
+    A point p measured at t is R_at_t p + d(t), with d the way of the lidar, from its velocity, the specific forces and
+    gravity, and from the lever r that turns with it.
 
     Args:
         points: (N, 3) each in L at its own time [m].
         offsets_s: (N,) the times after the stamp.
         at_s: the instant on the same clock, within the sweep.
-        rates: the rotation during the sweep.
-        velocity: (3,) of L in L at the instant [m/s]; constant during the sweep.
+        rates: the rotation, and the forces where they are known, during the sweep.
+        moving: at the instant.
     """
     first_s, last_s = offsets_s.min(), offsets_s.max()
-    R_first_t = rates.rotations(np.linspace(first_s, last_s, STEPS + 1))
+    times_s = np.linspace(first_s, last_s, STEPS + 1)
+    R, velocities, shifts = rates.travelled(times_s)
     R_at_first = rates.rotation(first_s, at_s).matrix().T
+    R_at = R_at_first @ R
+    after_s = (times_s - at_s)[:, None]
+    velocity_at, shift_at = (
+        np.array([np.interp(at_s, times_s, axis) for axis in rows.T]) for rows in (velocities, shifts)
+    )
+    way = (shifts - shift_at - after_s * velocity_at) @ R_at_first.T
+    way += after_s * moving.velocity + 0.5 * after_s**2 * moving.gravity + (R_at - np.eye(3)) @ rates.lever
     step = np.rint((offsets_s - first_s) * (STEPS / max(last_s - first_s, SHORTEST_S))).astype(np.intp)
-    rotated = np.einsum("nij,nj->ni", (R_at_first @ R_first_t)[step], points)
-    moved: Array = rotated + (offsets_s - at_s)[:, None] * velocity
+    moved: Array = np.einsum("nij,nj->ni", R_at[step], points) + way[step]
     return moved

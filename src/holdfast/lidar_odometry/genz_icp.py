@@ -14,13 +14,13 @@ import numpy as np
 from genz_icp.config import load_config
 from genz_icp.genz_icp import GenZICP
 
-from holdfast.lidar_odometry.registration import Registered
+from holdfast.lidar_odometry.registration import Registered, Registration
 from holdfast.lidar_odometry.sweep import Sweep
 
 VOXEL_M = 0.5
 
 
-class GenzIcp:
+class GenzIcp(Registration):
     """Poses refer to the middle of the sweep."""
 
     def __init__(self, threads: int) -> None:

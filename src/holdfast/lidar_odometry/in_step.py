@@ -9,10 +9,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-import numpy as np
-
 from holdfast.errors import EstimatorError
-from holdfast.lidar_odometry.gyroscope import MEMORY_NS, NO_SAMPLES, RateSamples
+from holdfast.lidar_odometry.inertial_guide import MEMORY_NS, NO_SAMPLES, ImuSamples
 from holdfast.lidar_odometry.process import ScanProcess
 from holdfast.lidar_odometry.registration import Registered
 from holdfast.lidar_odometry.scan_odometry import Settings
@@ -149,14 +147,11 @@ class InStep:
         if self._process is not None:
             self._process.close()
 
-    def _samples(self) -> RateSamples:
+    def _samples(self) -> ImuSamples:
         """Return the samples that have come since the last call, and keep those that a successor would need."""
-        samples = RateSamples.of(self._fresh)
+        samples = ImuSamples.of(self._fresh)
         self._fresh.clear()
-        stamps_ns = np.concatenate([self._recent.stamps_ns, samples.stamps_ns])
-        kept = stamps_ns >= stamps_ns[-1] - MEMORY_NS if len(stamps_ns) else np.zeros(0, bool)
-        angular = np.concatenate([self._recent.angular, samples.angular])
-        self._recent = RateSamples(stamps_ns[kept], angular[kept])
+        self._recent = self._recent.joined(samples).of_late()
         is_new, self._is_new = self._is_new, False
         return self._recent if is_new else samples
 

@@ -4,11 +4,11 @@ import numpy as np
 from kiss_icp.config import load_config
 from kiss_icp.kiss_icp import KissICP
 
-from holdfast.lidar_odometry.registration import Registered
+from holdfast.lidar_odometry.registration import Registered, Registration
 from holdfast.lidar_odometry.sweep import Sweep
 
 
-class KissIcp:
+class KissIcp(Registration):
     """Poses refer to the end of the sweep."""
 
     def __init__(self, threads: int) -> None:

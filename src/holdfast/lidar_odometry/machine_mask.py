@@ -64,7 +64,7 @@ class MachineMask:
         for low, high in self._boxes:
             inside |= np.all((points >= low) & (points <= high), axis=1)
         if self._learning:
-            near = np.flatnonzero(np.all(np.abs(points) < REACH_M, axis=1))
+            near = np.flatnonzero(_is_near(points))
             inside[near] |= self._masked[_cells(points[near])]
         return inside
 
@@ -83,7 +83,7 @@ class MachineMask:
         image = _range_image(points, self._rows)
         if self._places:
             self._vote(T_L0_L, image)
-        near = points[np.all(np.abs(points) < REACH_M, axis=1)]
+        near = points[_is_near(points)]
         self._places.append(_Place(T_L0_L, _thinned(near)))
 
     def _vote(self, T_L0_L: gtsam.Pose3, image: Array) -> None:
@@ -92,9 +92,9 @@ class MachineMask:
         for place in self._places:
             L_place = T_L0_L.between(place.T_L0_L)
             seen = place.points @ L_place.rotation().matrix().T + L_place.translation()
-            distances = np.linalg.norm(seen, axis=1)
+            distances = _lengths(seen)
             nearest = image[_rows(seen), _columns(seen)]
-            decides = np.linalg.norm(seen - place.points, axis=1) > APART_M
+            decides = _lengths(seen - place.points) > APART_M
             cells = _cells(place.points)
             gone[cells[decides & (nearest > distances + FREE_M)]] = True
             stood[cells[decides & (np.abs(nearest - distances) < SAME_M)]] = True
@@ -107,6 +107,16 @@ class MachineMask:
 def _has_moved(motion: gtsam.Pose3) -> bool:
     turned = float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation())))
     return turned > STEP_RAD or float(np.linalg.norm(motion.translation())) > STEP_M
+
+
+def _lengths(points: Array) -> Array:
+    """Return the lengths (N,) of vectors (N, 3)."""
+    return np.asarray(np.sqrt(np.einsum("ni,ni->n", points, points)))
+
+
+def _is_near(points: Array) -> NDArray[np.bool_]:
+    x, y, z = np.abs(points.T) < REACH_M
+    return np.asarray(x & y & z)
 
 
 def _cells(points: Array) -> NDArray[np.intp]:
@@ -148,7 +158,7 @@ def _range_image(points: Array, rows: NDArray[np.bool_]) -> Array:
     """
     image = np.full((ROWS, BINS), np.inf)
     row, column = _rows(points), _columns(points)
-    np.minimum.at(image, (row, column), np.linalg.norm(points, axis=1))
+    np.minimum.at(image, (row, column), _lengths(points))
     rows[np.unique(row)] = True
     image[~rows] = 0.0
     around = np.minimum(np.minimum(np.roll(image, 1, 1), np.roll(image, -1, 1)), image)

@@ -7,7 +7,7 @@ import gtsam
 import numpy as np
 
 from holdfast.errors import ConfigError
-from holdfast.lidar_odometry.deskew import Rates, deskew
+from holdfast.lidar_odometry.deskew import Moving, Rates, deskew
 from holdfast.lidar_odometry.machine_mask import Boxes, MachineMask
 from holdfast.lidar_odometry.registration import Registered, Registration
 from holdfast.lidar_odometry.sweep import Sweep
@@ -41,26 +41,36 @@ def boxes_of(corners: Sequence[Sequence[float]]) -> Boxes:
     return tuple((row.min(axis=0), row.max(axis=0)) for row in rows)
 
 
-class Masked:
+class Masked(Registration):
     """A registration before which points on the machine are cut out of each sweep."""
 
     def __init__(self, registration: Registration, masking: Masking) -> None:
         self._registration = registration
         self._mask = MachineMask(masking.boxes, masking.learning)
         self._before: tuple[int, gtsam.Pose3] | None = None
+        self._unlearnt: tuple[Sweep, Registered] | None = None
 
     def register(self, sweep: Sweep) -> Registered:
-        """Join what remains of the next sweep to the map; where too little would remain, all of it."""
+        """Return where the lidar was, by what remains of the next sweep; where too little would remain, by all."""
+        self.finish()
         covered = self._mask.covers(sweep.points)
         cut = covered if len(covered) - int(covered.sum()) >= FEWEST_POINTS else np.zeros_like(covered)
         registered = self._registration.register(sweep.taken(~cut))
+        self._unlearnt = sweep, registered
+        return replace(registered, cut=float(cut.mean()) if len(cut) else 0.0)
+
+    def finish(self) -> None:
+        """Learn the machine from the last sweep."""
+        self._registration.finish()
+        if self._unlearnt is None:
+            return
+        (sweep, registered), self._unlearnt = self._unlearnt, None
         pose = gtsam.Pose3(registered.T_L0_L)
         if registered.restarted:
             self._mask.forget_places()
         elif self._mask.is_due(pose):
             self._mask.learn(self._still(sweep, registered.stamp_ns, pose), pose)
         self._before = registered.stamp_ns, pose
-        return replace(registered, cut=float(cut.mean()) if len(cut) else 0.0)
 
     def _still(self, sweep: Sweep, at_ns: int, pose: gtsam.Pose3) -> Array:
         """Return all points as from the instant of the pose."""
@@ -70,4 +80,4 @@ class Masked:
         motion, interval_s = before.between(pose), (at_ns - before_ns) * 1e-9
         rates = sweep.rates or Rates.constant(gtsam.Rot3.Logmap(motion.rotation()) / interval_s)
         velocity = motion.rotation().unrotate(motion.translation()) / interval_s
-        return deskew(sweep.points, sweep.offsets_s, (at_ns - sweep.stamp_ns) * 1e-9, rates, velocity)
+        return deskew(sweep.points, sweep.offsets_s, (at_ns - sweep.stamp_ns) * 1e-9, rates, Moving(velocity))

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Self
 
 from holdfast.errors import EstimatorError
-from holdfast.lidar_odometry.gyroscope import RateSamples
+from holdfast.lidar_odometry.inertial_guide import ImuSamples
 from holdfast.lidar_odometry.scan_odometry import Settings
 from holdfast.lidar_odometry.shared_scan import READY, Answer, Placement, Request, Slot
 from holdfast.point_cloud import PointCloud
@@ -75,7 +75,7 @@ class ScanProcess:
         """Whether the process has come up, as far as `take` has seen."""
         return self._is_ready
 
-    def submit(self, number: int, scan: PointCloud, samples: RateSamples) -> None:
+    def submit(self, number: int, scan: PointCloud, samples: ImuSamples) -> None:
         """Hand a scan over, for which there must be room; what is wrong with the process, `take` says."""
         slot = self._free.popleft()
         self._slots[slot].write(scan.data)

@@ -1,9 +1,10 @@
 """What a registration library must do for us, and which there are."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from holdfast.errors import ConfigError
 from holdfast.extras import how_to_install
@@ -47,11 +48,15 @@ class Registered:
     cut: float = 0.0
 
 
-class Registration(Protocol):
+class Registration(ABC):
     """A lidar odometry: sweeps in, poses out, in order; deterministic with one thread."""
 
+    @abstractmethod
     def register(self, sweep: "Sweep") -> Registered:
-        """Join the next sweep to the map."""
+        """Return where the lidar was in the next sweep."""
+
+    def finish(self) -> None:  # noqa: B027 (a library that does all at once has nothing to do)
+        """Do what the next sweep needs and the pose of the last one does not; `register` does it where nobody has."""
 
 
 def check_installed(method: str) -> None:

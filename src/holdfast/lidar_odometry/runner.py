@@ -11,8 +11,8 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.config.sensors import ScansConfig
 from holdfast.errors import ConfigError, RecordingError
-from holdfast.lidar_odometry.gyroscope import gyroscope_mount
 from holdfast.lidar_odometry.in_step import InStep
+from holdfast.lidar_odometry.inertial_guide import imu_mount
 from holdfast.lidar_odometry.masked import Masking
 from holdfast.lidar_odometry.process import ScanProcess
 from holdfast.lidar_odometry.registration import DEFAULT_METHOD, Registered
@@ -126,7 +126,7 @@ def guide_of(config: Config, bag: RawBag, options: Options) -> Guide:
     topic = find_topic(bag.recording, config.imu.topic).topic
     if isinstance(config.sensors[name], ScansConfig):
         return Guide(topic, settings_of(config, name))
-    return Guide(topic, replace(settings_of_options(options), gyroscope=gyroscope_mount(config, name)))
+    return Guide(topic, replace(settings_of_options(options), gyroscope=imu_mount(config, name)))
 
 
 def run(  # noqa: PLR0917 (all but the last two are needed)

@@ -11,7 +11,7 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.config.sensors import DriftingConfig, ScansConfig
 from holdfast.errors import ConfigError
-from holdfast.lidar_odometry.gyroscope import NO_SAMPLES, Gyroscope, GyroscopeMount, RateSamples, gyroscope_mount
+from holdfast.lidar_odometry.inertial_guide import NO_SAMPLES, ImuMount, ImuSamples, InertialGuide, imu_mount
 from holdfast.lidar_odometry.masked import Masked, Masking, boxes_of
 from holdfast.lidar_odometry.registration import DEFAULT_METHOD, Registered, make_registration
 from holdfast.lidar_odometry.sweep import Sweep, sweep_of
@@ -38,8 +38,8 @@ class Settings:
     min_range_m: float = 1.0
     max_range_m: float = 120.0
     map_voxel_m: float = 0.5
-    scan_voxel_m: float = 0.25
-    gyroscope: GyroscopeMount | None = None
+    scan_voxel_m: float = 0.35
+    gyroscope: ImuMount | None = None
     T_L0_L: Array | None = None
     masking: Masking = field(default_factory=Masking)
 
@@ -54,7 +54,7 @@ class ScanOdometry:
         )
         self._registration = Masked(registration, settings.masking)
         self._settings = settings
-        self._gyroscope = None if settings.gyroscope is None else Gyroscope(settings.gyroscope)
+        self._gyroscope = None if settings.gyroscope is None else InertialGuide(settings.gyroscope)
         self._sweep: Sweep | None = None
         self._registered: Registered | None = None
 
@@ -63,7 +63,7 @@ class ScanOdometry:
         """The bias (3,) of the gyroscope in the axes of L as it is known so far [rad/s]."""
         return np.zeros(3) if self._gyroscope is None else self._gyroscope.bias
 
-    def register(self, scan: PointCloud, samples: RateSamples = NO_SAMPLES) -> Registered:
+    def register(self, scan: PointCloud, samples: ImuSamples = NO_SAMPLES) -> Registered:
         """Return where the lidar was in a scan.
 
         Args:
@@ -83,6 +83,10 @@ class ScanOdometry:
         if self._gyroscope is not None and rates is not None and before is not None and not registered.restarted:
             self._gyroscope.learn(before, registered, sweep, rates)
         return replace(registered, is_guided=rates is not None)
+
+    def finish(self) -> None:
+        """Do what the next scan needs and the pose of the last one does not; `register` does it where nobody has."""
+        self._registration.finish()
 
     def _accepted(self, sweep: Sweep) -> Sweep:
         last, near_m = self._sweep, self._settings.min_range_m
@@ -116,7 +120,7 @@ def settings_of(config: Config, name: str) -> Settings:
         section.max_range_m,
         section.map_voxel_m,
         section.scan_voxel_m,
-        gyroscope_mount(config, name) if section.use_gyroscope and section.method == DEFAULT_METHOD else None,
+        imu_mount(config, name) if section.use_gyroscope and section.method == DEFAULT_METHOD else None,
         masking=Masking(boxes_of(section.machine_boxes_m), section.learn_machine),
     )
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from holdfast.lidar_odometry.gyroscope import RateSamples
+from holdfast.lidar_odometry.inertial_guide import ImuSamples
 from holdfast.lidar_odometry.registration import Registered
 from holdfast.point_cloud import Bytes, Layout, PointCloud
 from holdfast.realtime.memory import nameless_file
@@ -30,7 +30,7 @@ class Request(NamedTuple):
     times_ns: tuple[int, int]
     frame_id: str
     layout: Layout
-    samples: RateSamples
+    samples: ImuSamples
 
     def cloud(self, data: Bytes) -> PointCloud:
         """Return the scan, given its bytes."""

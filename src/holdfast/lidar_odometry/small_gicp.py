@@ -11,19 +11,20 @@ import gtsam
 import numpy as np
 import small_gicp
 
-from holdfast.lidar_odometry.degeneracy import Degeneracy, Observability
-from holdfast.lidar_odometry.deskew import Rates, deskew
-from holdfast.lidar_odometry.registration import Registered
+from holdfast.lidar_odometry.degeneracy import Degeneracy, Observability, turned_rad
+from holdfast.lidar_odometry.deskew import Moving, Rates, deskew
+from holdfast.lidar_odometry.motion_filter import MotionFilter
+from holdfast.lidar_odometry.registration import Registered, Registration
 from holdfast.lidar_odometry.sweep import Sweep
 from holdfast.messages import Array
 
 VOXEL_M = 0.5
-RESOLUTION_M = 0.25
+RESOLUTION_M = 0.35
 COARSE = 2.0  # times that resolution is the first pass where nothing measures the rotation: it finds the motion
 DESKEWED_M = 0.01  # a velocity that errs by so much over half a sweep is worth a second pass
 NEIGHBOURS = 10
 PARTNER_M = 1.0
-EPSILON_RAD, EPSILON_M = 5e-5, 5e-4  # a fifth of what scans are known by against each other
+EPSILON_RAD, EPSILON_M = 1e-4, 1e-3  # a third of what scans are known by against each other
 MEMORY_SWEEPS = 3000  # ten minutes at 5 Hz: a machine that returns finds its map
 # neighbouring points have the error of their voxel in common, which H takes for independent: on two ray-cast sites
 # s^2 H^-1 is right for new noise at one position, and 2.3 to 3.6 times too small over positions; deskewing errors add
@@ -33,14 +34,14 @@ MAX_GAP_S = 1.0  # the motion in a longer one is unknown
 NEVER_NS = -(1 << 62)
 
 
-class SmallGicp:
+class SmallGicp(Registration):
     """An odometry whose poses refer to the middle of the sweep, where deskewing errs least.
 
-    Between sweeps the lidar is predicted, and during a sweep its points are deskewed, with the gyroscope's rotation if
-    the sweep brings it, else with a constant rate; in either case with a constant velocity. They come from the last
-    two sweeps, and again from this one once it is aligned, because a cabin starts and stops within one: without a
-    gyroscope always, after a coarse pass, else where the velocity has changed. In directions that the sweep does not
-    hold, the prediction stays.
+    Between sweeps the lidar is predicted, and during a sweep its points are deskewed, with the rotation and the forces
+    that an IMU measured if the sweep brings them, else with a constant rate and velocity. The velocity comes from the
+    sweeps before, and again from this one once it is aligned, because a cabin starts and stops within one: without an
+    IMU always, after a coarse pass, else where it has changed. In directions that the sweep does not hold, the
+    prediction stays.
 
     Args:
         threads: of the library; more than one varies the bits.
@@ -54,52 +55,73 @@ class SmallGicp:
         self._at_ns = NEVER_NS
         self._T_L0_L = gtsam.Pose3()
         self._angular = np.zeros(3)
-        self._velocity = np.zeros(3)
+        self._motion = MotionFilter.beginning()
         self._map = small_gicp.GaussianVoxelMap(map_voxel_m)
+        self._unmapped: tuple[small_gicp.PointCloud, Array] | None = None
         self._degeneracy = Degeneracy()
         self._found: Observability | None = None  # of the sweep before; the coarse pass is too coarse to tell
 
     def register(self, sweep: Sweep) -> Registered:
-        """Join the next sweep to the map; the first one makes the map."""
+        """Return where the lidar was in the next sweep; the first one makes the map."""
+        self.finish()
         at_s = sweep.middle_s
         at_ns = sweep.stamp_ns + round(at_s * 1e9)
         interval_s = (at_ns - self._at_ns) * 1e-9
         if interval_s > MAX_GAP_S:
-            self._angular, self._velocity = np.zeros(3), np.zeros(3)
+            self._angular = np.zeros(3)
             return self._begin(sweep, at_s, self._T_L0_L)
-        rotation = self._rates(sweep).rotation(at_s - interval_s, at_s)
-        guess = T_L0_L = self._T_L0_L.compose(gtsam.Pose3(rotation, self._velocity * interval_s))
-        self._velocity = rotation.unrotate(self._velocity)
-        is_guided, found, has_looked = sweep.rates is not None, self._found, False
+        rates = self._rates(sweep)
+        predicted, guess = self._motion.predicted(self._T_L0_L, rates, at_s - interval_s, at_s)
+        guessed = predicted.covariance_of(guess, turned_rad(interval_s, sweep.rates is not None))
+        way = gtsam.Pose3.Logmap(self._T_L0_L.between(guess))
+        T_L0_L, motion, is_guided, found = guess, predicted, sweep.rates is not None, None
         for resolution_m in (
             [self._scan_voxel_m] * 2 if is_guided else [COARSE * self._scan_voxel_m, self._scan_voxel_m]
         ):
-            (cloud, tree), deskewed_by = self._cloud(sweep, at_s, resolution_m), self._velocity
+            deskewed_by = motion.moving(T_L0_L, rates)
+            cloud, tree = self._cloud(sweep, at_s, resolution_m, deskewed_by)
             result = self._align(cloud, T_L0_L)
             if result.num_inliers < LOST_INLIER_FRACTION * cloud.size():
                 return self._begin(sweep, at_s, T_L0_L)
-            if resolution_m == self._scan_voxel_m and not has_looked:
-                guessed_motion = self._T_L0_L.between(guess).matrix()
-                has_looked, found = True, self._degeneracy.look(_points(cloud), tree, guessed_motion)
-            T_L0_L = _where_held(found, guess, gtsam.Pose3(result.T_target_source))
-            motion = self._T_L0_L.between(T_L0_L)
-            self._velocity = motion.rotation().unrotate(motion.translation()) / interval_s
-            self._angular = gtsam.Rot3.Logmap(motion.rotation()) / interval_s
-            if is_guided and np.linalg.norm(self._velocity - deskewed_by) * sweep.half_s < DESKEWED_M:
+            if resolution_m == self._scan_voxel_m and found is None:
+                found = self._degeneracy.look(_points(cloud), tree, self._T_L0_L.between(guess).matrix())
+            known = found or self._found  # the coarse pass is too coarse to tell
+            aligned, measured = gtsam.Pose3(result.T_target_source), covariance(result)
+            if known is None:
+                T_L0_L, unheld = aligned, np.zeros((3, 0))
+            else:
+                correction = gtsam.Pose3.Logmap(guess.between(aligned))
+                doubted, unheld = known.doubted(way), known.unheld_axes
+                T_L0_L = guess.compose(gtsam.Pose3.Expmap(known.held_part(correction, guessed, doubted)))
+                measured = known.covariance(measured, np.zeros((6, 6)), doubted)
+            motion = predicted.corrected(T_L0_L, rates, measured[3:, 3:], unheld)
+            moved = self._T_L0_L.between(T_L0_L)
+            self._angular = gtsam.Rot3.Logmap(moved.rotation()) / interval_s
+            corrected_by = motion.moving(T_L0_L, rates).velocity - deskewed_by.velocity
+            if is_guided and np.linalg.norm(corrected_by) * sweep.half_s < DESKEWED_M:
                 break
-        self._map.insert(cloud, T_L0_L.matrix())
-        self._at_ns, self._T_L0_L = at_ns, T_L0_L
+            rates = self._rates(sweep)
+        self._unmapped = cloud, T_L0_L.matrix()
+        self._at_ns, self._T_L0_L, self._motion = at_ns, T_L0_L, motion
         assert found is not None
         self._found = found
-        guessed = self._degeneracy.guess_covariance(interval_s, found, sweep.rates is not None)
-        claimed = found.covariance(covariance(result), guessed, gtsam.Pose3.Logmap(motion))
+        gone_on = self._degeneracy.guess_covariance(interval_s, found, is_guided)
+        claimed = found.covariance(covariance(result), gone_on, found.joined(found.doubted(way), guessed))
         return Registered(at_ns, T_L0_L.matrix(), claimed, unheld=found.unheld)
+
+    def finish(self) -> None:
+        """Join the last sweep to the map, in which the library goes over all voxels."""
+        if self._unmapped is not None:
+            self._map.insert(*self._unmapped)
+            self._unmapped = None
 
     def _begin(self, sweep: Sweep, at_s: float, T_L0_L: gtsam.Pose3) -> Registered:
         at_ns, restarted = sweep.stamp_ns + round(at_s * 1e9), self._at_ns > NEVER_NS
         self._map = small_gicp.GaussianVoxelMap(self._map_voxel_m)
         self._map.set_lru(MEMORY_SWEEPS, 100)
-        cloud, tree = self._cloud(sweep, at_s, self._scan_voxel_m)
+        rates = self._rates(sweep)
+        self._motion = self._motion.placed(T_L0_L, rates)
+        cloud, tree = self._cloud(sweep, at_s, self._scan_voxel_m, self._motion.moving(T_L0_L, rates))
         self._map.insert(cloud, T_L0_L.matrix())
         self._degeneracy, self._found = Degeneracy(), None
         self._degeneracy.look(_points(cloud), tree, np.eye(4))
@@ -109,11 +131,13 @@ class SmallGicp:
     def _rates(self, sweep: Sweep) -> Rates:
         return sweep.rates or Rates.constant(self._angular)
 
-    def _cloud(self, sweep: Sweep, at_s: float, resolution_m: float) -> tuple[small_gicp.PointCloud, small_gicp.KdTree]:
+    def _cloud(
+        self, sweep: Sweep, at_s: float, resolution_m: float, moving: Moving
+    ) -> tuple[small_gicp.PointCloud, small_gicp.KdTree]:
         """Return a sweep as from one instant, thinned, with a plane around each point, and the tree of its points."""
         points = sweep.points
         if sweep.offsets_s is not None:
-            points = deskew(points, sweep.offsets_s, at_s, self._rates(sweep), self._velocity)
+            points = deskew(points, sweep.offsets_s, at_s, self._rates(sweep), moving)
         cloud, tree = small_gicp.preprocess_points(points, resolution_m, NEIGHBOURS, self._threads)
         return cloud, tree
 
@@ -131,13 +155,6 @@ class SmallGicp:
 
 def _points(cloud: small_gicp.PointCloud) -> Array:
     return np.asarray(cloud.points())[:, :3]
-
-
-def _where_held(found: Observability | None, guess: gtsam.Pose3, aligned: gtsam.Pose3) -> gtsam.Pose3:
-    """Return the aligned pose where the scan holds it, else the guess."""
-    if found is None or not found.unheld:
-        return aligned
-    return guess.compose(gtsam.Pose3.Expmap(found.held_part(gtsam.Pose3.Logmap(guess.between(aligned)))))
 
 
 def covariance(result: small_gicp.RegistrationResult) -> Array:

@@ -84,7 +84,8 @@ def sweep_of(cloud: PointCloud, keep_intensities: bool = True) -> Sweep:
     """
     template = CloudTemplate(cloud.layout, cloud.data.size)
     points = template.points(cloud.data)
-    finite = np.isfinite(points).all(axis=1)
+    x, y, z = np.isfinite(points).T
+    finite = x & y & z
     is_all = bool(finite.all())
 
     def kept(column: NDArray[Any]) -> NDArray[Any]:

@@ -31,6 +31,7 @@ def serve(connection: Connection, slots: list[Slot], settings: Settings) -> None
             refusal = str(error)
         took_ns = perf_counter_ns() - began_ns
         connection.send(Answer(request.number, registered, refusal, took_ns, process_time()))
+        odometry.finish()  # while the pose is on its way
 
 
 def main() -> None:

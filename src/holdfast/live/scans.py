@@ -13,7 +13,7 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.errors import EstimatorError
-from holdfast.lidar_odometry.gyroscope import MEMORY_NS, RateSamples
+from holdfast.lidar_odometry.inertial_guide import MEMORY_NS, ImuSamples
 from holdfast.lidar_odometry.in_step import Due
 from holdfast.lidar_odometry.process import ScanProcess
 from holdfast.lidar_odometry.registration import Registered
@@ -171,7 +171,7 @@ class LiveScans:
         unsent = min(self._unsent, len(self._samples))
         samples = [self._samples[k] for k in range(len(self._samples) - unsent, len(self._samples))]
         self._unsent, self._asked_s = 0, self._clock_s()
-        process.submit(self.counts.received, scan, RateSamples.of(samples))
+        process.submit(self.counts.received, scan, ImuSamples.of(samples))
 
     def _check_time(self) -> None:
         """End a process that does not come up, or does not answer."""

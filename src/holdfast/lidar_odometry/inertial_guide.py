@@ -1,7 +1,7 @@
-"""The gyroscope as the guide of a lidar odometry: the rotation of the lidar during and between its sweeps.
+"""The IMU as the guide of a lidar odometry: how the lidar turns and accelerates during and between its sweeps.
 
-Its bias is found here, by the odometry itself, and not taken from the estimator: whatever the estimator knows, it knows
-of GNSS too, and an odometry that has seen GNSS is no witness against it.
+The bias of its gyroscope is found here, by the odometry itself, and not taken from the estimator: whatever the
+estimator knows, it knows of GNSS too, and an odometry that has seen GNSS is no witness against it.
 """
 
 from collections.abc import Iterable
@@ -24,29 +24,49 @@ REGISTRATION_RAD = 1e-3  # sigma of the rotation between two registrations, neig
 GATE_SIGMA = 5.0  # a registration further off has erred, or the lidar was struck
 
 
-class RateSamples(NamedTuple):
-    """Readings of the gyroscope: stamps (K,) [ns], and angular velocities (K, 3) of I in I [rad/s]."""
+class ImuSamples(NamedTuple):
+    """Readings of an IMU in I: stamps (K,) [ns], angular velocities (K, 3) [rad/s], specific forces (K, 3) [m/s^2]."""
 
     stamps_ns: NDArray[np.int64]
     angular: Array
+    forces: Array
 
     @classmethod
-    def of(cls, samples: Iterable[ImuSample]) -> "RateSamples":
+    def of(cls, samples: Iterable[ImuSample]) -> "ImuSamples":
         """Return those of an IMU."""
         samples = list(samples)
-        stamps_ns = np.array([sample.stamp_ns for sample in samples], np.int64)
-        return cls(stamps_ns, np.array([sample.angular_velocity for sample in samples]).reshape(-1, 3))
+        angular, forces = (
+            np.array([getattr(sample, name) for sample in samples]).reshape(-1, 3)
+            for name in ("angular_velocity", "specific_force")
+        )
+        return cls(np.array([sample.stamp_ns for sample in samples], np.int64), angular, forces)
+
+    def joined(self, later: "ImuSamples") -> "ImuSamples":
+        """Return these and later ones."""
+        return ImuSamples(
+            np.concatenate([self.stamps_ns, later.stamps_ns]),
+            np.concatenate([self.angular, later.angular]),
+            np.concatenate([self.forces, later.forces]),
+        )
+
+    def taken(self, chosen: NDArray[np.bool_]) -> "ImuSamples":
+        """Return those that a mask (K,) chooses."""
+        return ImuSamples(self.stamps_ns[chosen], self.angular[chosen], self.forces[chosen])
+
+    def of_late(self) -> "ImuSamples":
+        """Return those of the last MEMORY_NS."""
+        return self.taken(self.stamps_ns >= self.stamps_ns[-1:] - MEMORY_NS) if len(self.stamps_ns) else self
 
 
-NO_SAMPLES = RateSamples(np.zeros(0, np.int64), np.zeros((0, 3)))
+NO_SAMPLES = ImuSamples(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GyroscopeMount:
-    """How the gyroscope sits to the lidar, and how it errs.
+class ImuMount:
+    """How the IMU sits to the lidar, and how its gyroscope errs.
 
     Attributes:
-        R_I_L: (3, 3) axes of the lidar in those of the IMU.
+        T_I_L: (4, 4) pose of the lidar in the IMU.
         offset_ns: added to the stamps of the IMU, it is the lidar's clock.
         noise_density: white noise [rad/s/sqrt(Hz)].
         random_walk: of the bias [rad/s^2/sqrt(Hz)].
@@ -54,7 +74,7 @@ class GyroscopeMount:
         error_ratio: error in proportion to the rate.
     """
 
-    R_I_L: Array
+    T_I_L: Array
     offset_ns: int
     noise_density: float
     random_walk: float
@@ -62,11 +82,11 @@ class GyroscopeMount:
     error_ratio: float
 
 
-def gyroscope_mount(config: Config, name: str) -> GyroscopeMount:
+def imu_mount(config: Config, name: str) -> ImuMount:
     """Return how the primary IMU sits to the lidar whose odometry has a name in `sensors`."""
     imu, lidar = config.imu, config.sensors[name]
-    return GyroscopeMount(
-        config.T_I(config.frame_of(name))[:3, :3],
+    return ImuMount(
+        config.T_I(config.frame_of(name)),
         round((imu.time_offset_s - lidar.time_offset_s) * 1e9),
         imu.gyroscope_noise_density,
         imu.gyroscope_random_walk,
@@ -75,39 +95,39 @@ def gyroscope_mount(config: Config, name: str) -> GyroscopeMount:
     )
 
 
-class Gyroscope:
-    """Rates of the lidar, expressed in L, on the lidar's clock, without the bias as it is known so far."""
+class InertialGuide:
+    """What the IMU measures, expressed in L, on the lidar's clock, without the gyroscope's bias as known so far."""
 
-    def __init__(self, mount: GyroscopeMount) -> None:
+    def __init__(self, mount: ImuMount) -> None:
         self._mount = mount
-        self._stamps_ns = np.zeros(0, np.int64)
-        self._angular = np.zeros((0, 3))
+        self._R_I_L = mount.T_I_L[:3, :3]
+        self._samples = NO_SAMPLES
         self.bias = np.zeros(3)
         self._variances = np.full(3, mount.bias_sigma**2)
         self._learnt_ns: int | None = None
 
-    def add(self, samples: RateSamples) -> None:
-        """Take samples in; one whose stamp does not increase, or whose rate is not finite, is passed over."""
-        newest_ns = self._stamps_ns[-1:]
-        before = np.maximum.accumulate(np.concatenate([newest_ns, samples.stamps_ns]))
-        rises = samples.stamps_ns > before[:-1] if len(newest_ns) else np.r_[True, samples.stamps_ns[1:] > before[:-1]]
-        usable = rises[: len(samples.stamps_ns)] & np.isfinite(samples.angular).all(axis=1)
-        self._stamps_ns = np.concatenate([self._stamps_ns, samples.stamps_ns[usable]])
-        self._angular = np.concatenate([self._angular, samples.angular[usable] @ self._mount.R_I_L])
-        if len(self._stamps_ns):
-            kept = self._stamps_ns >= self._stamps_ns[-1] - MEMORY_NS
-            self._stamps_ns, self._angular = self._stamps_ns[kept], self._angular[kept]
+    def add(self, samples: ImuSamples) -> None:
+        """Take samples in; one whose stamp does not increase, or that is not finite, is passed over."""
+        if not len(samples.stamps_ns):
+            return
+        newest_ns = self._samples.stamps_ns[-1:] if len(self._samples.stamps_ns) else samples.stamps_ns[:1] - 1
+        before = np.maximum.accumulate(np.concatenate([newest_ns, samples.stamps_ns]))[:-1]
+        finite = np.isfinite(samples.angular).all(axis=1) & np.isfinite(samples.forces).all(axis=1)
+        usable = samples.taken((samples.stamps_ns > before) & finite)
+        turned = ImuSamples(usable.stamps_ns, usable.angular @ self._R_I_L, usable.forces @ self._R_I_L)
+        self._samples = self._samples.joined(turned).of_late()
 
     def rates(self, sweep: Sweep) -> Rates | None:
         """Return what it measured around a sweep, or None if it did not measure the whole sweep."""
-        if not len(self._stamps_ns):
+        if not len(self._samples.stamps_ns):
             return None
-        after_ns = self._stamps_ns + (self._mount.offset_ns - sweep.stamp_ns)
+        after_ns = self._samples.stamps_ns + (self._mount.offset_ns - sweep.stamp_ns)
         times_s = after_ns.astype(np.float64) * 1e-9
         offsets_s = np.zeros(1) if sweep.offsets_s is None else sweep.offsets_s
         if times_s[0] > offsets_s.min() + MAX_EXTRAPOLATION_S or times_s[-1] < offsets_s.max() - MAX_EXTRAPOLATION_S:
             return None
-        return Rates(times_s, self._angular - self.bias)
+        lever = self._R_I_L.T @ self._mount.T_I_L[:3, 3]
+        return Rates(times_s, self._samples.angular - self.bias, self._samples.forces, lever)
 
     def learn(self, before: Registered, now: Registered, sweep: Sweep, rates: Rates) -> None:
         """Correct the bias b by what two registrations say of the rotation between them, as a Kalman filter per axis.
