@@ -45,13 +45,13 @@ HEADER = (
 )
 
 
-def register(folder: Path, method: str, gyroscope_helps: bool, threads: int, seconds: float) -> tuple:
+def register(folder: Path, method: str, imu_helps: bool, threads: int, seconds: float) -> tuple:
     """Return the trajectory of one method and its times a scan [ms], on the wall and of the processor."""
     options = Options(method=method, threads=threads, replace=True)
     stamps_ns, positions, quaternions, times_ms, samples = [], [], [], [], []
     with RawBag(folder / "recording.mcap") as bag:
         topic = choose_topic(bag, options)
-        guide = guide_of(load_config(folder / "config.yaml"), bag, options) if gyroscope_helps else None
+        guide = guide_of(load_config(folder / "config.yaml"), bag, options) if imu_helps else None
         odometry = ScanOdometry(settings_of_options(options) if guide is None else guide.settings)
         wanted = {topic} if guide is None else {topic, guide.imu_topic}
         codecs = {channel: channel.codec() for channel in bag.channels if channel.topic in wanted}
@@ -203,7 +203,7 @@ def main() -> None:
             with ProcessPoolExecutor(1, get_context("spawn")) as pool:
                 task = (folder, method, helped, arguments.threads, arguments.seconds)
                 track, times_ms = pool.submit(register, *task).result()
-            print(line(folder, method + " with gyroscope" * helped, track, times_ms), flush=True)
+            print(line(folder, method + " with the IMU" * helped, track, times_ms), flush=True)
 
 
 if __name__ == "__main__":

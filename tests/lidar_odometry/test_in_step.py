@@ -59,12 +59,12 @@ def poses(odometry, scans=SCANS, between=lambda _: None):
 
 
 def test_the_process_gives_the_poses_of_the_value_machine_to_the_bit():
-    machine, expected, rates = ScanOdometry(Settings(gyroscope=MOUNT)), [], list(samples())
+    machine, expected, rates = ScanOdometry(Settings(imu=MOUNT)), [], list(samples())
     for one in SCANS:
         fresh = [sample for sample in rates if sample.arrival_ns <= one.arrival_ns]
         rates = rates[len(fresh) :]
         expected.append(machine.register(one, ImuSamples.of(fresh)))
-    with closing(InStep(Settings(gyroscope=MOUNT), 0.08)) as odometry:
+    with closing(InStep(Settings(imu=MOUNT), 0.08)) as odometry:
         found = poses(odometry)
     assert [due.arrival_ns - one.arrival_ns for due, one in zip(found, SCANS, strict=True)] == [80_000_000] * 6
     for due, pose in zip(found, expected, strict=True):
@@ -113,7 +113,7 @@ def test_a_library_that_throws_ends_it_in_one_line_where_nobody_wants_a_successo
 
 
 def test_the_bias_of_the_gyroscope_is_found_without_anyone_telling_it():
-    machine, rates = ScanOdometry(Settings(gyroscope=MOUNT)), list(samples(bias=0.02, seconds=3.0))
+    machine, rates = ScanOdometry(Settings(imu=MOUNT)), list(samples(bias=0.02, seconds=3.0))
     for one in [scan(k) for k in range(12)]:
         fresh = [sample for sample in rates if sample.arrival_ns <= one.arrival_ns]
         rates = rates[len(fresh) :]
@@ -138,7 +138,7 @@ def at_one_radian(rates_late_ns=0):
 
 @pytest.mark.parametrize(("late_ns", "missing"), [(210_000_000, ()), (400_000_000, ()), (210_000_000, (4,))])
 def test_a_slew_of_one_radian_a_second_late_scans_and_a_missing_one_hold(late_ns, missing):
-    machine, rates, errors, first = ScanOdometry(Settings(gyroscope=MOUNT)), list(at_one_radian()), [], None
+    machine, rates, errors, first = ScanOdometry(Settings(imu=MOUNT)), list(at_one_radian()), [], None
     for number in range(9):
         one = scan(number, fast, late_ns)
         fresh = [sample for sample in rates if sample.arrival_ns <= one.arrival_ns]

@@ -254,7 +254,7 @@ extrinsics:
         (["--replace", "--topic", "/pionts"], RecordingError, "did you mean '/points'?"),
         (["--output-topic", "/points"], ConfigError, "has a topic '/points' already: give another --output-topic"),
         (["--replace", "--min-range-m", 500], RecordingError, "0 points lie beyond 500 m"),
-        (["--method", "kiss-icp", "-c", "x.yaml"], ConfigError, "kiss-icp takes no gyroscope"),
+        (["--method", "kiss-icp", "-c", "x.yaml"], ConfigError, "kiss-icp takes no IMU"),
     ],
 )
 def test_a_mistake_is_one_clear_line(bag, tmp_path, options, kind, words):

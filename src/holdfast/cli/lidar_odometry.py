@@ -20,7 +20,7 @@ from holdfast.output_folder import add_results, check_output_file
     "--config",
     "config_path",
     type=click.Path(),
-    help="Deskew with the gyroscope of this configuration; a `kind: scans` brings its settings.",
+    help="Predict and deskew with the IMU of this configuration; a `kind: scans` brings its settings.",
 )
 @click.option("--topic", help="Of the clouds. [default: the only PointCloud2]")
 @click.option("--output-topic", default="/lidar/odometry", show_default=True, help="Of the poses.")
@@ -93,7 +93,7 @@ def lidar_odometry(  # noqa: PLR0917 (click passes the options by name)
     masking = Masking(boxes_of(machine_boxes), learn_machine)
     options = Options(topic, output_topic, method, threads, latency_s, min_range_m, keep_scans, replace, masking)
     if config_path is not None and method != DEFAULT_METHOD:
-        raise ConfigError(f"--config: {method} takes no gyroscope (allowed: with {DEFAULT_METHOD})")
+        raise ConfigError(f"--config: {method} takes no IMU (allowed: with {DEFAULT_METHOD})")
     check_installed(method)
     config = None if config_path is None else load_config(config_path)
     _check_output(output, bag, config_path, force)

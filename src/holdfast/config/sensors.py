@@ -193,7 +193,7 @@ class OdometryConfig(DriftingConfig):
 class ScansConfig(DriftingConfig):
     """Scans of a lidar, of which Holdfast makes an odometry itself, in its own process; noise is that of its poses.
 
-    The scans are never seen by the estimator, nor is the estimate by the odometry: it knows the gyroscope and its own
+    The scans are never seen by the estimator, nor is the estimate by the odometry: it knows the IMU and its own
     past, and nothing of GNSS.
     """
 

@@ -152,7 +152,7 @@ class Degeneracy:
         self.unheld_s = before_s + interval_s if found.unheld else 0.0
         after_s = before_s + interval_s
         shift = _distance_m(after_s) ** 2 - _distance_m(before_s) ** 2
-        turn = turned_rad(after_s, has_gyroscope) ** 2 - turned_rad(before_s, has_gyroscope) ** 2
+        turn = _angle_rad(after_s, has_gyroscope) ** 2 - _angle_rad(before_s, has_gyroscope) ** 2
         return np.diag(np.repeat([turn, shift], 3))
 
 
@@ -195,7 +195,7 @@ def _distance_m(time_s: float) -> float:
     return VELOCITY_SIGMA_M_S * time_s + accelerated
 
 
-def turned_rad(time_s: float, has_gyroscope: bool) -> float:
+def _angle_rad(time_s: float, has_gyroscope: bool) -> float:
     """Return how much the guessed attitude may be off after a time."""
     if has_gyroscope:
         return GYROSCOPE_RAD_S * time_s

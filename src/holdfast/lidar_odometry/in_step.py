@@ -39,7 +39,7 @@ class Account:
         refused: scans that could not be used; `refusal` is why, of the last one.
         lost: scans whose process has ended over them; `fault` is how, of the last time.
         new_maps: poses that could not be joined to those before.
-        unguided: poses of scans that the gyroscope did not measure whole.
+        unguided: poses of scans that the IMU did not measure whole.
         took_ms: time from scan to pose in the process.
     """
 
@@ -93,8 +93,8 @@ class InStep:
         self._failures = 0
 
     def add_sample(self, sample: ImuSample) -> None:
-        """Take in a sample of the gyroscope that guides the odometry."""
-        if self._settings.gyroscope is None:
+        """Take in a sample of the IMU that guides the odometry."""
+        if self._settings.imu is None:
             return
         self._fresh.append(sample)
         while self._fresh[0].stamp_ns < sample.stamp_ns - MEMORY_NS:
@@ -134,8 +134,8 @@ class InStep:
 
     @property
     def is_guided(self) -> bool:
-        """Whether a gyroscope is to guide it."""
-        return self._settings.gyroscope is not None
+        """Whether an IMU is to guide it."""
+        return self._settings.imu is not None
 
     @property
     def pid(self) -> int | None:

@@ -36,7 +36,7 @@ class Registered:
         cut: fraction of the points that lay on the machine and were not used.
         restarted: the sweep could not be joined to the map; a new one begins, and the motion since the last pose is
             not measured.
-        is_guided: a gyroscope measured the whole sweep.
+        is_guided: an IMU measured the whole sweep.
     """
 
     stamp_ns: int

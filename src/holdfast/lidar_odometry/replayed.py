@@ -75,7 +75,7 @@ class ReplayedScans(Closing):
                 found.append(f"{name}: {account.new_maps} new maps begun, after a gap or where a scan did not fit")
             if account.unguided and odometry.is_guided:
                 found.append(
-                    f"{name}: {account.unguided} of {account.poses} scans were deskewed without the gyroscope, which "
+                    f"{name}: {account.unguided} of {account.poses} scans were deskewed without the IMU, which "
                     "did not measure all of them: check its topic and time_offset_s"
                 )
         return found

@@ -102,7 +102,7 @@ def choose_topic(bag: RawBag, options: Options) -> str:
 
 
 class Guide(NamedTuple):
-    """The gyroscope of a recording: its topic, and the settings of the odometry that it guides."""
+    """The IMU of a recording: its topic, and the settings of the odometry that it guides."""
 
     imu_topic: str
     settings: Settings
@@ -126,7 +126,7 @@ def guide_of(config: Config, bag: RawBag, options: Options) -> Guide:
     topic = find_topic(bag.recording, config.imu.topic).topic
     if isinstance(config.sensors[name], ScansConfig):
         return Guide(topic, settings_of(config, name))
-    return Guide(topic, replace(settings_of_options(options), gyroscope=imu_mount(config, name)))
+    return Guide(topic, replace(settings_of_options(options), imu=imu_mount(config, name)))
 
 
 def run(  # noqa: PLR0917 (all but the last two are needed)
@@ -144,7 +144,7 @@ def run(  # noqa: PLR0917 (all but the last two are needed)
         topic: of the clouds, from `choose_topic`.
         writer: takes the copy and the poses.
         options: of the run.
-        guide: a gyroscope deskews better than the motion between the sweeps.
+        guide: an IMU predicts and deskews better than the motion between the sweeps.
         progress: called with the arrival [ns] of each cloud.
 
     Raises:
@@ -211,7 +211,7 @@ def _warn(  # noqa: PLR0917
     left_out = [f"{path}: left out {text}" for text in copier.left_out]
     if odometry.is_guided and account.unguided:
         skipped.append(
-            f"{path}: {account.unguided} of {summary.poses} sweeps were deskewed without the gyroscope, which "
+            f"{path}: {account.unguided} of {summary.poses} sweeps were deskewed without the IMU, which "
             "did not measure all of them: check its topic and time_offset_s"
         )
     summary.warnings = [*bag.recording.warnings, *skipped, *left_out, *summary.warnings]

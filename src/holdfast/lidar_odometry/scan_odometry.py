@@ -1,4 +1,4 @@
-"""A lidar odometry as one value machine: scans and rates of a gyroscope in, poses out, the same every time.
+"""A lidar odometry as one value machine: scans and samples of an IMU in, poses out, the same every time.
 
 It knows no estimator and no GNSS. `holdfast lidar-odometry`, a replay and `holdfast live` all run this one, so that the
 same scans with the same rates give the same poses.
@@ -27,7 +27,7 @@ class Settings:
     """What an odometry must know; ranges and voxels in metres.
 
     Attributes:
-        gyroscope: how it sits to the lidar; None does without.
+        imu: how the guide sits to the lidar; None does without.
         T_L0_L: (4, 4) where the first pose is; None is the origin. With it the first pose is no beginning but goes on
             after a predecessor, `restarted`.
         masking: of points on the machine itself.
@@ -39,7 +39,7 @@ class Settings:
     max_range_m: float = 120.0
     map_voxel_m: float = 0.5
     scan_voxel_m: float = 0.35
-    gyroscope: ImuMount | None = None
+    imu: ImuMount | None = None
     T_L0_L: Array | None = None
     masking: Masking = field(default_factory=Masking)
 
@@ -54,34 +54,34 @@ class ScanOdometry:
         )
         self._registration = Masked(registration, settings.masking)
         self._settings = settings
-        self._gyroscope = None if settings.gyroscope is None else InertialGuide(settings.gyroscope)
+        self._guide = None if settings.imu is None else InertialGuide(settings.imu)
         self._sweep: Sweep | None = None
         self._registered: Registered | None = None
 
     @property
     def gyroscope_bias(self) -> Array:
         """The bias (3,) of the gyroscope in the axes of L as it is known so far [rad/s]."""
-        return np.zeros(3) if self._gyroscope is None else self._gyroscope.bias
+        return np.zeros(3) if self._guide is None else self._guide.bias
 
     def register(self, scan: PointCloud, samples: ImuSamples = NO_SAMPLES) -> Registered:
         """Return where the lidar was in a scan.
 
         Args:
             scan: the next one, in the order of stamps.
-            samples: of the gyroscope, that have come since the scan before.
+            samples: of the IMU, that have come since the scan before.
 
         Raises:
             UndecodableError: the scan cannot be used; the odometry goes on with the next one.
         """
-        if self._gyroscope is not None:
-            self._gyroscope.add(samples)
+        if self._guide is not None:
+            self._guide.add(samples)
         sweep = self._accepted(sweep_of(scan, keep_intensities=False))
-        rates = None if self._gyroscope is None else self._gyroscope.rates(sweep)
+        rates = None if self._guide is None else self._guide.rates(sweep)
         sweep = replace(sweep, rates=rates)
         registered = self._continued(self._registration.register(sweep))
         before, self._registered = self._registered, registered
-        if self._gyroscope is not None and rates is not None and before is not None and not registered.restarted:
-            self._gyroscope.learn(before, registered, sweep, rates)
+        if self._guide is not None and rates is not None and before is not None and not registered.restarted:
+            self._guide.learn(before, registered, sweep, rates)
         return replace(registered, is_guided=rates is not None)
 
     def finish(self) -> None:

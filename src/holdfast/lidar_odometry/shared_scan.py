@@ -16,7 +16,7 @@ READY = -1  # number of the answer that says that the process has come up
 
 
 class Request(NamedTuple):
-    """A scan that waits in a slot, and what the gyroscope has measured since the one before.
+    """A scan that waits in a slot, and what the IMU has measured since the one before.
 
     Attributes:
         slot: in which its bytes lie.

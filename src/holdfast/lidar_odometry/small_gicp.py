@@ -11,7 +11,7 @@ import gtsam
 import numpy as np
 import small_gicp
 
-from holdfast.lidar_odometry.degeneracy import Degeneracy, Observability, turned_rad
+from holdfast.lidar_odometry.degeneracy import GYROSCOPE_RAD_S, Degeneracy, Observability
 from holdfast.lidar_odometry.deskew import Moving, Rates, deskew
 from holdfast.lidar_odometry.motion_filter import MotionFilter
 from holdfast.lidar_odometry.registration import Registered, Registration
@@ -31,6 +31,7 @@ MEMORY_SWEEPS = 3000  # ten minutes at 5 Hz: a machine that returns finds its ma
 CORRELATION = 3.0
 LOST_INLIER_FRACTION = 0.4  # it is 0.7 at the edge of the map and 1 within; flat ground alone fits anywhere
 MAX_GAP_S = 1.0  # the motion in a longer one is unknown
+BLIND = 1e6 * np.eye(6)  # a guess without an IMU is nothing to weigh a registration by
 NEVER_NS = -(1 << 62)
 
 
@@ -72,7 +73,7 @@ class SmallGicp(Registration):
             return self._begin(sweep, at_s, self._T_L0_L)
         rates = self._rates(sweep)
         predicted, guess = self._motion.predicted(self._T_L0_L, rates, at_s - interval_s, at_s)
-        guessed = predicted.covariance_of(guess, turned_rad(interval_s, sweep.rates is not None))
+        guessed = BLIND if sweep.rates is None else predicted.covariance_of(guess, GYROSCOPE_RAD_S * interval_s)
         way = gtsam.Pose3.Logmap(self._T_L0_L.between(guess))
         T_L0_L, motion, is_guided, found = guess, predicted, sweep.rates is not None, None
         for resolution_m in (

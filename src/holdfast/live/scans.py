@@ -13,8 +13,8 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.errors import EstimatorError
-from holdfast.lidar_odometry.inertial_guide import MEMORY_NS, ImuSamples
 from holdfast.lidar_odometry.in_step import Due
+from holdfast.lidar_odometry.inertial_guide import MEMORY_NS, ImuSamples
 from holdfast.lidar_odometry.process import ScanProcess
 from holdfast.lidar_odometry.registration import Registered
 from holdfast.lidar_odometry.replayed import pose_message
@@ -92,7 +92,7 @@ class LiveScans:
 
     def add_sample(self, sample: ImuSample) -> None:
         """Take in a sample of the gyroscope that guides the odometry."""
-        if self._settings.gyroscope is None:
+        if self._settings.imu is None:
             return
         self._samples.append(sample)
         self._unsent += 1
