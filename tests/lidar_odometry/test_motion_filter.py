@@ -35,7 +35,8 @@ def rates(t, rng, *, shaken_m_s2=0.0, bias=0.0, forces=True):
     along = 2.0 * np.pi * np.sin(2.0 * np.pi * (t + TIMES_S))
     force = np.array([1.0, 0.0, 0.0]) * along[:, None] - SLOPE.unrotate(GRAVITY) + bias
     force += shaken_m_s2 * rng.standard_normal(force.shape)
-    return Rates(TIMES_S, np.zeros((len(TIMES_S), 3)), force if forces else None, LEVER)
+    turning = np.zeros((len(TIMES_S), 3))
+    return Rates(TIMES_S, turning, force, LEVER) if forces else Rates(TIMES_S, turning)
 
 
 def run(count, unheld=NO_AXES, **options):
@@ -78,6 +79,19 @@ def test_an_accelerometer_that_is_shaken_is_believed_less_and_one_that_is_quiet_
     assert 0.5 * 3.0 * np.sqrt(0.005) < shaken < 2.0 * 3.0 * np.sqrt(0.005)
     assert rms(run(300, shaken_m_s2=3.0)[0]) < 0.02
     assert run(300, shaken_m_s2=300.0)[2].noise == pytest.approx(UNMEASURED)
+
+
+def test_an_imu_that_falls_silent_and_comes_back_makes_no_jump():
+    """Without it the filter follows the lidar, 2 m above, instead of the IMU."""
+    machine, rng = run(60)[2], np.random.default_rng(5)
+    for number in range(60, 75):
+        t = number * INTERVAL_S
+        around = rates(t, rng, forces=not 64 <= number < 68)
+        machine, guess = machine.predicted(pose(t - INTERVAL_S), around, -INTERVAL_S, 0.0)
+        # the lever is 2 m; without it the machine speeds up by 6 m/s^2 unseen
+        assert np.linalg.norm(guess.translation() - pose(t).translation()) < 0.5
+        machine = machine.corrected(pose(t), around, REGISTERED, NO_AXES)
+    assert np.linalg.norm(guess.translation() - pose(t).translation()) < 0.02
 
 
 def test_the_covariance_holds_the_velocity():

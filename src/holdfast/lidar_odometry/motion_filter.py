@@ -9,7 +9,7 @@ its datasheet says, and a lever that is off accelerates it, too. Nothing of this
 where GNSS leads it.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import gtsam
@@ -44,6 +44,7 @@ class MotionFilter:
         noise: white noise of the acceleration that the IMU measures [m/s^2/sqrt(Hz)].
         has_gravity: gravity has been read.
         interval_s: since the correction before.
+        lever: (3,) from what moves, the IMU or else the lidar itself, to the lidar, in the axes of L [m].
     """
 
     mean: Array
@@ -51,6 +52,7 @@ class MotionFilter:
     noise: float = 0.02
     has_gravity: bool = False
     interval_s: float = 0.0
+    lever: Array = field(default_factory=lambda: np.zeros(3))
 
     @classmethod
     def beginning(cls) -> Self:
@@ -64,7 +66,7 @@ class MotionFilter:
         covariance[:6], covariance[:, :6] = 0.0, 0.0
         covariance[V, V] = SPEED_M_S**2 * EYE
         mean[P], mean[V] = _position(T_L0_L, rates), 0.0
-        fresh = replace(self, mean=mean, covariance=covariance, has_gravity=False)
+        fresh = replace(self, mean=mean, covariance=covariance, has_gravity=False, lever=rates.lever)
         return fresh if rates.forces is None else fresh._with_gravity(T_L0_L, rates)
 
     def predicted(self, T_L0_L: gtsam.Pose3, rates: Rates, from_s: float, to_s: float) -> tuple[Self, gtsam.Pose3]:
@@ -88,7 +90,7 @@ class MotionFilter:
             F[P, B], F[V, B] = -0.5 * dt**2 * turned, -dt * turned
             noise = self.noise
         mean = F @ start.mean
-        mean[P] += R @ travelled.shifts[-1]
+        mean[P] += R @ (travelled.shifts[-1] + start.lever - rates.lever)
         mean[V] += R @ travelled.velocities[-1]
         covariance = F @ start.covariance @ F.T
         for rows, columns, factor in ((P, P, dt**3 / 3.0), (P, V, dt**2 / 2.0), (V, P, dt**2 / 2.0), (V, V, dt)):
@@ -97,7 +99,8 @@ class MotionFilter:
         covariance[B, B] += WALKING_M_S2**2 * dt * EYE
         rotation = T_L0_L.rotation().compose(gtsam.Rot3(travelled.rotations[-1]))
         position = mean[P] + rotation.matrix() @ rates.lever
-        return replace(start, mean=mean, covariance=covariance, interval_s=dt), gtsam.Pose3(rotation, position)
+        later = replace(start, mean=mean, covariance=covariance, interval_s=dt, lever=rates.lever)
+        return later, gtsam.Pose3(rotation, position)
 
     def corrected(self, T_L0_L: gtsam.Pose3, rates: Rates, measured: Array, unheld: Array) -> Self:
         """Return the filter after a registration.
