@@ -103,3 +103,14 @@ def test_a_mask_over_everything_cuts_nothing():
     assert Masked(inner, Masking(everything, learning=False)).register(swept).cut == 0.0
     assert inner.sizes == [len(swept.points)]
     assert gtsam.Pose3().equals(gtsam.Pose3(Masked(inner, Masking()).register(swept).T_L0_L), 1e-9)
+
+
+def test_a_machine_that_stands_is_learnt_from_the_points_as_they_are_whatever_guides_the_odometry(monkeypatch):
+    learnt = []
+    monkeypatch.setattr(MachineMask, "is_due", lambda *_: True)
+    monkeypatch.setattr(MachineMask, "learn", lambda _mask, points, _pose: learnt.append(points))
+    masked, sweeps = Masked(_Counting(), Masking()), [sweep(k, rng, standing, gyroscope=True) for k in range(2)]
+    for swept in sweeps:
+        masked.register(swept)
+    masked.finish()
+    np.testing.assert_allclose(learnt[1], sweeps[1].points, atol=1e-9)

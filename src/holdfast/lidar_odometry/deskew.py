@@ -60,6 +60,11 @@ class Rates:
         """Return one rate for all times."""
         return cls(np.zeros(1), angular[None])
 
+    @property
+    def turning(self) -> "Rates":
+        """The rates without the forces and the lever, for a lidar whose own velocity is known."""
+        return Rates(self.times_s, self.angular)
+
     def rotations(self, times_s: Array) -> Array:
         """Return the attitude (K, 3, 3) at each of K increasing times in the frame at the first of them."""
         products = np.concatenate([np.eye(3)[None], _exponentials(self._at(times_s, self.angular))])

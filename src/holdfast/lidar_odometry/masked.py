@@ -78,6 +78,7 @@ class Masked(Registration):
             return sweep.points
         before_ns, before = self._before
         motion, interval_s = before.between(pose), (at_ns - before_ns) * 1e-9
-        rates = sweep.rates or Rates.constant(gtsam.Rot3.Logmap(motion.rotation()) / interval_s)
+        constant = Rates.constant(gtsam.Rot3.Logmap(motion.rotation()) / interval_s)
+        rates = constant if sweep.rates is None else sweep.rates.turning
         velocity = motion.rotation().unrotate(motion.translation()) / interval_s
         return deskew(sweep.points, sweep.offsets_s, (at_ns - sweep.stamp_ns) * 1e-9, rates, Moving(velocity))

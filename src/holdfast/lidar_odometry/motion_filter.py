@@ -93,8 +93,7 @@ class MotionFilter:
         mean[P] += R @ (travelled.shifts[-1] + start.lever - rates.lever)
         mean[V] += R @ travelled.velocities[-1]
         covariance = F @ start.covariance @ F.T
-        for rows, columns, factor in ((P, P, dt**3 / 3.0), (P, V, dt**2 / 2.0), (V, P, dt**2 / 2.0), (V, V, dt)):
-            covariance[rows, columns] += noise**2 * factor * EYE
+        _widen(covariance, noise**2 * np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]]))
         covariance[G, G] += TILTING_M_S2**2 * dt * EYE
         covariance[B, B] += WALKING_M_S2**2 * dt * EYE
         rotation = T_L0_L.rotation().compose(gtsam.Rot3(travelled.rotations[-1]))
@@ -145,9 +144,7 @@ class MotionFilter:
         A jump of the registration looks like that, too; either way gravity and bias have nothing to do with it.
         """
         covariance, dt = self.covariance.copy(), self.interval_s
-        change = float(innovation @ innovation) / dt**2 * EYE
-        for rows, columns, factor in ((P, P, dt**2), (P, V, dt), (V, P, dt), (V, V, 1.0)):
-            covariance[rows, columns] += factor * change
+        _widen(covariance, float(innovation @ innovation) / dt**2 * np.array([[dt**2, dt], [dt, 1.0]]))
         return replace(self, covariance=covariance)
 
     def _with_gravity(self, T_L0_L: gtsam.Pose3, rates: Rates) -> Self:
@@ -158,6 +155,11 @@ class MotionFilter:
         covariance[G], covariance[:, G] = 0.0, 0.0
         covariance[G, G] = STARTING_M_S2**2 * EYE
         return replace(self, mean=mean, covariance=covariance, has_gravity=True)
+
+
+def _widen(covariance: Array, motion: Array) -> None:
+    """Add to a covariance (12, 12) that (2, 2) of position and velocity, the same along each axis."""
+    covariance[:6, :6] += np.kron(motion, EYE)
 
 
 def _held(R: Array, unheld: Array) -> Array:

@@ -74,7 +74,8 @@ class SmallGicp(Registration):
         rates = self._rates(sweep)
         predicted, guess = self._motion.predicted(self._T_L0_L, rates, at_s - interval_s, at_s)
         guessed = BLIND if sweep.rates is None else predicted.covariance_of(guess, GYROSCOPE_RAD_S * interval_s)
-        way = gtsam.Pose3.Logmap(self._T_L0_L.between(guess))
+        expected = self._T_L0_L.between(guess)
+        way = gtsam.Pose3.Logmap(expected)
         T_L0_L, motion, is_guided, found = guess, predicted, sweep.rates is not None, None
         for resolution_m in (
             [self._scan_voxel_m] * 2 if is_guided else [COARSE * self._scan_voxel_m, self._scan_voxel_m]
@@ -85,7 +86,7 @@ class SmallGicp(Registration):
             if result.num_inliers < LOST_INLIER_FRACTION * cloud.size():
                 return self._begin(sweep, at_s, T_L0_L)
             if resolution_m == self._scan_voxel_m and found is None:
-                found = self._degeneracy.look(_points(cloud), tree, self._T_L0_L.between(guess).matrix())
+                found = self._degeneracy.look(_points(cloud), tree, expected.matrix())
             known = found or self._found  # the coarse pass is too coarse to tell
             aligned, measured = gtsam.Pose3(result.T_target_source), covariance(result)
             if known is None:

@@ -91,7 +91,7 @@ class LiveScans:
         self._start()
 
     def add_sample(self, sample: ImuSample) -> None:
-        """Take in a sample of the gyroscope that guides the odometry."""
+        """Take in a sample of the IMU that guides the odometry."""
         if self._settings.imu is None:
             return
         self._samples.append(sample)
