@@ -3,10 +3,7 @@
 import gtsam
 import numpy as np
 import pytest
-from yard import BOXES, START_NS, T_W_L, cast, standing, sweep
-
-from holdfast.lidar_odometry.deskew import Moving
-from holdfast.lidar_odometry.sweep import Sweep
+from yard import BOXES, T_W_L, cast, standing, sweep
 
 pytest.importorskip("small_gicp")
 
@@ -31,7 +28,7 @@ def alignments():
         distance = cast(origins, rays @ pose.rotation().matrix().T, WALLS)
         seen = distance < 60.0
         distance = distance[seen] + rng.normal(0, 0.02, int(seen.sum()))
-        return odometry._cloud(Sweep(START_NS, "lidar", rays[seen] * distance[:, None], None), 0.0, 0.35, Moving())[0]
+        return odometry._cloud(rays[seen] * distance[:, None], 0.35, None)[0]
 
     for _ in range(8):
         moved = gtsam.Pose3.Expmap(rng.normal(0, [0.01, 0.01, 0.3, 0.4, 0.4, 0.05]))

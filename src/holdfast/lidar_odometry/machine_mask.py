@@ -15,6 +15,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from holdfast.lidar_odometry.range_image import BINS, ROWS, lengths, pixels, with_neighbours
 from holdfast.messages import Array
 
 REACH_M = 10.0  # beyond it nothing is the machine's
@@ -24,7 +25,6 @@ STEP_RAD, STEP_M = 0.15, 0.5  # the lidar is at another place
 APART_M = 0.6  # a point that the motion between two places moved by less in the lidar's frame says nothing
 FREE_M = 0.4  # a ray that goes on so far behind a point went through it
 SAME_M = 0.15  # a ray that ends so near to a point met it
-BINS, ROWS = 360, 90  # of a range image, in azimuth and elevation: two of the usual rays in each
 ENOUGH = 3.0  # votes; each is of another place
 RATIO = 0.5  # of votes that it stands, as it seems to where another part of the machine is now
 PLACES = 16  # a point near the turn joint has moved on only after two radians
@@ -92,9 +92,9 @@ class MachineMask:
         for place in self._places:
             L_place = T_L0_L.between(place.T_L0_L)
             seen = place.points @ L_place.rotation().matrix().T + L_place.translation()
-            distances = _lengths(seen)
-            nearest = image[_rows(seen), _columns(seen)]
-            decides = _lengths(seen - place.points) > APART_M
+            distances = lengths(seen)
+            nearest = image[pixels(seen)]
+            decides = lengths(seen - place.points) > APART_M
             cells = _cells(place.points)
             gone[cells[decides & (nearest > distances + FREE_M)]] = True
             stood[cells[decides & (np.abs(nearest - distances) < SAME_M)]] = True
@@ -107,11 +107,6 @@ class MachineMask:
 def _has_moved(motion: gtsam.Pose3) -> bool:
     turned = float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation())))
     return turned > STEP_RAD or float(np.linalg.norm(motion.translation())) > STEP_M
-
-
-def _lengths(points: Array) -> Array:
-    """Return the lengths (N,) of vectors (N, 3)."""
-    return np.asarray(np.sqrt(np.einsum("ni,ni->n", points, points)))
 
 
 def _is_near(points: Array) -> NDArray[np.bool_]:
@@ -140,16 +135,6 @@ def _grown(machine: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return grown.ravel()
 
 
-def _columns(points: Array) -> NDArray[np.intp]:
-    azimuth = np.arctan2(points[:, 1], points[:, 0]) / (2.0 * np.pi) + 0.5
-    return np.asarray(np.minimum((azimuth * BINS).astype(np.intp), BINS - 1))
-
-
-def _rows(points: Array) -> NDArray[np.intp]:
-    elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])) / np.pi + 0.5
-    return np.asarray(np.minimum((elevation * ROWS).astype(np.intp), ROWS - 1))
-
-
 def _range_image(points: Array, rows: NDArray[np.bool_]) -> Array:
     """Return (ROWS, BINS) the nearest return in a direction and around it [m].
 
@@ -157,12 +142,8 @@ def _range_image(points: Array, rows: NDArray[np.bool_]) -> Array:
     is zero, so that nothing is decided there. `rows` is completed by the elevations that are seen.
     """
     image = np.full((ROWS, BINS), np.inf)
-    row, column = _rows(points), _columns(points)
-    np.minimum.at(image, (row, column), _lengths(points))
-    rows[np.unique(row)] = True
+    at = pixels(points)
+    np.minimum.at(image, at, lengths(points))
+    rows[np.unique(at[0])] = True
     image[~rows] = 0.0
-    around = np.minimum(np.minimum(np.roll(image, 1, 1), np.roll(image, -1, 1)), image)
-    nearest = around.copy()
-    nearest[1:] = np.minimum(nearest[1:], around[:-1])
-    nearest[:-1] = np.minimum(nearest[:-1], around[1:])
-    return np.asarray(nearest)
+    return with_neighbours(image, np.minimum)

@@ -55,7 +55,7 @@ class Masked(Registration):
         self.finish()
         covered = self._mask.covers(sweep.points)
         cut = covered if len(covered) - int(covered.sum()) >= FEWEST_POINTS else np.zeros_like(covered)
-        registered = self._registration.register(sweep.taken(~cut))
+        registered = self._registration.register(replace(sweep.taken(~cut), own=sweep.points[cut]))
         self._unlearnt = sweep, registered
         return replace(registered, cut=float(cut.mean()) if len(cut) else 0.0)
 

@@ -7,12 +7,15 @@ far points must look for a partner. On ray-cast sites voxels of 1 m cost a third
 ground is bare and nothing elsewhere, and half or twice the other values change errors by less than a fifth.
 """
 
+from dataclasses import dataclass
+
 import gtsam
 import numpy as np
 import small_gicp
 
 from holdfast.lidar_odometry.degeneracy import GYROSCOPE_RAD_S, Degeneracy, Observability
 from holdfast.lidar_odometry.deskew import Moving, Rates, deskew
+from holdfast.lidar_odometry.free_space import FreeSpace
 from holdfast.lidar_odometry.motion_filter import MotionFilter
 from holdfast.lidar_odometry.registration import Registered, Registration
 from holdfast.lidar_odometry.sweep import Sweep
@@ -33,6 +36,17 @@ LOST_INLIER_FRACTION = 0.4  # it is 0.7 at the edge of the map and 1 within; fla
 MAX_GAP_S = 1.0  # the motion in a longer one is unknown
 BLIND = 1e6 * np.eye(6)  # a guess without an IMU is nothing to weigh a registration by
 NEVER_NS = -(1 << 62)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Unmapped:
+    """A sweep that has a pose and is not yet in the map: its thinned cloud, all its points, those on the machine."""
+
+    cloud: small_gicp.PointCloud
+    points: Array
+    own: Array
+    T_L0_L: gtsam.Pose3
+    at_ns: int
 
 
 class SmallGicp(Registration):
@@ -58,7 +72,8 @@ class SmallGicp(Registration):
         self._angular = np.zeros(3)
         self._motion = MotionFilter.beginning()
         self._map = small_gicp.GaussianVoxelMap(map_voxel_m)
-        self._unmapped: tuple[small_gicp.PointCloud, Array] | None = None
+        self._free = FreeSpace()
+        self._unmapped: _Unmapped | None = None
         self._degeneracy = Degeneracy()
         self._found: Observability | None = None  # of the sweep before; the coarse pass is too coarse to tell
 
@@ -81,11 +96,13 @@ class SmallGicp(Registration):
             [self._scan_voxel_m] * 2 if is_guided else [COARSE * self._scan_voxel_m, self._scan_voxel_m]
         ):
             deskewed_by = motion.moving(T_L0_L, rates)
-            cloud, tree = self._cloud(sweep, at_s, resolution_m, deskewed_by)
+            points = self._deskewed(sweep, at_s, deskewed_by)
+            is_coarse = resolution_m > self._scan_voxel_m
+            cloud, tree = self._cloud(points, resolution_m, None if is_coarse else T_L0_L)
             result = self._align(cloud, T_L0_L)
             if result.num_inliers < LOST_INLIER_FRACTION * cloud.size():
                 return self._begin(sweep, at_s, T_L0_L)
-            if resolution_m == self._scan_voxel_m and found is None:
+            if not is_coarse and found is None:
                 found = self._degeneracy.look(_points(cloud), tree, expected.matrix())
             known = found or self._found  # the coarse pass is too coarse to tell
             aligned, measured = gtsam.Pose3(result.T_target_source), covariance(result)
@@ -103,7 +120,7 @@ class SmallGicp(Registration):
             if is_guided and np.linalg.norm(corrected_by) * sweep.half_s < DESKEWED_M:
                 break
             rates = self._rates(sweep)
-        self._unmapped = cloud, T_L0_L.matrix()
+        self._unmapped = _Unmapped(cloud, points, sweep.own, T_L0_L, at_ns)
         self._at_ns, self._T_L0_L, self._motion = at_ns, T_L0_L, motion
         assert found is not None
         self._found = found
@@ -114,8 +131,9 @@ class SmallGicp(Registration):
     def finish(self) -> None:
         """Join the last sweep to the map, in which the library goes over all voxels."""
         if self._unmapped is not None:
-            self._map.insert(*self._unmapped)
-            self._unmapped = None
+            last, self._unmapped = self._unmapped, None
+            self._map.insert(last.cloud, last.T_L0_L.matrix())
+            self._free.add(last.points, last.own, last.T_L0_L, last.at_ns * 1e-9)
 
     def _begin(self, sweep: Sweep, at_s: float, T_L0_L: gtsam.Pose3) -> Registered:
         at_ns, restarted = sweep.stamp_ns + round(at_s * 1e9), self._at_ns > NEVER_NS
@@ -123,8 +141,10 @@ class SmallGicp(Registration):
         self._map.set_lru(MEMORY_SWEEPS, 100)
         rates = self._rates(sweep)
         self._motion = self._motion.placed(T_L0_L, rates)
-        cloud, tree = self._cloud(sweep, at_s, self._scan_voxel_m, self._motion.moving(T_L0_L, rates))
-        self._map.insert(cloud, T_L0_L.matrix())
+        points = self._deskewed(sweep, at_s, self._motion.moving(T_L0_L, rates))
+        cloud, tree = self._cloud(points, self._scan_voxel_m, None)
+        self._free = FreeSpace()
+        self._unmapped = _Unmapped(cloud, points, sweep.own, T_L0_L, at_ns)
         self._degeneracy, self._found = Degeneracy(), None
         self._degeneracy.look(_points(cloud), tree, np.eye(4))
         self._at_ns, self._T_L0_L = at_ns, T_L0_L
@@ -133,15 +153,23 @@ class SmallGicp(Registration):
     def _rates(self, sweep: Sweep) -> Rates:
         return sweep.rates or Rates.constant(self._angular)
 
+    def _deskewed(self, sweep: Sweep, at_s: float, moving: Moving) -> Array:
+        """Return the points of a sweep as from one instant."""
+        if sweep.offsets_s is None:
+            return sweep.points
+        return deskew(sweep.points, sweep.offsets_s, at_s, self._rates(sweep), moving)
+
     def _cloud(
-        self, sweep: Sweep, at_s: float, resolution_m: float, moving: Moving
+        self, points: Array, resolution_m: float, T_L0_L: gtsam.Pose3 | None
     ) -> tuple[small_gicp.PointCloud, small_gicp.KdTree]:
-        """Return a sweep as from one instant, thinned, with a plane around each point, and the tree of its points."""
-        points = sweep.points
-        if sweep.offsets_s is not None:
-            points = deskew(points, sweep.offsets_s, at_s, self._rates(sweep), moving)
-        cloud, tree = small_gicp.preprocess_points(points, resolution_m, NEIGHBOURS, self._threads)
-        return cloud, tree
+        """Return points thinned, with a plane around each, and their tree; at a pose without what differs there."""
+        thinned = small_gicp.voxelgrid_sampling(points, resolution_m)
+        if T_L0_L is not None:
+            kept = _points(thinned)
+            thinned = small_gicp.PointCloud(kept[~self._free.differing(kept, T_L0_L)])
+        tree = small_gicp.KdTree(thinned, self._threads)
+        small_gicp.estimate_covariances(thinned, tree, NEIGHBOURS, self._threads)
+        return thinned, tree
 
     def _align(self, cloud: small_gicp.PointCloud, guess: gtsam.Pose3) -> small_gicp.RegistrationResult:
         return small_gicp.align(

@@ -1,6 +1,6 @@
 """Point clouds as sensor_msgs/PointCloud2 of any layout, decoded to arrays: one sweep of the lidar."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Any
 
@@ -26,6 +26,7 @@ class Sweep:
         offsets_s: (N,) time of each point after the stamp [s], negative before it; or None where it is unknown.
         rates: what a gyroscope measured around the sweep, or None.
         intensities: (N,) of the returns, in the unit of the driver; or None where the cloud has none.
+        own: (M, 3) points in L on the machine itself [m], which have been taken out.
     """
 
     stamp_ns: int
@@ -34,6 +35,7 @@ class Sweep:
     offsets_s: Array | None
     rates: Rates | None = None
     intensities: Array | None = None
+    own: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def middle_s(self) -> float:

@@ -1,0 +1,107 @@
+"""What has come into a sweep, and what was hidden before; never the world that stays."""
+
+import gtsam
+import numpy as np
+import pytest
+from yard import BOXES, T_W_L, cast, slow_rad, standing, sweep
+
+from holdfast.lidar_odometry.free_space import AGES, FreeSpace
+
+NOTHING = np.zeros((0, 3))
+HALF_M = np.array([1.3, 3.4, 1.3])  # of a truck that drives along y
+STEP_S = 0.4
+RAYS = sweep(0, np.random.default_rng(1), standing, times=False, noise_m=0.0).points
+RAYS /= np.linalg.norm(RAYS, axis=1, keepdims=True)
+
+
+def seen(pose, truck=None):
+    """Points in L that an instant of the lidar at a pose returns, and which of them lie on the truck."""
+    boxes = BOXES if truck is None else np.vstack([BOXES, np.concatenate([truck - HALF_M, truck + HALF_M])])
+    directions = RAYS @ pose.rotation().matrix().T
+    distances = cast(np.tile(pose.translation(), (len(RAYS), 1)), directions, boxes)
+    returned = distances < 60.0
+    world = pose.translation() + directions[returned] * distances[returned, None]
+    on_truck = np.zeros(len(world), bool) if truck is None else np.all(np.abs(world - truck) < HALF_M + 0.02, axis=1)
+    return RAYS[returned] * distances[returned, None], on_truck
+
+
+def lidar(at_s):
+    return T_W_L(at_s, slow_rad)
+
+
+def drives(number):
+    """A truck 10 m to the east that drives north with 2 m/s."""
+    return np.array([10.0, -9.0 + 2.0 * STEP_S * number, 1.5])
+
+
+@pytest.fixture(scope="module")
+def passed():
+    """A turning lidar that a truck drives past, and the next sweep."""
+    space = FreeSpace()
+    for number in range(12):
+        at_s = STEP_S * number
+        space.add(seen(lidar(at_s), drives(number))[0], NOTHING, lidar(at_s), at_s)
+    pose = lidar(12 * STEP_S)
+    return space, pose, *seen(pose, drives(12))
+
+
+def test_a_truck_that_drives_by_is_not_of_the_world(passed):
+    space, pose, points, on_truck = passed
+    assert on_truck.sum() > 50
+    assert space.differing(points, pose)[on_truck].mean() > 0.9
+
+
+def test_the_world_beside_it_stays(passed):
+    space, pose, points, on_truck = passed
+    assert space.differing(points, pose)[~on_truck].mean() < 0.01
+
+
+def test_what_the_truck_has_hidden_is_not_used_at_once():
+    space = FreeSpace()
+    space.add(seen(lidar(0.0), drives(10))[0], NOTHING, lidar(0.0), 0.0)
+    bare, _ = seen(lidar(0.0))
+    hidden = space.differing(bare, lidar(0.0))
+    truck = np.concatenate([drives(10) - HALF_M, drives(10) + HALF_M])
+    directions = bare / np.linalg.norm(bare, axis=1, keepdims=True) @ lidar(0.0).rotation().matrix().T
+    behind = (
+        cast(np.tile(lidar(0.0).translation(), (len(bare), 1)), directions, truck[None])
+        < np.linalg.norm(bare, axis=1) - 0.1
+    )
+    assert hidden[behind].mean() > 0.3
+    assert not hidden[~behind].any()
+
+
+def test_who_parks_is_of_the_world_after_the_last_view():
+    space, pose = FreeSpace(), lidar(0.0)
+    points, on_truck = seen(pose, drives(10))
+    space.add(seen(pose)[0], NOTHING, pose, 0.0)
+    assert space.differing(points, pose)[on_truck].mean() > 0.5
+    for number in range(1, AGES[-1] + 1):
+        space.add(points, NOTHING, pose, STEP_S * number)
+    assert not space.differing(points, pose).any()
+
+
+def test_the_ground_that_an_arm_gives_free_has_not_come():
+    space, pose = FreeSpace(), lidar(0.0)
+    points, _ = seen(pose)
+    azimuths = np.arctan2(points[:, 1], points[:, 0])
+    behind_arm = (np.abs(azimuths) < 0.3) & (points[:, 2] < -1.0)
+    arm = points[behind_arm] * (2.0 / np.linalg.norm(points[behind_arm], axis=1, keepdims=True))
+    space.add(points[~behind_arm], arm, pose, 0.0)
+    assert not space.differing(points, pose).any()
+
+
+def test_a_part_of_the_machine_that_no_ray_comes_back_from_hides_the_ground():
+    space, pose = FreeSpace(), lidar(0.0)
+    points, _ = seen(pose)
+    blocked = np.abs(np.arctan2(points[:, 1], points[:, 0])) < 0.3
+    space.add(points[~blocked], NOTHING, pose, 0.0)
+    assert not space.differing(points, pose).any()
+
+
+def test_at_a_wrong_pose_nothing_is_cut():
+    space = FreeSpace()
+    space.add(seen(lidar(0.0))[0], NOTHING, lidar(0.0), 0.0)
+    points, _ = seen(lidar(0.0))
+    lifted = lidar(0.0).compose(gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, 3.0])))
+    assert not space.differing(points, lifted).any()
