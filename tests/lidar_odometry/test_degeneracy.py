@@ -5,6 +5,8 @@ import pytest
 import small_gicp
 
 from holdfast.lidar_odometry.degeneracy import WEAK, Degeneracy, Observability
+from holdfast.lidar_odometry.small_gicp import SmallGicp
+from holdfast.lidar_odometry.sweep import Sweep
 
 STILL = np.eye(4)
 INFORMED = np.diag(np.repeat([1e-6, 1e-4], 3))  # covariance of a registration
@@ -120,3 +122,12 @@ def test_a_gyroscope_guesses_the_rotation_better():
     found = look(field(np.random.default_rng(6)))
     with_one, without = (Degeneracy().guess_covariance(0.2, found, has) for has in (True, False))
     assert with_one[2, 2] < 0.01 * without[2, 2]
+
+
+def test_along_a_tunnel_nothing_is_said_to_have_moved():
+    """The poses are guessed there: the end wall that will correct them would be where nothing was."""
+    odometry, rng = SmallGicp(1), np.random.default_rng(4)
+    for number in range(5):
+        odometry.register(Sweep(10**18 + number * 10**9, "lidar", tunnel(rng), None))
+    odometry.finish()
+    assert len(odometry._free._views) == 1

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from yard import SLEWED_S, START_NS, error, slow_rad, standing, sweep
+from yard import PERIOD_S, SLEWED_S, START_NS, error, slow_rad, standing, sweep
 
 from holdfast.lidar_odometry.registration import METHODS, make_registration
 from holdfast.lidar_odometry.sweep import Sweep
@@ -127,3 +127,12 @@ def test_kiss_icp_deskews_to_the_end_of_the_sweep():
     rng = np.random.default_rng(2)
     swept = sweep(0, rng, standing)
     assert odometry.register(swept).stamp_ns == swept.stamp_ns + round(swept.offsets_s.max() * 1e9)
+
+
+def test_a_lidar_that_drives_already_in_its_first_sweep_is_followed():
+    speed_m_s = np.array([4.0, 0.0, 0.0])
+    odometry, rng = make_registration("small-gicp", 1), np.random.default_rng(6)
+    poses = [odometry.register(sweep(k, rng, standing, velocity=speed_m_s)) for k in range(6)]
+    moved_m = np.diff([pose.T_L0_L[:3, 3] for pose in poses], axis=0)
+    assert np.abs(moved_m[1:] - PERIOD_S * speed_m_s).max() < 0.02
+    assert np.abs(moved_m[0] - PERIOD_S * speed_m_s).max() < 0.04

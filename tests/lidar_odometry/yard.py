@@ -77,13 +77,13 @@ def standing(t):
     return np.zeros_like(np.asarray(t, dtype=float))
 
 
-def T_W_L(t, angle=slewed_rad):
-    """Pose of the lidar at one time."""
+def T_W_L(t, angle=slewed_rad, velocity=(0.0, 0.0, 0.0)):
+    """Pose of the lidar at one time, on a cabin that also drives with a velocity [m/s]."""
     R = gtsam.Rot3.Yaw(float(angle(t)))
-    return gtsam.Pose3(R, R.rotate(ARM))
+    return gtsam.Pose3(R, R.rotate(ARM) + t * np.asarray(velocity))
 
 
-def sweep(number, rng, angle=slewed_rad, *, gyroscope=False, times=True, noise_m=NOISE_M):
+def sweep(number, rng, angle=slewed_rad, *, gyroscope=False, times=True, noise_m=NOISE_M, velocity=(0.0, 0.0, 0.0)):
     """One revolution of the lidar, stamped at its start."""
     start_s = number * PERIOD_S
     offsets_s = np.arange(COLUMNS) / COLUMNS * PERIOD_S
@@ -91,7 +91,7 @@ def sweep(number, rng, angle=slewed_rad, *, gyroscope=False, times=True, noise_m
     elevation = np.radians(np.linspace(25, -45, RINGS))
     level = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(COLUMNS)], axis=1)
     rays = level[:, None] * np.cos(elevation)[:, None] + np.sin(elevation)[:, None] * np.array([0.0, 0.0, 1.0])
-    poses = [T_W_L(start_s + offset_s, angle) for offset_s in offsets_s]
+    poses = [T_W_L(start_s + offset_s, angle, velocity) for offset_s in offsets_s]
     turned = np.einsum("cij,crj->cri", [pose.rotation().matrix() for pose in poses], rays)
     origins = np.repeat([pose.translation() for pose in poses], RINGS, axis=0)
     distance = cast(origins, turned.reshape(-1, 3))

@@ -15,7 +15,7 @@ from typing import Self
 import gtsam
 import numpy as np
 
-from holdfast.lidar_odometry.deskew import Moving, Rates
+from holdfast.lidar_odometry.deskew import STILL, Moving, Rates
 from holdfast.messages import Array
 
 P, V, G, B = (slice(3 * k, 3 * k + 3) for k in range(4))
@@ -60,12 +60,12 @@ class MotionFilter:
         sigmas = np.repeat([0.0, SPEED_M_S, 0.0, BIAS_M_S2], 3)
         return cls(np.zeros(12), np.diag(sigmas**2))
 
-    def placed(self, T_L0_L: gtsam.Pose3, rates: Rates) -> Self:
-        """Return the filter at a pose that follows from none before: nothing is known of the velocity."""
+    def placed(self, T_L0_L: gtsam.Pose3, rates: Rates, velocity: Array = STILL) -> Self:
+        """Return the filter at a pose that follows from none before, with a guess of the velocity (3,) in L0 [m/s]."""
         mean, covariance = self.mean.copy(), self.covariance.copy()
         covariance[:6], covariance[:, :6] = 0.0, 0.0
         covariance[V, V] = SPEED_M_S**2 * EYE
-        mean[P], mean[V] = _position(T_L0_L, rates), 0.0
+        mean[P], mean[V] = _position(T_L0_L, rates), velocity
         fresh = replace(self, mean=mean, covariance=covariance, has_gravity=False, lever=rates.lever)
         return fresh if rates.forces is None else fresh._with_gravity(T_L0_L, rates)
 
@@ -137,6 +137,11 @@ class MotionFilter:
         R = T_L0_L.rotation().matrix()
         velocity = R.T @ self.mean[V]
         return Moving(velocity) if rates.forces is None else Moving(velocity, R.T @ self.mean[G] - self.mean[B])
+
+    def faster_than(self, other: Self) -> Array:
+        """Return by how much (3,) the velocity in L0 differs from that of another filter [m/s]."""
+        difference: Array = self.mean[V] - other.mean[V]
+        return difference
 
     def _struck(self, innovation: Array) -> Self:
         """Return the filter of a machine whose velocity has changed in a way that explains an innovation (3,) [m].

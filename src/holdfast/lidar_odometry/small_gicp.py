@@ -14,7 +14,7 @@ import numpy as np
 import small_gicp
 
 from holdfast.lidar_odometry.degeneracy import GYROSCOPE_RAD_S, Degeneracy, Observability
-from holdfast.lidar_odometry.deskew import Moving, Rates, deskew
+from holdfast.lidar_odometry.deskew import STILL, Moving, Rates, deskew
 from holdfast.lidar_odometry.free_space import FreeSpace
 from holdfast.lidar_odometry.motion_filter import MotionFilter
 from holdfast.lidar_odometry.registration import Registered, Registration
@@ -27,6 +27,7 @@ COARSE = 2.0  # times that resolution is the first pass where nothing measures t
 DESKEWED_M = 0.01  # a velocity that errs by so much over half a sweep is worth a second pass
 NEIGHBOURS = 10
 PARTNER_M = 1.0
+FASTEST_M = 3.0  # between the first two sweeps: 15 m/s at 5 Hz
 EPSILON_RAD, EPSILON_M = 1e-4, 1e-3  # a third of what scans are known by against each other
 MEMORY_SWEEPS = 3000  # ten minutes at 5 Hz: a machine that returns finds its map
 # neighbouring points have the error of their voxel in common, which H takes for independent: on two ray-cast sites
@@ -40,13 +41,43 @@ NEVER_NS = -(1 << 62)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Unmapped:
-    """A sweep that has a pose and is not yet in the map: its thinned cloud, all its points, those on the machine."""
+    """A sweep that has a pose and is not yet in the map.
+
+    Attributes:
+        cloud: of the world that stays, thinned.
+        points: (N, 3) all of the world.
+        own: (M, 3) on the machine.
+        unheld: number of directions in which its pose is guessed.
+    """
 
     cloud: small_gicp.PointCloud
     points: Array
     own: Array
     T_L0_L: gtsam.Pose3
     at_ns: int
+    unheld: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _First:
+    """The first sweep of a map: the velocity is not known, so that the next one must be looked for."""
+
+    sweep: Sweep
+    cloud: small_gicp.PointCloud
+    tree: small_gicp.KdTree
+    T_L0_L: gtsam.Pose3
+
+    def pose_of(self, cloud: small_gicp.PointCloud, guess: gtsam.Pose3, threads: int) -> gtsam.Pose3:
+        """Return where the next sweep was: its points meet the nearest ones, not only those of their voxel."""
+        result = small_gicp.align(
+            self.cloud,
+            cloud,
+            self.tree,
+            self.T_L0_L.between(guess).matrix(),
+            max_correspondence_distance=FASTEST_M,
+            num_threads=threads,
+        )
+        return self.T_L0_L.compose(gtsam.Pose3(result.T_target_source))
 
 
 class SmallGicp(Registration):
@@ -74,6 +105,7 @@ class SmallGicp(Registration):
         self._map = small_gicp.GaussianVoxelMap(map_voxel_m)
         self._free = FreeSpace()
         self._unmapped: _Unmapped | None = None
+        self._first: _First | None = None  # of the map, until a second one shows the velocity
         self._degeneracy = Degeneracy()
         self._found: Observability | None = None  # of the sweep before; the coarse pass is too coarse to tell
 
@@ -85,23 +117,25 @@ class SmallGicp(Registration):
         interval_s = (at_ns - self._at_ns) * 1e-9
         if interval_s > MAX_GAP_S:
             self._angular = np.zeros(3)
-            return self._begin(sweep, at_s, self._T_L0_L)
+            return self._begin(sweep, self._T_L0_L)
         rates = self._rates(sweep)
         predicted, guess = self._motion.predicted(self._T_L0_L, rates, at_s - interval_s, at_s)
         guessed = BLIND if sweep.rates is None else predicted.covariance_of(guess, GYROSCOPE_RAD_S * interval_s)
         expected = self._T_L0_L.between(guess)
         way = gtsam.Pose3.Logmap(expected)
         T_L0_L, motion, is_guided, found = guess, predicted, sweep.rates is not None, None
+        first, self._first = self._first, None
         for resolution_m in (
             [self._scan_voxel_m] * 2 if is_guided else [COARSE * self._scan_voxel_m, self._scan_voxel_m]
         ):
             deskewed_by = motion.moving(T_L0_L, rates)
             points = self._deskewed(sweep, at_s, deskewed_by)
             is_coarse = resolution_m > self._scan_voxel_m
-            cloud, tree = self._cloud(points, resolution_m, None if is_coarse else T_L0_L)
-            result = self._align(cloud, T_L0_L)
+            is_known = not is_coarse and first is None
+            cloud, tree = self._cloud(points, resolution_m, T_L0_L if is_known else None)
+            result = self._align(cloud, T_L0_L if first is None else first.pose_of(cloud, T_L0_L, self._threads))
             if result.num_inliers < LOST_INLIER_FRACTION * cloud.size():
-                return self._begin(sweep, at_s, T_L0_L)
+                return self._begin(sweep, T_L0_L)
             if not is_coarse and found is None:
                 found = self._degeneracy.look(_points(cloud), tree, expected.matrix())
             known = found or self._found  # the coarse pass is too coarse to tell
@@ -120,9 +154,12 @@ class SmallGicp(Registration):
             if is_guided and np.linalg.norm(corrected_by) * sweep.half_s < DESKEWED_M:
                 break
             rates = self._rates(sweep)
-        self._unmapped = _Unmapped(cloud, points, sweep.own, T_L0_L, at_ns)
-        self._at_ns, self._T_L0_L, self._motion = at_ns, T_L0_L, motion
+        missed = motion.faster_than(predicted)
+        if first is not None and np.linalg.norm(missed) * first.sweep.half_s > DESKEWED_M:
+            return self._begin_again(first.sweep, missed, sweep)
         assert found is not None
+        self._unmapped = _Unmapped(cloud, points, sweep.own, T_L0_L, at_ns, found.unheld)
+        self._at_ns, self._T_L0_L, self._motion = at_ns, T_L0_L, motion
         self._found = found
         gone_on = self._degeneracy.guess_covariance(interval_s, found, is_guided)
         claimed = found.covariance(covariance(result), gone_on, found.joined(found.doubted(way), guessed))
@@ -133,22 +170,32 @@ class SmallGicp(Registration):
         if self._unmapped is not None:
             last, self._unmapped = self._unmapped, None
             self._map.insert(last.cloud, last.T_L0_L.matrix())
+            if last.unheld:  # how the lidar has moved since what it saw before is a guess
+                self._free = FreeSpace()
             self._free.add(last.points, last.own, last.T_L0_L, last.at_ns * 1e-9)
 
-    def _begin(self, sweep: Sweep, at_s: float, T_L0_L: gtsam.Pose3) -> Registered:
+    def _begin(self, sweep: Sweep, T_L0_L: gtsam.Pose3, velocity: Array = STILL) -> Registered:
+        """Begin a map with a sweep at a pose, deskewed with a velocity (3,) in L0 [m/s]."""
+        at_s = sweep.middle_s
         at_ns, restarted = sweep.stamp_ns + round(at_s * 1e9), self._at_ns > NEVER_NS
         self._map = small_gicp.GaussianVoxelMap(self._map_voxel_m)
         self._map.set_lru(MEMORY_SWEEPS, 100)
         rates = self._rates(sweep)
-        self._motion = self._motion.placed(T_L0_L, rates)
+        self._motion = self._motion.placed(T_L0_L, rates, velocity)
         points = self._deskewed(sweep, at_s, self._motion.moving(T_L0_L, rates))
         cloud, tree = self._cloud(points, self._scan_voxel_m, None)
         self._free = FreeSpace()
         self._unmapped = _Unmapped(cloud, points, sweep.own, T_L0_L, at_ns)
         self._degeneracy, self._found = Degeneracy(), None
         self._degeneracy.look(_points(cloud), tree, np.eye(4))
-        self._at_ns, self._T_L0_L = at_ns, T_L0_L
+        self._at_ns, self._T_L0_L, self._first = at_ns, T_L0_L, _First(sweep, cloud, tree, T_L0_L)
         return Registered(at_ns, T_L0_L.matrix(), restarted=restarted)
+
+    def _begin_again(self, first: Sweep, velocity: Array, second: Sweep) -> Registered:
+        """Begin with a sweep that was deskewed as at rest and, as the next one shows, was not."""
+        self._begin(first, self._T_L0_L, velocity)
+        self._first = None
+        return self.register(second)
 
     def _rates(self, sweep: Sweep) -> Rates:
         return sweep.rates or Rates.constant(self._angular)
