@@ -51,7 +51,7 @@ def test_claims_that_tell_no_directions_apart_add_nothing(claim):
 
 def test_the_configuration_may_take_every_claim_or_none():
     always, never = (CONFIG.model_copy(update={"covariance": value}) for value in ("always", "never"))
-    np.testing.assert_allclose(claimed_excess(np.eye(6), always), np.eye(6))
+    np.testing.assert_allclose(claimed_excess(1e-4 * np.eye(6), always), 1e-4 * np.eye(6))
     assert claimed_excess(along_x(), never) is None
 
 
@@ -64,3 +64,9 @@ def test_the_claim_is_brought_from_the_axes_of_the_message_to_the_imu():
     quaternion = np.array([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
     pose = model.convert(SensorPose(1, 1, "lidar", np.zeros(3), quaternion, claim), World())
     np.testing.assert_allclose(pose.excess, np.diag([0, 0, 0, 0, 4.0, 0]), atol=1e-9)
+
+
+def test_a_claim_is_not_larger_than_what_leaves_the_optimiser_its_digits():
+    claim = np.diag(SMALL)
+    claim[3, 3] = 25.0**2
+    assert claimed_excess(claim, CONFIG)[3, 3] == pytest.approx(1e5 * CONFIG.translation_sigma_m**2)

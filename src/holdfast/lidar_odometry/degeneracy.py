@@ -10,6 +10,7 @@ in the place of their threshold).
 """
 
 from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 import small_gicp
@@ -17,7 +18,9 @@ import small_gicp
 from holdfast.messages import Array
 
 UNHELD = 3.0  # it is 0 to 3 along smooth walls, 3 to 8 in a wood, 6 to 50 on a site or a yard with three containers
-HELD_AGAIN = 5.0  # what was lost is held again from here on
+HELD_AGAIN = (
+    5.0  # what was lost is held again from here on, if two sweeps say so: one of hundreds says it of a smooth wall
+)
 WEAK = 15.0  # below, thick planes pull so much that the motion is in doubt
 LEVER_M = 10.0  # a direction that moves the lidar less than points at this distance is one of its attitude
 SAMPLES = 2000
@@ -61,6 +64,10 @@ class Observability:
         axes: Array = np.linalg.qr(shifts[:, moves & (self.ratios < self.least)])[0]
         return axes
 
+    def with_unheld(self, count: int) -> Self:
+        """Return the same with so many directions not held."""
+        return replace(self, least=float(np.append(self.ratios, np.inf)[count]))
+
     def doubted(self, motion: Array) -> Array:
         """Return the sigmas (6,) of what thick planes pull by along the directions, towards no motion.
 
@@ -88,17 +95,22 @@ class Observability:
     def covariance(self, registered: Array, unheld: Array, doubted: Array) -> Array:
         """Return the covariance (6, 6) of a pose: that of the registration, more where it is in doubt or holds nothing.
 
+        Rotation and translation that are not held are taken for independent. A direction along a tunnel turns the lidar
+        by a milliradian a metre, too, by chance: claimed, that would be information, since a gyroscope knows the turn.
+
         Args:
             registered: (6, 6) covariance of the registration.
             unheld: (6, 6) covariance in directions that it does not hold.
             doubted: (6,) sigmas along the others.
         """
-        if self.ratios[0] >= WEAK:
+        if self.ratios[0] >= max(WEAK, self.least):
             return registered
         held = self.ratios >= self.least
         V, D, W = self.directions[:, held], self.directions[:, ~held], self.duals[:, ~held]
         inner = np.linalg.inv(V.T @ np.linalg.solve(registered, V)) + np.diag(doubted[held] ** 2)
-        covariance: Array = V @ inner @ V.T + D @ (W.T @ unheld @ W) @ D.T
+        guessed = D @ (W.T @ unheld @ W) @ D.T
+        guessed[:3, 3:] = guessed[3:, :3] = 0.0
+        covariance: Array = V @ inner @ V.T + guessed
         return (covariance + covariance.T) / 2.0
 
     def joined(self, doubted: Array, guess: Array) -> Array:
@@ -123,6 +135,7 @@ class Degeneracy:
 
     unheld_s: float = 0.0
     _before: small_gicp.KdTree | None = field(default=None, repr=False)
+    _loose: int = 0  # directions of the sweep before that would not be held again
 
     def look(self, points: Array, tree: small_gicp.KdTree, motion: Array) -> Observability:
         """Return what a sweep holds, of the points near which there was one in the sweep before.
@@ -138,7 +151,8 @@ class Degeneracy:
             there = sampled @ motion[:3, :3].T + motion[:3, 3]
             sampled = sampled[before.batch_knn_search(there, 1)[1][:, 0] < PARTNER_M**2]
         found = observability(sampled, points[tree.batch_knn_search(sampled, NEIGHBOURS)[0]])
-        return replace(found, least=HELD_AGAIN) if self.unheld_s > 0.0 else found
+        loose, self._loose = self._loose, int((found.ratios < HELD_AGAIN).sum())
+        return found.with_unheld(max(loose, self._loose)) if self.unheld_s > 0.0 else found
 
     def guess_covariance(self, interval_s: float, found: Observability, has_gyroscope: bool) -> Array:
         """Return the covariance (6, 6) of the guessed motion over an interval, and count how long it goes on.
