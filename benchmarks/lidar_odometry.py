@@ -135,7 +135,7 @@ def line(folder: Path, title: str, track: Trajectory, times_ms: np.ndarray) -> s
     cells = [
         folder.name,
         title,
-        f"{e['drift_percent']:.2f} %",
+        f"{e['drift_percent']:.3f} %",
         f"{e['end_m']:.3f} m = {e['end_percent']:.2f} %",
         f"{e['slew_rms_deg']:.3f} deg",
         f"{e['slew_worst_deg']:.3f} deg",

@@ -3,8 +3,8 @@
 A flat site holds a registration by little, so a truck that drives by pulls it along: its front lies where the truck
 itself was seen the sweep before, and so does its rear. But a moment ago a ray went through where the front is now; and
 the rear is where the truck hid the world. So each point is looked for in range images of some seconds: nearer than
-all that was seen around that direction, it has come; farther than all, it was hidden. Neither is used. What
-stays is a second later seen as it was before, so that the map gets it then.
+all that was seen around that direction, it has come; farther than all, it was hidden. Neither is used. What stays is
+there in every image some seconds later, and the map gets it then.
 """
 
 from collections import deque
