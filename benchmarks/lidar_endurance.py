@@ -11,6 +11,7 @@ by more than a quarter. Times depend on what else the machine does: lower quarti
 import argparse
 import os
 import sys
+from collections import deque
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -54,12 +55,10 @@ def rows(folder: Path, row_minutes: float) -> Iterator[tuple[float, ...]]:
                     odometry.add_sample(DECODE_IMU(message, arrival_ns))
                     continue
                 odometry.add_scan(point_cloud(stamp_ns(message), arrival_ns, "", message))
-                if arrival_ns < next_ns:
-                    for _ in odometry.due(arrival_ns - 10**9):
-                        pass
+                is_row = arrival_ns >= next_ns
+                deque(odometry.due(None if is_row else arrival_ns - 10**9), maxlen=0)
+                if not is_row:
                     continue
-                for _ in odometry.due():
-                    pass
                 assert odometry.pid is not None
                 took_ms, cpu_s = odometry.account.took_ms[since:], processor_s(odometry.pid)
                 yield (

@@ -128,6 +128,6 @@ def test_along_a_tunnel_nothing_is_said_to_have_moved():
     """The poses are guessed there: the end wall that will correct them would be where nothing was."""
     odometry, rng = SmallGicp(1), np.random.default_rng(4)
     for number in range(5):
-        odometry.register(Sweep(10**18 + number * 10**9, "lidar", tunnel(rng), None))
+        odometry.register(Sweep(10**18 + number * 400_000_000, "lidar", tunnel(rng), None))
     odometry.finish()
     assert len(odometry._free._views) == 1

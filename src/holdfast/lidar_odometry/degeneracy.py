@@ -18,9 +18,7 @@ import small_gicp
 from holdfast.messages import Array
 
 UNHELD = 3.0  # it is 0 to 3 along smooth walls, 3 to 8 in a wood, 6 to 50 on a site or a yard with three containers
-HELD_AGAIN = (
-    5.0  # what was lost is held again from here on, if two sweeps say so: one of hundreds says it of a smooth wall
-)
+HELD_AGAIN = 5.0  # what was lost is held from here on, if two sweeps say so: one of hundreds says it of a smooth wall
 WEAK = 15.0  # below, thick planes pull so much that the motion is in doubt
 LEVER_M = 10.0  # a direction that moves the lidar less than points at this distance is one of its attitude
 SAMPLES = 2000

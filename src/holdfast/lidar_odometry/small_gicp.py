@@ -154,9 +154,10 @@ class SmallGicp(Registration):
             if is_guided and np.linalg.norm(corrected_by) * sweep.half_s < DESKEWED_M:
                 break
             rates = self._rates(sweep)
-        missed = motion.faster_than(predicted)
-        if first is not None and np.linalg.norm(missed) * first.sweep.half_s > DESKEWED_M:
-            return self._begin_again(first.sweep, missed, sweep)
+        if first is not None:
+            missed = motion.faster_than(predicted)
+            if np.linalg.norm(missed) * first.sweep.half_s > DESKEWED_M:
+                return self._begin_again(first.sweep, missed, sweep)
         assert found is not None
         self._unmapped = _Unmapped(cloud, points, sweep.own, T_L0_L, at_ns, found.unheld)
         self._at_ns, self._T_L0_L, self._motion = at_ns, T_L0_L, motion
@@ -210,7 +211,7 @@ class SmallGicp(Registration):
         self, points: Array, resolution_m: float, T_L0_L: gtsam.Pose3 | None
     ) -> tuple[small_gicp.PointCloud, small_gicp.KdTree]:
         """Return points thinned, with a plane around each, and their tree; at a pose without what differs there."""
-        thinned = small_gicp.voxelgrid_sampling(points, resolution_m)
+        thinned = small_gicp.voxelgrid_sampling(points, resolution_m, self._threads)
         if T_L0_L is not None:
             kept = _points(thinned)
             thinned = small_gicp.PointCloud(kept[~self._free.differing(kept, T_L0_L)])

@@ -25,7 +25,7 @@ def claimed_excess(claim: Array | None, config: DriftingConfig) -> Array | None:
 
     Args:
         claim: (6, 6) of the motion since the pose before in the tangent of L, rotation first; or None.
-        config: `covariance` is `never`, `directions` or `always`, which adds the whole claim.
+        config: `covariance` is `never`, `directions` or `always`, which adds the whole claim; all up to MOST.
     """
     if claim is None or config.covariance == "never" or not np.isfinite(claim).all():
         return None
