@@ -3,7 +3,7 @@
 import gtsam
 import numpy as np
 import pytest
-from yard import T_W_L, slow_rad, standing, sweep
+from yard import ELEVATIONS_DEG, T_W_L, slow_rad, standing, sweep
 
 from holdfast.lidar_odometry.machine_mask import MachineMask
 from holdfast.lidar_odometry.masked import Masked, Masking, boxes_of
@@ -26,20 +26,42 @@ def hidden(points):
     return (rays @ towards.T).max(axis=1) > 0.9995
 
 
-@pytest.fixture(scope="module")
-def taught():
+def taught_by(elevations_deg, of_machine=lambda points: points):
     """A mask after a quarter of a turn, and the yard as it was then without the machine."""
     mask = MachineMask()
     for number in range(TURN):
         at_s = number * 0.2
-        world = sweep(number, rng, lambda t, at_s=at_s: np.full_like(t, slow_rad(at_s), dtype=float)).points
-        points = np.concatenate([world[~hidden(world)], HOOD, boom(number)])
-        mask.learn(points, T_W_L(at_s, slow_rad))
+
+        def stands(t, at_s=at_s):
+            return np.full_like(t, slow_rad(at_s), dtype=float)
+
+        world = sweep(number, rng, stands, elevations_deg=elevations_deg).points
+        machine = of_machine(np.concatenate([HOOD, boom(number)]))
+        mask.learn(np.concatenate([world[~hidden(world)], machine]), T_W_L(at_s, slow_rad))
     return mask, world
+
+
+@pytest.fixture(scope="module")
+def taught():
+    return taught_by(ELEVATIONS_DEG)
 
 
 def test_what_turns_with_the_lidar_is_the_machine(taught):
     assert taught[0].covers(HOOD).mean() > 0.9
+
+
+@pytest.mark.parametrize("rings", [18, 9])
+def test_a_lidar_with_few_rings_learns_the_machine_and_keeps_the_world(rings):
+    elevations_deg = np.linspace(25.0, -45.0, rings)
+
+    def on_rings(points):
+        level, ring = np.hypot(points[:, 0], points[:, 1]), np.radians(elevations_deg)
+        nearest = ring[np.abs(np.arctan2(points[:, 2], level)[:, None] - ring).argmin(axis=1)]
+        return np.column_stack([points[:, :2], level * np.tan(nearest)])
+
+    mask, world = taught_by(elevations_deg, on_rings)
+    assert mask.covers(on_rings(HOOD)).mean() > 0.9
+    assert mask.covers(world).mean() < 0.01
 
 
 def test_all_that_the_arm_sweeps_is_the_machine(taught):

@@ -12,7 +12,8 @@ from holdfast.lidar_odometry.sweep import Sweep
 
 START_NS = 1_700_000_000_000_000_000
 PERIOD_S = 0.2
-COLUMNS, RINGS = 256, 36
+COLUMNS = 256
+ELEVATIONS_DEG = np.linspace(25.0, -45.0, 36)
 ARM = np.array([0.8, 0.3, 3.0])
 RATE_RAD_S, ACCELERATION_RAD_S2 = 0.6, 0.6
 NOISE_M = 0.02
@@ -83,17 +84,27 @@ def T_W_L(t, angle=slewed_rad, velocity=(0.0, 0.0, 0.0)):
     return gtsam.Pose3(R, R.rotate(ARM) + t * np.asarray(velocity))
 
 
-def sweep(number, rng, angle=slewed_rad, *, gyroscope=False, times=True, noise_m=NOISE_M, velocity=(0.0, 0.0, 0.0)):
+def sweep(
+    number,
+    rng,
+    angle=slewed_rad,
+    *,
+    gyroscope=False,
+    times=True,
+    noise_m=NOISE_M,
+    velocity=(0.0, 0.0, 0.0),
+    elevations_deg=ELEVATIONS_DEG,
+):
     """One revolution of the lidar, stamped at its start."""
     start_s = number * PERIOD_S
     offsets_s = np.arange(COLUMNS) / COLUMNS * PERIOD_S
     azimuth = np.pi - 2 * np.pi * np.arange(COLUMNS) / COLUMNS
-    elevation = np.radians(np.linspace(25, -45, RINGS))
+    elevation = np.radians(elevations_deg)
     level = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(COLUMNS)], axis=1)
     rays = level[:, None] * np.cos(elevation)[:, None] + np.sin(elevation)[:, None] * np.array([0.0, 0.0, 1.0])
     poses = [T_W_L(start_s + offset_s, angle, velocity) for offset_s in offsets_s]
     turned = np.einsum("cij,crj->cri", [pose.rotation().matrix() for pose in poses], rays)
-    origins = np.repeat([pose.translation() for pose in poses], RINGS, axis=0)
+    origins = np.repeat([pose.translation() for pose in poses], len(elevation), axis=0)
     distance = cast(origins, turned.reshape(-1, 3))
     seen = np.isfinite(distance)
     distance = distance[seen] + noise_m * rng.standard_normal(int(seen.sum()))
@@ -107,7 +118,7 @@ def sweep(number, rng, angle=slewed_rad, *, gyroscope=False, times=True, noise_m
         START_NS + round(start_s * 1e9),
         "lidar",
         rays.reshape(-1, 3)[seen] * distance[:, None],
-        np.repeat(offsets_s, RINGS)[seen] if times else None,
+        np.repeat(offsets_s, len(elevation))[seen] if times else None,
         rates,
     )
 

@@ -15,7 +15,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from holdfast.lidar_odometry.range_image import BINS, ROWS, lengths, pixels, with_neighbours
+from holdfast.lidar_odometry.range_image import BINS, ROWS, Rays, lengths, pixels, with_neighbours
 from holdfast.messages import Array
 
 SPACING_S = 0.35  # between images: every second sweep at 5 Hz
@@ -48,7 +48,7 @@ class FreeSpace:
 
     def __init__(self) -> None:
         self._views: deque[_View] = deque(maxlen=AGES[-1])
-        self._lowest, self._highest = ROWS, 0  # rows that the lidar has rays in
+        self._rays = Rays()
 
     def differing(self, points: Array, T_L0_L: gtsam.Pose3) -> NDArray[np.bool_]:
         """Return which points (N, 3) of a sweep [m], in L at a pose, were not there to be seen a moment ago."""
@@ -86,8 +86,9 @@ class FreeSpace:
         np.maximum.at(farthest, at, distances)
         # no return is the sky, where the lidar has rays; but a part of the machine that is too near for it hides
         # the ground below as well
-        self._lowest, self._highest = min(self._lowest, at[0].min()), max(self._highest, at[0].max())
-        nearest[: self._lowest], nearest[self._highest + 1 :] = 0.0, 0.0
+        self._rays.add(at[0])
+        nearest = self._rays.between(nearest, np.minimum, beyond=0.0)
+        farthest = self._rays.between(farthest, np.maximum, beyond=0.0)
         widened = with_neighbours(farthest, np.maximum)
         nearest[~np.logical_or.accumulate(widened > 0.0, axis=0)] = 0.0
         farthest = np.where(widened > 0.0, widened, SINGLE(np.inf))

@@ -15,7 +15,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from holdfast.lidar_odometry.range_image import BINS, ROWS, lengths, pixels, with_neighbours
+from holdfast.lidar_odometry.range_image import BINS, ROWS, Rays, lengths, pixels, with_neighbours
 from holdfast.messages import Array
 
 REACH_M = 10.0  # beyond it nothing is the machine's
@@ -55,7 +55,7 @@ class MachineMask:
         self._gone = np.zeros(CELLS**3, dtype=np.float32)
         self._stood = np.zeros(CELLS**3, dtype=np.float32)
         self._masked = np.zeros(CELLS**3, dtype=np.bool_)
-        self._rows = np.zeros(ROWS, dtype=np.bool_)  # elevations at which the lidar has rays
+        self._rays = Rays()
         self._places: deque[_Place] = deque(maxlen=PLACES)
 
     def covers(self, points: Array) -> NDArray[np.bool_]:
@@ -80,7 +80,7 @@ class MachineMask:
         """Take in all points (N, 3) of a sweep [m], also those that are covered, and where the lidar was."""
         if not self.is_due(T_L0_L):
             return
-        image = _range_image(points, self._rows)
+        image = _range_image(points, self._rays)
         if self._places:
             self._vote(T_L0_L, image)
         near = points[_is_near(points)]
@@ -135,15 +135,14 @@ def _grown(machine: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return grown.ravel()
 
 
-def _range_image(points: Array, rows: NDArray[np.bool_]) -> Array:
-    """Return (ROWS, BINS) the nearest return in a direction and around it [m].
+def _range_image(points: Array, rays: Rays) -> Array:
+    """Return (ROWS, BINS) the nearest return in a direction and around it [m]; `rays` is completed by what is seen.
 
-    Where no ray came back it is infinite, as before the sky; where the lidar has no rays, by what was seen so far, it
-    is zero, so that nothing is decided there. `rows` is completed by the elevations that are seen.
+    Where no ray came back it is infinite, as before the sky; above and below all rays it is zero, so that nothing is
+    decided there.
     """
     image = np.full((ROWS, BINS), np.inf)
     at = pixels(points)
     np.minimum.at(image, at, lengths(points))
-    rows[np.unique(at[0])] = True
-    image[~rows] = 0.0
-    return with_neighbours(image, np.minimum)
+    rays.add(at[0])
+    return with_neighbours(rays.between(image, np.minimum, beyond=0.0), np.minimum)

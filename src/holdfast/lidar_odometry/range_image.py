@@ -8,6 +8,32 @@ from numpy.typing import NDArray
 BINS, ROWS = 360, 90  # in azimuth, and in elevation from the nadir up
 
 
+class Rays:
+    """At which elevations a lidar has rays, by what it has seen so far."""
+
+    def __init__(self) -> None:
+        self._seen = np.zeros(ROWS, dtype=np.bool_)
+
+    def add(self, rows: NDArray[np.intp]) -> None:
+        """Take in the rows (N,) of points."""
+        self._seen[rows] = True
+
+    def between(self, image: NDArray[Any], extreme: np.ufunc, beyond: float) -> NDArray[Any]:
+        """Return an image (ROWS, BINS) in which rows without rays have the extreme of the rings above and below.
+
+        Args:
+            image: what the rays found.
+            extreme: np.minimum or np.maximum.
+            beyond: the value below the lowest ring and above the highest.
+        """
+        rings, rows = np.flatnonzero(self._seen), np.arange(ROWS)
+        below = rings[np.maximum(np.searchsorted(rings, rows, side="right") - 1, 0)]
+        above = rings[np.minimum(np.searchsorted(rings, rows), len(rings) - 1)]
+        filled = extreme(image[below], image[above])
+        filled[: rings[0]] = filled[rings[-1] + 1 :] = beyond
+        return np.asarray(filled)
+
+
 def lengths(points: NDArray[Any]) -> NDArray[Any]:
     """Return the lengths (N,) of vectors (N, 3)."""
     return np.asarray(np.sqrt(np.einsum("ni,ni->n", points, points)))

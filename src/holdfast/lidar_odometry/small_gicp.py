@@ -17,6 +17,7 @@ from holdfast.lidar_odometry.degeneracy import GYROSCOPE_RAD_S, Degeneracy, Obse
 from holdfast.lidar_odometry.deskew import STILL, Moving, Rates, deskew
 from holdfast.lidar_odometry.free_space import FreeSpace
 from holdfast.lidar_odometry.motion_filter import MotionFilter
+from holdfast.lidar_odometry.planes import estimate_planes
 from holdfast.lidar_odometry.registration import Registered, Registration
 from holdfast.lidar_odometry.sweep import Sweep
 from holdfast.messages import Array
@@ -25,7 +26,6 @@ VOXEL_M = 0.5
 RESOLUTION_M = 0.35
 COARSE = 2.0  # times that resolution is the first pass where nothing measures the rotation: it finds the motion
 DESKEWED_M = 0.01  # a velocity that errs by so much over half a sweep is worth a second pass
-NEIGHBOURS = 10
 PARTNER_M = 1.0
 FASTEST_M = 3.0  # between the first two sweeps: 15 m/s at 5 Hz
 EPSILON_RAD, EPSILON_M = 1e-4, 1e-3  # a third of what scans are known by against each other
@@ -216,7 +216,7 @@ class SmallGicp(Registration):
             kept = _points(thinned)
             thinned = small_gicp.PointCloud(kept[~self._free.differing(kept, T_L0_L)])
         tree = small_gicp.KdTree(thinned, self._threads)
-        small_gicp.estimate_covariances(thinned, tree, NEIGHBOURS, self._threads)
+        estimate_planes(thinned, tree, self._threads)
         return thinned, tree
 
     def _align(self, cloud: small_gicp.PointCloud, guess: gtsam.Pose3) -> small_gicp.RegistrationResult:
