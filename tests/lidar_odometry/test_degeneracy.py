@@ -5,6 +5,7 @@ import pytest
 import small_gicp
 
 from holdfast.lidar_odometry.degeneracy import WEAK, Degeneracy, Observability
+from holdfast.lidar_odometry.planes import Planes
 from holdfast.lidar_odometry.small_gicp import SmallGicp
 from holdfast.lidar_odometry.sweep import Sweep
 
@@ -40,7 +41,7 @@ NO_DOUBT = np.zeros(6)
 
 
 def look(points, motion=STILL, by=None):
-    return (by or Degeneracy()).look(points, small_gicp.KdTree(points), motion)
+    return (by or Degeneracy()).look(Planes.around(small_gicp.PointCloud(points), 1), motion)
 
 
 @pytest.mark.parametrize("seed", range(5))

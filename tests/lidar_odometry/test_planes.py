@@ -7,23 +7,22 @@ from yard import ELEVATIONS_DEG, standing, sweep
 pytest.importorskip("small_gicp")
 import small_gicp
 
-from holdfast.lidar_odometry.planes import SPARSE, estimate_planes, share_on_lines
+from holdfast.lidar_odometry.planes import SPARSE, Planes, points_of, share_on_lines
 
 FEW_DEG = np.linspace(15.0, -15.0, 16)
 SPACING_M = 0.35
 
 
 def thinned(elevations_deg, noise_m=0.02):
-    """A sweep of the yard, thinned, and its tree."""
+    """A sweep of the yard, thinned."""
     rng = np.random.default_rng(5)
     points = sweep(0, rng, standing, times=False, noise_m=noise_m, elevations_deg=elevations_deg).points
-    cloud = small_gicp.voxelgrid_sampling(points, SPACING_M)
-    return cloud, small_gicp.KdTree(cloud)
+    return small_gicp.voxelgrid_sampling(points, SPACING_M)
 
 
 def tilts_of_ground(cloud):
     """Angles (N,) of the planes around points on the bare ground to it [rad]."""
-    points = np.asarray(cloud.points())[:, :3]
+    points = points_of(cloud)
     on_ground = np.flatnonzero((points[:, 2] < -2.9) & (np.hypot(points[:, 0], points[:, 1]) < 16.0))
     normals = np.array([np.linalg.eigh(cloud.cov(k)[:3, :3])[1][:, 0] for k in on_ground])
     return np.arccos(np.clip(np.abs(normals[:, 2]), 0.0, 1.0))
@@ -31,18 +30,16 @@ def tilts_of_ground(cloud):
 
 @pytest.mark.parametrize(("elevations_deg", "are_few"), [(ELEVATIONS_DEG, False), (FEW_DEG, True)])
 def test_few_rings_are_told_from_many(elevations_deg, are_few):
-    cloud, tree = thinned(elevations_deg)
-    assert (share_on_lines(np.asarray(cloud.points())[:, :3], tree) > SPARSE) == are_few
+    cloud = thinned(elevations_deg)
+    assert (share_on_lines(points_of(cloud), small_gicp.KdTree(cloud)) > SPARSE) == are_few
 
 
 @pytest.mark.parametrize("elevations_deg", [ELEVATIONS_DEG, FEW_DEG])
 def test_planes_lie_on_the_ground(elevations_deg):
-    cloud, tree = thinned(elevations_deg)
-    estimate_planes(cloud, tree, 1)
-    assert np.median(tilts_of_ground(cloud)) < 0.01
+    planes = Planes.around(thinned(elevations_deg), 1)
+    assert np.median(tilts_of_ground(planes.cloud)) < 0.01
 
 
 def test_a_sweep_of_fewer_points_than_neighbours_has_planes_too():
-    cloud = small_gicp.PointCloud(np.random.default_rng(2).uniform(-5.0, 5.0, (8, 3)))
-    estimate_planes(cloud, small_gicp.KdTree(cloud), 1)
-    assert np.isfinite(cloud.covs()).all()
+    planes = Planes.around(small_gicp.PointCloud(np.random.default_rng(2).uniform(-5.0, 5.0, (8, 3))), 1)
+    assert np.isfinite(planes.cloud.covs()).all()

@@ -28,7 +28,7 @@ def alignments():
         distance = cast(origins, rays @ pose.rotation().matrix().T, WALLS)
         seen = distance < 60.0
         distance = distance[seen] + rng.normal(0, 0.02, int(seen.sum()))
-        return odometry._cloud(rays[seen] * distance[:, None], 0.35, None)[0]
+        return odometry._planes(rays[seen] * distance[:, None], 0.35, None).cloud
 
     for _ in range(8):
         moved = gtsam.Pose3.Expmap(rng.normal(0, [0.01, 0.01, 0.3, 0.4, 0.4, 0.05]))

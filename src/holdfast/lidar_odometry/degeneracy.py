@@ -15,6 +15,7 @@ from typing import Self
 import numpy as np
 import small_gicp
 
+from holdfast.lidar_odometry.planes import NEIGHBOURS, Planes, are_lines, spread
 from holdfast.messages import Array
 
 UNHELD = 3.0  # it is 0 to 3 along smooth walls, 3 to 8 in a wood, 6 to 50 on a site or a yard with three containers
@@ -22,7 +23,6 @@ HELD_AGAIN = 5.0  # what was lost is held from here on, if two sweeps say so: on
 WEAK = 15.0  # below, thick planes pull so much that the motion is in doubt
 LEVER_M = 10.0  # a direction that moves the lidar less than points at this distance is one of its attitude
 SAMPLES = 2000
-NEIGHBOURS = 10
 FINEST_M = 0.002  # the noise of thinned points is that of their neighbourhood, and not less than this
 RANGE_NOISE_M = 0.02  # of the usual lidar; a surface is not smoother than that
 THICKNESS = 1e-3  # a registration of thick planes pulls along them, too, towards the pattern of the sweep before
@@ -135,20 +135,20 @@ class Degeneracy:
     _before: small_gicp.KdTree | None = field(default=None, repr=False)
     _loose: int = 0  # directions of the sweep before that would not be held again
 
-    def look(self, points: Array, tree: small_gicp.KdTree, motion: Array) -> Observability:
+    def look(self, planes: Planes, motion: Array) -> Observability:
         """Return what a sweep holds, of the points near which there was one in the sweep before.
 
         Args:
-            points: (N, 3) thinned, in L [m].
-            tree: of these points.
+            planes: of the sweep, thinned, in L.
             motion: (4, 4) pose of L in the L of the sweep before.
         """
-        before, self._before = self._before, tree
+        before, self._before = self._before, planes.tree
+        points = planes.points
         sampled = points[:: max(1, len(points) // SAMPLES)]
         if before is not None:
             there = sampled @ motion[:3, :3].T + motion[:3, 3]
             sampled = sampled[before.batch_knn_search(there, 1)[1][:, 0] < PARTNER_M**2]
-        found = observability(sampled, points[tree.batch_knn_search(sampled, NEIGHBOURS)[0]])
+        found = observability(sampled, planes.neighbourhoods(sampled))
         loose, self._loose = self._loose, int((found.ratios < HELD_AGAIN).sum())
         return found.with_unheld(max(loose, self._loose)) if self.unheld_s > 0.0 else found
 
@@ -171,11 +171,13 @@ def observability(points: Array, neighbours: Array) -> Observability:
 
     Args:
         points: (N, 3) in L [m].
-        neighbours: (N, k, 3) the points around each [m].
+        neighbours: (N, k, 3) the points around each, nearest first [m]. The first NEIGHBOURS are used, and all where
+            those lie on a line: what is small and yet has many points holds more than a wide plane says.
     """
-    count = neighbours.shape[1]
-    apart = neighbours - neighbours.mean(axis=1, keepdims=True)
-    variances, frames = np.linalg.eigh(apart.transpose(0, 2, 1) @ apart / count)
+    variances, frames = spread(neighbours[:, :NEIGHBOURS])
+    on_line = are_lines(variances)
+    variances[on_line], frames[on_line] = spread(neighbours[on_line])
+    count = np.where(on_line, neighbours.shape[1], NEIGHBOURS)
     noise = np.maximum(variances[:, 0] * count / (count - 3), FINEST_M**2)
     weights = RANGE_NOISE_M**2 / np.maximum(noise, RANGE_NOISE_M**2)
     held = _information(points, frames[:, :, 0], weights)

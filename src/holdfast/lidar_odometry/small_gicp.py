@@ -17,7 +17,7 @@ from holdfast.lidar_odometry.degeneracy import GYROSCOPE_RAD_S, Degeneracy, Obse
 from holdfast.lidar_odometry.deskew import STILL, Moving, Rates, deskew
 from holdfast.lidar_odometry.free_space import FreeSpace
 from holdfast.lidar_odometry.motion_filter import MotionFilter
-from holdfast.lidar_odometry.planes import estimate_planes
+from holdfast.lidar_odometry.planes import Planes, points_of
 from holdfast.lidar_odometry.registration import Registered, Registration
 from holdfast.lidar_odometry.sweep import Sweep
 from holdfast.messages import Array
@@ -63,16 +63,15 @@ class _First:
     """The first sweep of a map: the velocity is not known, so that the next one must be looked for."""
 
     sweep: Sweep
-    cloud: small_gicp.PointCloud
-    tree: small_gicp.KdTree
+    planes: Planes
     T_L0_L: gtsam.Pose3
 
     def pose_of(self, cloud: small_gicp.PointCloud, guess: gtsam.Pose3, threads: int) -> gtsam.Pose3:
         """Return where the next sweep was: its points meet the nearest ones, not only those of their voxel."""
         result = small_gicp.align(
-            self.cloud,
+            self.planes.cloud,
             cloud,
-            self.tree,
+            self.planes.tree,
             self.T_L0_L.between(guess).matrix(),
             max_correspondence_distance=FASTEST_M,
             num_threads=threads,
@@ -132,12 +131,13 @@ class SmallGicp(Registration):
             points = self._deskewed(sweep, at_s, deskewed_by)
             is_coarse = resolution_m > self._scan_voxel_m
             is_known = not is_coarse and first is None
-            cloud, tree = self._cloud(points, resolution_m, T_L0_L if is_known else None)
+            planes = self._planes(points, resolution_m, T_L0_L if is_known else None)
+            cloud = planes.cloud
             result = self._align(cloud, T_L0_L if first is None else first.pose_of(cloud, T_L0_L, self._threads))
             if result.num_inliers < LOST_INLIER_FRACTION * cloud.size():
                 return self._begin(sweep, T_L0_L)
             if not is_coarse and found is None:
-                found = self._degeneracy.look(_points(cloud), tree, expected.matrix())
+                found = self._degeneracy.look(planes, expected.matrix())
             known = found or self._found  # the coarse pass is too coarse to tell
             aligned, measured = gtsam.Pose3(result.T_target_source), covariance(result)
             if known is None:
@@ -184,12 +184,12 @@ class SmallGicp(Registration):
         rates = self._rates(sweep)
         self._motion = self._motion.placed(T_L0_L, rates, velocity)
         points = self._deskewed(sweep, at_s, self._motion.moving(T_L0_L, rates))
-        cloud, tree = self._cloud(points, self._scan_voxel_m, None)
+        planes = self._planes(points, self._scan_voxel_m, None)
         self._free = FreeSpace()
-        self._unmapped = _Unmapped(cloud, points, sweep.own, T_L0_L, at_ns)
+        self._unmapped = _Unmapped(planes.cloud, points, sweep.own, T_L0_L, at_ns)
         self._degeneracy, self._found = Degeneracy(), None
-        self._degeneracy.look(_points(cloud), tree, np.eye(4))
-        self._at_ns, self._T_L0_L, self._first = at_ns, T_L0_L, _First(sweep, cloud, tree, T_L0_L)
+        self._degeneracy.look(planes, np.eye(4))
+        self._at_ns, self._T_L0_L, self._first = at_ns, T_L0_L, _First(sweep, planes, T_L0_L)
         return Registered(at_ns, T_L0_L.matrix(), restarted=restarted)
 
     def _begin_again(self, first: Sweep, velocity: Array, second: Sweep) -> Registered:
@@ -207,17 +207,13 @@ class SmallGicp(Registration):
             return sweep.points
         return deskew(sweep.points, sweep.offsets_s, at_s, self._rates(sweep), moving)
 
-    def _cloud(
-        self, points: Array, resolution_m: float, T_L0_L: gtsam.Pose3 | None
-    ) -> tuple[small_gicp.PointCloud, small_gicp.KdTree]:
-        """Return points thinned, with a plane around each, and their tree; at a pose without what differs there."""
+    def _planes(self, points: Array, resolution_m: float, T_L0_L: gtsam.Pose3 | None) -> Planes:
+        """Return points thinned, with a plane around each; at a pose without what differs there."""
         thinned = small_gicp.voxelgrid_sampling(points, resolution_m, self._threads)
         if T_L0_L is not None:
-            kept = _points(thinned)
+            kept = points_of(thinned)
             thinned = small_gicp.PointCloud(kept[~self._free.differing(kept, T_L0_L)])
-        tree = small_gicp.KdTree(thinned, self._threads)
-        estimate_planes(thinned, tree, self._threads)
-        return thinned, tree
+        return Planes.around(thinned, self._threads)
 
     def _align(self, cloud: small_gicp.PointCloud, guess: gtsam.Pose3) -> small_gicp.RegistrationResult:
         return small_gicp.align(
@@ -229,10 +225,6 @@ class SmallGicp(Registration):
             rotation_epsilon=EPSILON_RAD,
             translation_epsilon=EPSILON_M,
         )
-
-
-def _points(cloud: small_gicp.PointCloud) -> Array:
-    return np.asarray(cloud.points())[:, :3]
 
 
 def covariance(result: small_gicp.RegistrationResult) -> Array:
