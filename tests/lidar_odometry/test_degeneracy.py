@@ -44,6 +44,25 @@ def look(points, motion=STILL, by=None):
     return (by or Degeneracy()).look(Planes.around(small_gicp.PointCloud(points), 1), motion)
 
 
+def pillars_and_rings(rng):
+    """Bare ground as 16 rings see it from 3 m above, 2 deg apart, and six pillars that they see well."""
+    radii = 3.0 / np.tan(np.radians(np.arange(3, 16, 2)))
+    around = [np.arange(0.0, 2.0 * np.pi, 0.35 / radius) for radius in radii]
+    rings = [
+        np.column_stack([radius * np.cos(at), radius * np.sin(at), np.full_like(at, -3.0)])
+        for radius, at in zip(radii, around, strict=True)
+    ]
+    at, up = (one.ravel() for one in np.meshgrid(np.arange(0.0, 2.0 * np.pi, 0.45), np.arange(-3.0, 1.0, 0.3)))
+    pillars = [np.column_stack([13.0 * np.cos(k) + np.cos(at), 13.0 * np.sin(k) + np.sin(at), up]) for k in range(6)]
+    points = np.concatenate([*rings, *pillars])
+    return points + rng.normal(0.0, 0.02, points.shape)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_is_small_and_seen_well_holds_a_lidar_with_few_rings(seed):
+    assert look(pillars_and_rings(np.random.default_rng(seed))).unheld_axes.shape == (3, 0)
+
+
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize(("scene", "unheld"), [(tunnel, 1), (field, 3), (room, 0)])
 def test_a_tunnel_leaves_one_direction_free_a_field_three_and_a_room_none(scene, unheld, seed):
