@@ -3,7 +3,7 @@
 import gtsam
 import numpy as np
 import pytest
-from yard import BOXES, ELEVATIONS_DEG, T_W_L, cast, slow_rad, standing, sweep
+from yard import BOXES, ELEVATIONS_DEG, T_W_L, cast, rays_that_return, slow_rad
 
 from holdfast.lidar_odometry.free_space import AGES, FreeSpace
 
@@ -11,16 +11,7 @@ NOTHING = np.zeros((0, 3))
 HALF_M = np.array([1.3, 3.4, 1.3])  # of a truck that drives along y
 STEP_S = 0.4
 FEW_DEG = np.linspace(25.0, -45.0, 18)
-
-
-def rays_at(elevations_deg):
-    points = sweep(
-        0, np.random.default_rng(1), standing, times=False, noise_m=0.0, elevations_deg=elevations_deg
-    ).points
-    return points / np.linalg.norm(points, axis=1, keepdims=True)
-
-
-RAYS = rays_at(ELEVATIONS_DEG)
+RAYS = rays_that_return(np.random.default_rng(1))
 
 
 def seen(pose, truck=None, rays=RAYS):
@@ -46,7 +37,7 @@ def drives(number):
 @pytest.fixture(scope="module", params=[ELEVATIONS_DEG, FEW_DEG], ids=["many rings", "few rings"])
 def passed(request):
     """A turning lidar that a truck drives past, and the next sweep."""
-    space, rays = FreeSpace(), rays_at(request.param)
+    space, rays = FreeSpace(), rays_that_return(np.random.default_rng(1), request.param)
     for number in range(12):
         at_s = STEP_S * number
         space.add(seen(lidar(at_s), drives(number), rays)[0], NOTHING, lidar(at_s), at_s)

@@ -26,18 +26,20 @@ def hidden(points):
     return (rays @ towards.T).max(axis=1) > 0.9995
 
 
+def world_of(number, elevations_deg=ELEVATIONS_DEG):
+    """Points of the yard in one sweep, as if the cabin stood still while it lasts."""
+    return sweep(
+        number, rng, lambda t: np.full_like(t, slow_rad(number * 0.2), dtype=float), elevations_deg=elevations_deg
+    ).points
+
+
 def taught_by(elevations_deg, of_machine=lambda points: points):
     """A mask after a quarter of a turn, and the yard as it was then without the machine."""
     mask = MachineMask()
     for number in range(TURN):
-        at_s = number * 0.2
-
-        def stands(t, at_s=at_s):
-            return np.full_like(t, slow_rad(at_s), dtype=float)
-
-        world = sweep(number, rng, stands, elevations_deg=elevations_deg).points
+        world = world_of(number, elevations_deg)
         machine = of_machine(np.concatenate([HOOD, boom(number)]))
-        mask.learn(np.concatenate([world[~hidden(world)], machine]), T_W_L(at_s, slow_rad))
+        mask.learn(np.concatenate([world[~hidden(world)], machine]), T_W_L(number * 0.2, slow_rad))
     return mask, world
 
 
@@ -86,7 +88,7 @@ def test_a_person_who_walks_along_is_not_the_machine():
     mask = MachineMask()
     for number in range(TURN):
         at_s = number * 0.2
-        world = sweep(number, rng, lambda t, at_s=at_s: np.full_like(t, slow_rad(at_s), dtype=float)).points
+        world = world_of(number)
         stands = np.array([5.0 - 0.25 * number, 4.0, 0.9])
         person = T_W_L(at_s, slow_rad).transformTo(stands) + rng.uniform(-0.3, 0.3, (60, 3))
         mask.learn(np.concatenate([world, person]), T_W_L(at_s, slow_rad))

@@ -13,10 +13,10 @@ FEW_DEG = np.linspace(15.0, -15.0, 16)
 SPACING_M = 0.35
 
 
-def thinned(elevations_deg, noise_m=0.02):
+def thinned(elevations_deg):
     """A sweep of the yard, thinned."""
     rng = np.random.default_rng(5)
-    points = sweep(0, rng, standing, times=False, noise_m=noise_m, elevations_deg=elevations_deg).points
+    points = sweep(0, rng, standing, times=False, elevations_deg=elevations_deg).points
     return small_gicp.voxelgrid_sampling(points, SPACING_M)
 
 

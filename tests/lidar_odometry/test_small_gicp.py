@@ -3,7 +3,7 @@
 import gtsam
 import numpy as np
 import pytest
-from yard import BOXES, T_W_L, cast, standing, sweep
+from yard import BOXES, T_W_L, cast, rays_that_return, standing
 
 pytest.importorskip("small_gicp")
 
@@ -18,8 +18,7 @@ GUESS_SIGMAS = np.array([0.003, 0.003, 0.003, 0.02, 0.02, 0.02])
 def alignments():
     """Errors (N, 6) in the tangent of L and claimed covariances, over noise and positions, against one map."""
     rng = np.random.default_rng(8)
-    rays = sweep(0, rng, standing, times=False, noise_m=0.0).points
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    rays = rays_that_return(rng)
     odometry = SmallGicp(1)
 
     def cloud(moved):

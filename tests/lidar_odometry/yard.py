@@ -123,6 +123,12 @@ def sweep(
     )
 
 
+def rays_that_return(rng, elevations_deg=ELEVATIONS_DEG):
+    """Unit vectors (N, 3) in L along which the lidar sees the yard from where it starts."""
+    points = sweep(0, rng, standing, times=False, noise_m=0.0, elevations_deg=elevations_deg).points
+    return points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
 def error(registered, first, angle=slewed_rad):
     """Residual of a pose against the truth at its stamp, as a tangent (6,): rotation [rad], translation [m]."""
     started = T_W_L((first.stamp_ns - START_NS) * 1e-9, angle)

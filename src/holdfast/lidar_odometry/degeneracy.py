@@ -175,9 +175,9 @@ def observability(points: Array, neighbours: Array) -> Observability:
             those lie on a line: what is small and yet has many points holds more than a wide plane says.
     """
     variances, frames = spread(neighbours[:, :NEIGHBOURS])
-    on_line = are_lines(variances)
-    variances[on_line], frames[on_line] = spread(neighbours[on_line])
-    count = np.where(on_line, neighbours.shape[1], NEIGHBOURS)
+    wider = are_lines(variances) & (neighbours.shape[1] > NEIGHBOURS)
+    variances[wider], frames[wider] = spread(neighbours[wider])
+    count = np.where(wider, neighbours.shape[1], NEIGHBOURS)
     noise = np.maximum(variances[:, 0] * count / (count - 3), FINEST_M**2)
     weights = RANGE_NOISE_M**2 / np.maximum(noise, RANGE_NOISE_M**2)
     held = _information(points, frames[:, :, 0], weights)
