@@ -15,7 +15,7 @@ pytestmark = pytest.mark.slow
 CLOCKS = ("gnss", "gnss_right", "heading", "lidar")
 
 
-def rows(scenario, seed, duration_s=100.0):
+def rows(scenario, seed, duration_s=60.0):
     found, truth = run(scenario, seed, duration_s, calibrate)
     return found, {
         (one.what, str(one.path[-1])): (one, truth[one.what, str(one.path[-1])])
@@ -28,9 +28,8 @@ def is_within(one, true, sigmas=3.0):
     return abs(one.after - true) <= sigmas * one.sigma
 
 
-@pytest.mark.parametrize("seed", [11, 12])
-def test_offsets_of_clocks_are_found_and_written(seed):
-    found, by_key = rows("offset-clocks", seed)
+def test_offsets_of_clocks_are_found_and_written():
+    found, by_key = rows("offset-clocks", 11)
     for name in CLOCKS:
         one, true = by_key[name, "time_offset_s"]
         assert one.is_written and is_within(one, true) and one.sigma < 0.003

@@ -14,11 +14,11 @@ INFORMED = np.diag(np.repeat([1e-6, 1e-4], 3))  # covariance of a registration
 WALKED = np.array([0.0, 0.0, 0.0, 0.4, 0.0, 0.0])
 
 
-def plane(origin, first, second, rng, count=3000):
-    """Points on a parallelogram, 2 cm rough."""
+def plane(origin, first, second, rng, count=3000, *, rough_m=0.02):
+    """Points on a parallelogram, a little rough."""
     across = np.cross(first, second) / np.linalg.norm(np.cross(first, second))
     places = rng.uniform(-1, 1, (count, 2)) @ np.array([first, second]) + origin
-    return places + rng.normal(0, 0.02, (count, 1)) * across
+    return places + rng.normal(0, rough_m, (count, 1)) * across
 
 
 def tunnel(rng):
@@ -40,8 +40,8 @@ def room(rng):
 NO_DOUBT = np.zeros(6)
 
 
-def look(points, motion=STILL, by=None):
-    return (by or Degeneracy()).look(Planes.around(small_gicp.PointCloud(points), 1), motion)
+def look(points, motion=STILL, by=None, pattern_repeats=True):
+    return (by or Degeneracy()).look(Planes.around(small_gicp.PointCloud(points), 1), motion, pattern_repeats)
 
 
 def pillars_and_rings(rng):
@@ -112,6 +112,20 @@ def test_what_a_weak_direction_corrects_is_believed_as_much_as_the_guess_is_doub
     assert weak.joined(doubted, equal)[3] == pytest.approx(doubted[3] / np.sqrt(2.0))
 
 
+def test_a_turn_that_is_not_told_from_a_shift_is_left_to_a_gyroscope_that_knows_it():
+    """A wall 20 m ahead holds the distance to it; to turn and to shift move what little is on it alike."""
+    turned_and_shifted = np.array([0.0, 0.0, 1.0, 0.0, 20.0, 0.0])
+    apart = np.array([0.0, 0.0, 20.0, 0.0, -1.0, 0.0])
+    duals = np.eye(6)
+    duals[:, 2] = turned_and_shifted / np.linalg.norm(turned_and_shifted)
+    duals[:, 4] = apart / np.linalg.norm(apart)
+    found = Observability(np.linalg.inv(duals.T), duals, np.array([99.0, 99.0, 99.0, 99.0, 0.0, 99.0]))
+    guess = np.diag(np.repeat([1e-8, 1e-2], 3))  # 0.1 mrad and 0.1 m
+    part = found.held_part(np.array([0.0, 0.0, 0.02, 0.0, 0.0, 0.0]), guess, NO_DOUBT)
+    assert abs(part[2]) < 1e-6
+    assert turned_and_shifted @ part == pytest.approx(0.02)
+
+
 def test_only_directions_that_move_the_lidar_leave_its_velocity_unmeasured():
     ratios = np.array([0.0, 99.0, 99.0, 0.0, 99.0, 99.0])
     np.testing.assert_allclose(np.abs(Observability(np.eye(6), np.eye(6), ratios).unheld_axes), [[1.0], [0.0], [0.0]])
@@ -125,6 +139,26 @@ def test_an_end_that_the_sweep_before_did_not_see_holds_nothing_yet():
     end = plane([24, 0, 0.5], [0, 3, 0], [0, 0, 2.5], rng, 1000)
     assert look(np.concatenate([tunnel(rng), end]), moved, one).unheld == 1
     assert look(np.concatenate([tunnel(rng), end]), moved, one).unheld == 0
+
+
+def test_a_sweep_that_meets_nothing_of_the_one_before_holds_nothing():
+    rng, one = np.random.default_rng(7), Degeneracy()
+    look(room(rng), by=one)
+    elsewhere = STILL.copy()
+    elsewhere[0, 3] = 200.0
+    assert look(room(rng), elsewhere, one).unheld == 6
+
+
+def test_a_pattern_that_no_sweep_repeats_pulls_less():
+    """A wall holds the motion across it; a post beside it, by a few points, the motion along it."""
+    rng = np.random.default_rng(8)
+    ground = plane([0, 0, -3], [20, 0, 0], [0, 20, 0], rng, 8000, rough_m=0.002)
+    wall = plane([10, 0, 0], [0, 8, 0], [0, 0, 2.5], rng, 3000, rough_m=0.002)
+    post = plane([8, 2.6, -1], [0.5, 0, 0], [0, 0, 1.0], rng, 20, rough_m=0.002)
+    points = np.concatenate([ground, wall, post])
+    assert look(points).unheld == 1
+    assert look(points, pattern_repeats=False).unheld == 0
+    assert look(tunnel(rng), pattern_repeats=False).unheld == 1
 
 
 @pytest.mark.parametrize("interval_s", [0.1, 0.2, 0.5])

@@ -3,7 +3,7 @@
 import gtsam
 import numpy as np
 import pytest
-from yard import BOXES, ELEVATIONS_DEG, T_W_L, cast, rays_that_return, slow_rad
+from yard import BOXES, ELEVATIONS_DEG, T_W_L, cast, rays_that_return, slow_rad, through_prisms
 
 from holdfast.lidar_odometry.free_space import AGES, FreeSpace
 
@@ -106,3 +106,26 @@ def test_at_a_wrong_pose_nothing_is_cut():
     points, _ = seen(lidar(0.0))
     lifted = lidar(0.0).compose(gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, 3.0])))
     assert not space.differing(points, lifted).any()
+
+
+def ahead(rng):
+    """Unit vectors of a lidar that looks ahead."""
+    return through_prisms(rng, 96).reshape(-1, 3)
+
+
+def test_what_a_lidar_that_looks_ahead_turns_to_has_not_come():
+    space, rng = FreeSpace(), np.random.default_rng(2)
+    for number in range(12):
+        at_s = STEP_S * number
+        points, _ = seen(lidar(at_s), rays=ahead(rng))
+        assert space.differing(points, lidar(at_s)).mean() < 0.03
+        space.add(points, NOTHING, lidar(at_s), at_s)
+
+
+def test_a_truck_before_a_lidar_that_looks_ahead_has():
+    space, rng, pose = FreeSpace(), np.random.default_rng(3), lidar(0.0)
+    for number in range(4):
+        space.add(seen(pose, drives(number), ahead(rng))[0], NOTHING, pose, STEP_S * number)
+    points, on_truck = seen(pose, drives(8), ahead(rng))
+    assert on_truck.sum() > 50
+    assert space.differing(points, pose)[on_truck].mean() > 0.7

@@ -84,6 +84,20 @@ def T_W_L(t, angle=slewed_rad, velocity=(0.0, 0.0, 0.0)):
     return gtsam.Pose3(R, R.rotate(ARM) + t * np.asarray(velocity))
 
 
+def spinning(elevations_deg=ELEVATIONS_DEG):
+    """Unit vectors (COLUMNS, R, 3) in L of a lidar that turns."""
+    azimuth, elevation = np.pi - 2 * np.pi * np.arange(COLUMNS) / COLUMNS, np.radians(elevations_deg)
+    level = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(COLUMNS)], axis=1)
+    return level[:, None] * np.cos(elevation)[:, None] + np.sin(elevation)[:, None] * np.array([0.0, 0.0, 1.0])
+
+
+def through_prisms(rng, count=24):
+    """Unit vectors (COLUMNS, count, 3) in L of a lidar that looks ahead, 40 deg to each side, anew in every sweep."""
+    off_axis = np.radians(40.0) * np.sqrt(rng.uniform(0.0, 1.0, (COLUMNS, count)))
+    about = rng.uniform(-np.pi, np.pi, (COLUMNS, count))
+    return np.stack([np.cos(off_axis), np.sin(off_axis) * np.cos(about), np.sin(off_axis) * np.sin(about)], axis=-1)
+
+
 def sweep(
     number,
     rng,
@@ -94,17 +108,15 @@ def sweep(
     noise_m=NOISE_M,
     velocity=(0.0, 0.0, 0.0),
     elevations_deg=ELEVATIONS_DEG,
+    rays=None,
 ):
-    """One revolution of the lidar, stamped at its start."""
+    """One sweep of the lidar, stamped at its start; it turns unless its rays (COLUMNS, R, 3) are given."""
     start_s = number * PERIOD_S
     offsets_s = np.arange(COLUMNS) / COLUMNS * PERIOD_S
-    azimuth = np.pi - 2 * np.pi * np.arange(COLUMNS) / COLUMNS
-    elevation = np.radians(elevations_deg)
-    level = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(COLUMNS)], axis=1)
-    rays = level[:, None] * np.cos(elevation)[:, None] + np.sin(elevation)[:, None] * np.array([0.0, 0.0, 1.0])
+    rays = spinning(elevations_deg) if rays is None else rays
     poses = [T_W_L(start_s + offset_s, angle, velocity) for offset_s in offsets_s]
     turned = np.einsum("cij,crj->cri", [pose.rotation().matrix() for pose in poses], rays)
-    origins = np.repeat([pose.translation() for pose in poses], len(elevation), axis=0)
+    origins = np.repeat([pose.translation() for pose in poses], rays.shape[1], axis=0)
     distance = cast(origins, turned.reshape(-1, 3))
     seen = np.isfinite(distance)
     distance = distance[seen] + noise_m * rng.standard_normal(int(seen.sum()))
@@ -118,7 +130,7 @@ def sweep(
         START_NS + round(start_s * 1e9),
         "lidar",
         rays.reshape(-1, 3)[seen] * distance[:, None],
-        np.repeat(offsets_s, len(elevation))[seen] if times else None,
+        np.repeat(offsets_s, rays.shape[1])[seen] if times else None,
         rates,
     )
 

@@ -12,6 +12,7 @@ from holdfast.sim.garbage import Garbage
 from holdfast.sim.ros import RosMessages
 
 IMU = "sensor_msgs/msg/Imu"
+STORE = get_typestore(Stores.ROS2_HUMBLE)
 
 
 def twin(start_s, end_s, **values):
@@ -68,7 +69,7 @@ def test_a_twin_steps_with_the_clock_of_its_sensor():
 
 
 def ros():
-    return RosMessages(get_typestore(Stores.ROS2_HUMBLE).types, LocalFrame(Geodetic(47.0, 8.0, 400.0)))
+    return RosMessages(STORE.types, LocalFrame(Geodetic(47.0, 8.0, 400.0)))
 
 
 def imu_message(row, stamp_ns):
@@ -87,8 +88,7 @@ def imu_message(row, stamp_ns):
 
 
 def flat(message):
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    return bytes(store.serialize_cdr(message, IMU))
+    return bytes(STORE.serialize_cdr(message, IMU))
 
 
 def garbage(ratio, seed=3, sensors=("imu",)):

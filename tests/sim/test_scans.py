@@ -136,6 +136,21 @@ def test_returns_out_of_range_are_lost() -> None:
     assert distance == pytest.approx(every[(every >= 5.0) & (every <= 9.0)])
 
 
+def test_a_rosette_looks_ahead_within_its_cone_and_never_the_same_way_again() -> None:
+    scanner = _scanner(pattern="rosette", channels=1, columns=2048, field_of_view_deg=(-60.0, 20.0), **IDEAL)
+    poses = np.tile(np.eye(3), (2048, 1, 1)), np.tile([0.0, 0.0, 2.5], (2048, 1))
+    rays = []
+    for k in range(2):
+        points = scanner.scan(k, *poses, generator(0, "scan")).points
+        rays.append(points / np.linalg.norm(points, axis=1, keepdims=True))
+        axis = np.array([np.cos(np.radians(20.0)), 0.0, -np.sin(np.radians(20.0))])
+        off_deg = np.degrees(np.arccos(np.minimum(rays[-1] @ axis, 1.0)))
+        assert 35.0 < off_deg.max() < 40.1
+        assert off_deg.min() < 3.0
+    again = (rays[0] @ rays[1].T).max(axis=1) > np.cos(np.radians(0.02))
+    assert again.mean() < 0.05
+
+
 def test_rays_go_clockwise_from_behind_and_downwards() -> None:
     lidar = _lidar(field_of_view_deg=(-40.0, -30.0), columns=64, channels=11, **IDEAL)
     scanner = Scanner(lidar, SITE.mesh())

@@ -25,7 +25,10 @@ LEVER_M = 10.0  # a direction that moves the lidar less than points at this dist
 SAMPLES = 2000
 FINEST_M = 0.002  # the noise of thinned points is that of their neighbourhood, and not less than this
 RANGE_NOISE_M = 0.02  # of the usual lidar; a surface is not smoother than that
+ROUNDING = 1e-12
+CORRECTED_M = 0.1  # by so much sweeps correct a guess, if they do
 THICKNESS = 1e-3  # a registration of thick planes pulls along them, too, towards the pattern of the sweep before
+MIXED = 0.1  # of that pull where no sweep has the pattern of the one before
 PARTNER_M = 1.0  # a point without the sweep before it nearby has nothing in the map yet that it could be held by
 # what the guess may miss: machines brake with less than 1 m/s^2 and are slower than 10 m/s; gyroscopes are biased by
 # less than 0.005 rad/s; without one, a cabin starts to slew with 0.6 rad/s^2
@@ -76,18 +79,27 @@ class Observability:
         return doubted
 
     def held_part(self, correction: Array, guess: Array, doubted: Array) -> Array:
-        """Return the part of a correction (6,) of the guess that the scan measures.
+        """Return the part of a correction (6,) of the guess that follows from what the scan measures.
 
-        Nothing of it in directions that are not held; of what is in doubt, as much as the guess is in more.
+        Of what is in doubt, as much as the guess is in more. Where directions are not held, a Kalman update of the
+        guess: a turn that cannot be told from a shift is left to the gyroscope. Seen from a lidar that looks ahead
+        most turns are such.
 
         Args:
             correction: from the guess to the registration.
             guess: (6, 6) covariance of the guess.
             doubted: (6,) sigmas along the directions.
         """
-        variances = self._along(guess)
-        believed = np.where(self.ratios < self.least, 0.0, variances / (variances + doubted**2))
-        part: Array = self.directions @ (believed * (self.duals.T @ correction))
+        held = self.ratios >= self.least
+        if held.all():
+            variances = self._along(guess)
+            whole: Array = self.directions @ (variances / (variances + doubted**2) * (self.duals.T @ correction))
+            return whole
+        W = self.duals[:, held]
+        shared = _limited(guess) @ W
+        innovation = W.T @ shared
+        measured = innovation + np.diag(doubted[held] ** 2 + ROUNDING * innovation.diagonal())
+        part: Array = shared @ np.linalg.solve(measured, W.T @ correction)
         return part
 
     def covariance(self, registered: Array, unheld: Array, doubted: Array) -> Array:
@@ -135,12 +147,13 @@ class Degeneracy:
     _before: small_gicp.KdTree | None = field(default=None, repr=False)
     _loose: int = 0  # directions of the sweep before that would not be held again
 
-    def look(self, planes: Planes, motion: Array) -> Observability:
+    def look(self, planes: Planes, motion: Array, pattern_repeats: bool = True) -> Observability:
         """Return what a sweep holds, of the points near which there was one in the sweep before.
 
         Args:
             planes: of the sweep, thinned, in L.
             motion: (4, 4) pose of L in the L of the sweep before.
+            pattern_repeats: the rays go the same ways in every sweep.
         """
         before, self._before = self._before, planes.tree
         points = planes.points
@@ -148,7 +161,8 @@ class Degeneracy:
         if before is not None:
             there = sampled @ motion[:3, :3].T + motion[:3, 3]
             sampled = sampled[before.batch_knn_search(there, 1)[1][:, 0] < PARTNER_M**2]
-        found = observability(sampled, planes.neighbourhoods(sampled))
+        thickness = THICKNESS if pattern_repeats else MIXED * THICKNESS
+        found = observability(sampled, planes.neighbourhoods(sampled), thickness)
         loose, self._loose = self._loose, int((found.ratios < HELD_AGAIN).sum())
         return found.with_unheld(max(loose, self._loose)) if self.unheld_s > 0.0 else found
 
@@ -166,13 +180,14 @@ class Degeneracy:
         return np.diag(np.repeat([turn, shift], 3))
 
 
-def observability(points: Array, neighbours: Array) -> Observability:
+def observability(points: Array, neighbours: Array, thickness: float = THICKNESS) -> Observability:
     """Return what points hold.
 
     Args:
         points: (N, 3) in L [m].
         neighbours: (N, k, 3) the points around each, nearest first [m]. The first NEIGHBOURS are used, and all where
             those lie on a line: what is small and yet has many points holds more than a wide plane says.
+        thickness: by how much of what a plane is held across itself it is pulled along itself.
     """
     variances, frames = spread(neighbours[:, :NEIGHBOURS])
     wider = are_lines(variances) & (neighbours.shape[1] > NEIGHBOURS)
@@ -186,12 +201,20 @@ def observability(points: Array, neighbours: Array) -> Observability:
         across = np.maximum(variances[:, axis], noise)
         tilt = np.clip(noise * across / (count * np.maximum(across - noise, 1e-9) ** 2), 0.0, 1.0)
         held -= _information(points, frames[:, :, axis], weights * tilt)
-        pull += _information(points, frames[:, :, axis], weights * np.maximum(tilt, THICKNESS))
-    pull += 1e-9 * np.trace(pull) * np.eye(6)
+        pull += _information(points, frames[:, :, axis], weights * np.maximum(tilt, thickness))
+    pull += max(1e-9 * np.trace(pull), 1e-12) * np.eye(6)  # without points nothing is held
     root = np.linalg.cholesky(pull)
     whitened = np.linalg.solve(root, np.linalg.solve(root, held).T)
     ratios, axes = np.linalg.eigh(0.5 * (whitened + whitened.T))
     return Observability(np.linalg.solve(root.T, axes), root @ axes, ratios)
+
+
+def _limited(guess: Array) -> Array:
+    """Return the covariance (6, 6) of a guess without its largest shifts, of which small corrections would be made."""
+    limited = guess.copy()
+    variances, axes = np.linalg.eigh(guess[3:, 3:])
+    limited[3:, 3:] = (axes * np.minimum(variances, CORRECTED_M**2)) @ axes.T
+    return limited
 
 
 def _information(points: Array, normals: Array, weights: Array) -> Array:

@@ -80,13 +80,14 @@ class FreeSpace:
             return
         points, own = points.astype(SINGLE), own.astype(SINGLE)
         at, distances = pixels(points), lengths(points)
+        self._rays.add(at)
         nearest = np.full((ROWS, BINS), REACHES * distances.max(), dtype=SINGLE)
         farthest = np.zeros((ROWS, BINS), dtype=SINGLE)
         np.minimum.at(nearest, at, distances)
+        nearest[self._rays.unknown(at)] = 0.0
         np.maximum.at(farthest, at, distances)
         # no return is the sky, where the lidar has rays; but a part of the machine that is too near for it hides
         # the ground below as well
-        self._rays.add(at[0])
         nearest = self._rays.between(nearest, np.minimum, beyond=0.0)
         farthest = self._rays.between(farthest, np.maximum, beyond=0.0)
         widened = with_neighbours(farthest, np.maximum)

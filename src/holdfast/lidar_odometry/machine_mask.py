@@ -138,11 +138,12 @@ def _grown(machine: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _range_image(points: Array, rays: Rays) -> Array:
     """Return (ROWS, BINS) the nearest return in a direction and around it [m]; `rays` is completed by what is seen.
 
-    Where no ray came back it is infinite, as before the sky; above and below all rays it is zero, so that nothing is
-    decided there.
+    Where no ray came back it is infinite, as before the sky; above and below all rays, and where the lidar may not have
+    looked, it is zero, so that nothing is decided there.
     """
     image = np.full((ROWS, BINS), np.inf)
     at = pixels(points)
     np.minimum.at(image, at, lengths(points))
-    rays.add(at[0])
+    rays.add(at)
+    image[rays.unknown(at)] = 0.0
     return with_neighbours(rays.between(image, np.minimum, beyond=0.0), np.minimum)

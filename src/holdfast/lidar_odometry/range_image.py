@@ -5,18 +5,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+Pixels = tuple[NDArray[np.intp], NDArray[np.intp]]
 BINS, ROWS = 360, 90  # in azimuth, and in elevation from the nadir up
+SECTORS = 36  # a lidar that turns sees something in each of them
 
 
 class Rays:
-    """At which elevations a lidar has rays, by what it has seen so far."""
+    """Where a lidar has rays, by what it has seen so far.
+
+    One that turns has all its rays in every direction, and where none came back there is the sky. One that looks
+    forward, or follows a rosette, may not have looked there.
+    """
 
     def __init__(self) -> None:
-        self._seen = np.zeros(ROWS, dtype=np.bool_)
+        self._rows = np.zeros(ROWS, dtype=np.bool_)
+        self._sectors = np.zeros(SECTORS, dtype=np.bool_)
 
-    def add(self, rows: NDArray[np.intp]) -> None:
-        """Take in the rows (N,) of points."""
-        self._seen[rows] = True
+    def add(self, at: Pixels) -> None:
+        """Take in the pixels of points."""
+        self._rows[at[0]] = True
+        self._sectors[at[1] * SECTORS // BINS] = True
+
+    def unknown(self, at: Pixels) -> NDArray[np.bool_]:
+        """Return (ROWS, BINS) where the lidar may not have looked, given the pixels of a sweep's points.
+
+        Nowhere, if something was seen in all directions around it: it turns.
+        """
+        unknown = np.full((ROWS, BINS), not self._sectors.all())
+        unknown[at] = False
+        return unknown
 
     def between(self, image: NDArray[Any], extreme: np.ufunc, beyond: float) -> NDArray[Any]:
         """Return an image (ROWS, BINS) in which rows without rays have the extreme of the rings above and below.
@@ -26,7 +43,7 @@ class Rays:
             extreme: np.minimum or np.maximum.
             beyond: the value below the lowest ring and above the highest.
         """
-        rings, rows = np.flatnonzero(self._seen), np.arange(ROWS)
+        rings, rows = np.flatnonzero(self._rows), np.arange(ROWS)
         below = rings[np.maximum(np.searchsorted(rings, rows, side="right") - 1, 0)]
         above = rings[np.minimum(np.searchsorted(rings, rows), len(rings) - 1)]
         filled = extreme(image[below], image[above])
@@ -39,7 +56,7 @@ def lengths(points: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(np.sqrt(np.einsum("ni,ni->n", points, points)))
 
 
-def pixels(points: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def pixels(points: NDArray[Any]) -> Pixels:
     """Return row (N,) and column (N,) of the directions of points (N, 3) in L."""
     azimuth = np.arctan2(points[:, 1], points[:, 0]) / (2.0 * np.pi) + 0.5
     elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])) / np.pi + 0.5

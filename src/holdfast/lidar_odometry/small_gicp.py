@@ -17,6 +17,7 @@ from holdfast.lidar_odometry.degeneracy import GYROSCOPE_RAD_S, Degeneracy, Obse
 from holdfast.lidar_odometry.deskew import STILL, Moving, Rates, deskew
 from holdfast.lidar_odometry.free_space import FreeSpace
 from holdfast.lidar_odometry.motion_filter import MotionFilter
+from holdfast.lidar_odometry.pattern import Pattern
 from holdfast.lidar_odometry.planes import Planes, points_of
 from holdfast.lidar_odometry.registration import Registered, Registration
 from holdfast.lidar_odometry.sweep import Sweep
@@ -105,12 +106,18 @@ class SmallGicp(Registration):
         self._free = FreeSpace()
         self._unmapped: _Unmapped | None = None
         self._first: _First | None = None  # of the map, until a second one shows the velocity
+        self._pattern = Pattern()
         self._degeneracy = Degeneracy()
         self._found: Observability | None = None  # of the sweep before; the coarse pass is too coarse to tell
 
     def register(self, sweep: Sweep) -> Registered:
         """Return where the lidar was in the next sweep; the first one makes the map."""
         self.finish()
+        self._pattern.add(sweep.points)
+        return self._joined(sweep)
+
+    def _joined(self, sweep: Sweep) -> Registered:
+        """Return where the lidar was in a sweep, all before it being in the map."""
         at_s = sweep.middle_s
         at_ns = sweep.stamp_ns + round(at_s * 1e9)
         interval_s = (at_ns - self._at_ns) * 1e-9
@@ -137,7 +144,7 @@ class SmallGicp(Registration):
             if result.num_inliers < LOST_INLIER_FRACTION * cloud.size():
                 return self._begin(sweep, T_L0_L)
             if not is_coarse and found is None:
-                found = self._degeneracy.look(planes, expected.matrix())
+                found = self._degeneracy.look(planes, expected.matrix(), self._pattern.repeats)
             known = found or self._found  # the coarse pass is too coarse to tell
             aligned, measured = gtsam.Pose3(result.T_target_source), covariance(result)
             if known is None:
@@ -196,7 +203,8 @@ class SmallGicp(Registration):
         """Begin with a sweep that was deskewed as at rest and, as the next one shows, was not."""
         self._begin(first, self._T_L0_L, velocity)
         self._first = None
-        return self.register(second)
+        self.finish()
+        return self._joined(second)
 
     def _rates(self, sweep: Sweep) -> Rates:
         return sweep.rates or Rates.constant(self._angular)

@@ -1,8 +1,10 @@
-"""Scans of a spinning lidar, cast against the triangles of a site, and their bytes as sensor_msgs/PointCloud2.
+"""Scans of a lidar, cast against the triangles of a site, and their bytes as sensor_msgs/PointCloud2.
 
-Column c of a sweep is measured c/columns of the period after its start. The sensor turns clockwise, seen from above:
-column 0 looks backwards (along -x of L), and the azimuth, counted from x to y, falls: pi - 2 pi c / columns. Ring 0 is
-the highest ray. The points of a column are expressed in L at the column's own time, as a driver publishes them.
+Column c of a sweep is measured c/columns of the period after its start. A spinning sensor turns clockwise, seen from
+above: column 0 looks backwards (along -x of L), and the azimuth, counted from x to y, falls: pi - 2 pi c / columns.
+Ring 0 is the highest ray. One with a rosette looks forward (along x of L) through two prisms that turn against each
+other, so that no sweep is like the one before. The points of a column are expressed in L at the column's own time, as a
+driver publishes them.
 
 embreex, which casts the rays, has wheels for x86_64 only; simulating without scans works everywhere.
 """
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 POINT_CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
+PRISMS_HZ = 121.57, -77.73  # at which the two turn
+EMITTERS_DEG = 0.3  # between the rays of one instant
 FLOAT32, UINT32 = 7, 6  # of sensor_msgs/PointField
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
 TIMED_POINT = np.dtype([*POINT.descr, ("t", "<u4")])
@@ -52,7 +56,7 @@ class Scan:
 
 
 class Scanner:
-    """A spinning lidar over a surface.
+    """A lidar over a surface.
 
     Raises:
         ConfigError: embreex is not installed.
@@ -61,14 +65,7 @@ class Scanner:
     def __init__(self, lidar: SimulatedScanner, mesh: "Trimesh") -> None:
         self._lidar = lidar
         self._scene = _scene(mesh.vertices.view(np.ndarray), mesh.faces.view(np.ndarray))
-        low, high = (radians(angle) for angle in lidar.field_of_view_deg)
-        elevation = np.linspace(high, low, lidar.channels)
-        azimuth = pi - 2.0 * pi * np.arange(lidar.columns) / lidar.columns
-        self._rays = np.empty((lidar.columns, lidar.channels, 3))
-        self._rays[..., 0] = np.cos(azimuth)[:, None] * np.cos(elevation)
-        self._rays[..., 1] = np.sin(azimuth)[:, None] * np.cos(elevation)
-        self._rays[..., 2] = np.sin(elevation)
-        self._flat_rays = self._rays.reshape(-1, 3).astype(np.float32)
+        self._rings = _rings(lidar)
         offset_ns = np.rint(self.column_times_s(0.0) * NS_PER_S).astype(np.uint32)
         self._offset_ns = np.repeat(offset_ns, lidar.channels)
         self._ring = np.tile(np.arange(lidar.channels, dtype=np.uint16), lidar.columns)
@@ -88,18 +85,53 @@ class Scanner:
             boxes: that move, at each column's time.
         """
         lidar = self._lidar
-        directions = (self._rays @ R_W_L.transpose(0, 2, 1)).astype(np.float32).reshape(-1, 3)
+        rays = self._rings if lidar.pattern == "rings" else _rosette(lidar, self.column_times_s(k / lidar.rate_hz))
+        directions = (rays @ R_W_L.transpose(0, 2, 1)).astype(np.float32).reshape(-1, 3)
         origins = np.repeat(p_W.astype(np.float32), lidar.channels, axis=0)
         distance: NDArray[np.float32] = self._scene.run(origins, directions, query="DISTANCE")
-        to_boxes = distances(list(boxes), self._rays, R_W_L, p_W).ravel().astype(np.float32)
+        to_boxes = distances(list(boxes), rays, R_W_L, p_W).ravel().astype(np.float32)
         moving = to_boxes < distance
         distance = np.minimum(distance, to_boxes)
         distance = distance + np.float32(lidar.range_noise_m) * rng.standard_normal(len(distance), dtype=np.float32)
         kept = (distance >= lidar.min_range_m) & (distance <= lidar.max_range_m)
         kept &= rng.random(len(distance), dtype=np.float32) >= lidar.dropout_ratio
         returned = np.flatnonzero(kept)
-        points = self._flat_rays[returned] * distance[returned, None]
+        points = rays.reshape(-1, 3).astype(np.float32)[returned] * distance[returned, None]
         return Scan(k, points, self._offset_ns[returned], self._ring[returned], moving[returned])
+
+
+def _rings(lidar: SimulatedScanner) -> Array:
+    """Return the rays (columns, channels, 3) in L of a sensor that turns about z."""
+    low, high = (radians(angle) for angle in lidar.field_of_view_deg)
+    elevation = np.linspace(high, low, lidar.channels)
+    azimuth = pi - 2.0 * pi * np.arange(lidar.columns) / lidar.columns
+    rays = np.empty((lidar.columns, lidar.channels, 3))
+    rays[..., 0] = np.cos(azimuth)[:, None] * np.cos(elevation)
+    rays[..., 1] = np.sin(azimuth)[:, None] * np.cos(elevation)
+    rays[..., 2] = np.sin(elevation)
+    return rays
+
+
+def _rosette(lidar: SimulatedScanner, times_s: Array) -> Array:
+    """Return the rays (columns, channels, 3) in L, at times (columns,), of a sensor that looks along x.
+
+    Each of two prisms bends the rays by half of what the field of view allows (Liu, Yuan and Zhang 2021, "Low-cost
+    retina-like robotic lidars based on incommensurable scanning").
+    """
+    low, high = (radians(angle) for angle in lidar.field_of_view_deg)
+    phases = 2.0 * pi * np.multiply.outer(PRISMS_HZ, times_s)
+    across, up = ((high - low) / 4.0 * of(phases).sum(axis=0) for of in (np.cos, np.sin))
+    apart = radians(EMITTERS_DEG) * (np.arange(lidar.channels) - 0.5 * (lidar.channels - 1))
+    across, up = np.broadcast_to(across[:, None], (len(across), len(apart))), up[:, None] - apart
+    bent = np.hypot(across, up)
+    sines = np.sinc(bent / pi)  # sin(x)/x
+    middle = (low + high) / 2.0
+    forward, upward = np.cos(bent), sines * up
+    rays = np.empty((*bent.shape, 3))
+    rays[..., 0] = forward * np.cos(middle) - upward * np.sin(middle)
+    rays[..., 1] = sines * across
+    rays[..., 2] = forward * np.sin(middle) + upward * np.cos(middle)
+    return rays
 
 
 def encode_points(scan: Scan, stamp_ns: int, frame_id: str, *, point_times: bool = True) -> bytes:

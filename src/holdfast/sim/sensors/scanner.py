@@ -1,4 +1,4 @@
-"""A spinning lidar; `holdfast.sim.scans` casts its rays. The configuration has no such sensor."""
+"""A lidar; `holdfast.sim.scans` casts its rays. The configuration has no such sensor."""
 
 from typing import Literal
 
@@ -12,12 +12,17 @@ from holdfast.sim.sensors import SensorKind, register
 
 
 class SimulatedScanner(SimulatedSensor):
-    """A spinning lidar, whose scans are ray-cast where asked for: one column of `channels` rays at a time."""
+    """A lidar, whose scans are ray-cast where asked for: one column of `channels` rays at a time."""
 
     kind: Literal["scanner"]
+    pattern: Literal["rings", "rosette"] = Field(
+        "rings", description="a sensor that turns, or one that looks along x through two prisms that turn"
+    )
     channels: int = Field(128, ge=1, le=256, description="rays per column")
-    columns: int = Field(512, ge=16, le=4096, description="columns per revolution")
-    field_of_view_deg: tuple[float, float] = Field((-45.0, 45.0), description="lowest and highest ray [deg]")
+    columns: int = Field(512, ge=16, le=4096, description="columns per sweep")
+    field_of_view_deg: tuple[float, float] = Field(
+        (-45.0, 45.0), description="lowest and highest ray [deg]; of a rosette, that of a cone"
+    )
     min_range_m: float = quantity("m", 0.5, ge=0, doc="nearer returns are lost")
     max_range_m: float = quantity("m", 60.0, gt=0, doc="farther returns are lost")
     range_noise_m: float = quantity("m", 0.02, ge=0, doc="sigma of the range")
@@ -26,7 +31,7 @@ class SimulatedScanner(SimulatedSensor):
 
     @property
     def ready_s(self) -> float:
-        """The time of one revolution: a sweep is sent when it is complete."""
+        """The time of one sweep: it is sent when it is complete."""
         return 1.0 / self.rate_hz
 
 
