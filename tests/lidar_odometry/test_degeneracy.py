@@ -124,6 +124,8 @@ def test_a_turn_that_is_not_told_from_a_shift_is_left_to_a_gyroscope_that_knows_
     part = found.held_part(np.array([0.0, 0.0, 0.02, 0.0, 0.0, 0.0]), guess, NO_DOUBT)
     assert abs(part[2]) < 1e-6
     assert turned_and_shifted @ part == pytest.approx(0.02)
+    blind = found.held_part(np.array([0.0, 0.0, 0.02, 0.0, 0.0, 0.0]), 1e6 * np.eye(6), NO_DOUBT)
+    assert np.linalg.norm(blind) < 0.02  # without a gyroscope, neither turns far nor shifts far
 
 
 def test_only_directions_that_move_the_lidar_leave_its_velocity_unmeasured():

@@ -210,10 +210,14 @@ def observability(points: Array, neighbours: Array, thickness: float = THICKNESS
 
 
 def _limited(guess: Array) -> Array:
-    """Return the covariance (6, 6) of a guess without its largest shifts, of which small corrections would be made."""
-    limited = guess.copy()
-    variances, axes = np.linalg.eigh(guess[3:, 3:])
-    limited[3:, 3:] = (axes * np.minimum(variances, CORRECTED_M**2)) @ axes.T
+    """Return the covariance (6, 6) of a guess without its largest turns and shifts.
+
+    Of those small corrections would be made, or large turns where nothing is known of either.
+    """
+    limited = np.zeros((6, 6))
+    for block, most in (slice(0, 3), CORRECTED_M / LEVER_M), (slice(3, 6), CORRECTED_M):
+        variances, axes = np.linalg.eigh(guess[block, block])
+        limited[block, block] = (axes * np.minimum(variances, most**2)) @ axes.T
     return limited
 
 
