@@ -23,8 +23,7 @@ def compared(motion, scale=1.0, receivers=RECEIVERS, seed=0, early_s=0.0):
 
 
 @pytest.mark.parametrize("name", SEEN_BY_TURNS)
-@pytest.mark.parametrize("receiver", RECEIVERS[::2], ids=["rtk", "doppler"])
-@pytest.mark.parametrize("early_s", [0.0, 0.15])
+@pytest.mark.parametrize(("receiver", "early_s"), [(RECEIVERS[0], 0.15), (RECEIVERS[2], 0.0)], ids=["rtk", "doppler"])
 def test_every_mistake_is_named(name, receiver, early_s):
     found = mistake(compared(turning, MISTAKES[name], [receiver], early_s=early_s))
     assert found is not None
@@ -33,7 +32,7 @@ def test_every_mistake_is_named(name, receiver, early_s):
 
 
 @pytest.mark.parametrize("motion", [turning, straight, standing])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_what_is_right_is_not_accused(motion, seed):
     assert mistake(compared(motion, seed=seed)) is None
 
