@@ -8,6 +8,7 @@ never go the same way again, and what its pattern pulls by is chance.
 import numpy as np
 from numpy.typing import NDArray
 
+from holdfast.lidar_odometry.range_image import pixels
 from holdfast.messages import Array
 
 # pixels in elevation and azimuth: rings keep their elevation to a fraction of a degree, whatever a turning lidar's
@@ -45,9 +46,6 @@ class Pattern:
 
 def _hit(points: Array) -> NDArray[np.bool_]:
     """Return the pixels (ROWS, COLUMNS) in which there are points (N, 3)."""
-    elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])) / np.pi + 0.5
-    azimuth = np.arctan2(points[:, 1], points[:, 0]) / (2.0 * np.pi) + 0.5
-    rows, columns = (elevation * ROWS).astype(np.intp), (azimuth * COLUMNS).astype(np.intp)
     hit = np.zeros((ROWS, COLUMNS), dtype=np.bool_)
-    hit[np.minimum(rows, ROWS - 1), np.minimum(columns, COLUMNS - 1)] = True
+    hit[pixels(points, ROWS, COLUMNS)] = True
     return hit

@@ -56,12 +56,12 @@ def lengths(points: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(np.sqrt(np.einsum("ni,ni->n", points, points)))
 
 
-def pixels(points: NDArray[Any]) -> Pixels:
-    """Return row (N,) and column (N,) of the directions of points (N, 3) in L."""
+def pixels(points: NDArray[Any], rows: int = ROWS, columns: int = BINS) -> Pixels:
+    """Return row (N,) and column (N,) of the directions of points (N, 3) in L, in an image of so many."""
     azimuth = np.arctan2(points[:, 1], points[:, 0]) / (2.0 * np.pi) + 0.5
     elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])) / np.pi + 0.5
-    rows, columns = (elevation * ROWS).astype(np.intp), (azimuth * BINS).astype(np.intp)
-    return np.minimum(rows, ROWS - 1), np.minimum(columns, BINS - 1)
+    row, column = (elevation * rows).astype(np.intp), (azimuth * columns).astype(np.intp)
+    return np.minimum(row, rows - 1), np.minimum(column, columns - 1)
 
 
 def with_neighbours(image: NDArray[Any], extreme: np.ufunc) -> NDArray[Any]:

@@ -65,7 +65,7 @@ class Scanner:
     def __init__(self, lidar: SimulatedScanner, mesh: "Trimesh") -> None:
         self._lidar = lidar
         self._scene = _scene(mesh.vertices.view(np.ndarray), mesh.faces.view(np.ndarray))
-        self._rings = _rings(lidar)
+        self._rings = _rings(lidar) if lidar.pattern == "rings" else None
         offset_ns = np.rint(self.column_times_s(0.0) * NS_PER_S).astype(np.uint32)
         self._offset_ns = np.repeat(offset_ns, lidar.channels)
         self._ring = np.tile(np.arange(lidar.channels, dtype=np.uint16), lidar.columns)
@@ -85,7 +85,7 @@ class Scanner:
             boxes: that move, at each column's time.
         """
         lidar = self._lidar
-        rays = self._rings if lidar.pattern == "rings" else _rosette(lidar, self.column_times_s(k / lidar.rate_hz))
+        rays = _rosette(lidar, self.column_times_s(k / lidar.rate_hz)) if self._rings is None else self._rings
         directions = (rays @ R_W_L.transpose(0, 2, 1)).astype(np.float32).reshape(-1, 3)
         origins = np.repeat(p_W.astype(np.float32), lidar.channels, axis=0)
         distance: NDArray[np.float32] = self._scene.run(origins, directions, query="DISTANCE")
@@ -96,7 +96,7 @@ class Scanner:
         kept = (distance >= lidar.min_range_m) & (distance <= lidar.max_range_m)
         kept &= rng.random(len(distance), dtype=np.float32) >= lidar.dropout_ratio
         returned = np.flatnonzero(kept)
-        points = rays.reshape(-1, 3).astype(np.float32)[returned] * distance[returned, None]
+        points = rays.reshape(-1, 3)[returned].astype(np.float32) * distance[returned, None]
         return Scan(k, points, self._offset_ns[returned], self._ring[returned], moving[returned])
 
 
@@ -122,7 +122,7 @@ def _rosette(lidar: SimulatedScanner, times_s: Array) -> Array:
     phases = 2.0 * pi * np.multiply.outer(PRISMS_HZ, times_s)
     across, up = ((high - low) / 4.0 * of(phases).sum(axis=0) for of in (np.cos, np.sin))
     apart = radians(EMITTERS_DEG) * (np.arange(lidar.channels) - 0.5 * (lidar.channels - 1))
-    across, up = np.broadcast_to(across[:, None], (len(across), len(apart))), up[:, None] - apart
+    across, up = across[:, None], up[:, None] - apart
     bent = np.hypot(across, up)
     sines = np.sinc(bent / pi)  # sin(x)/x
     middle = (low + high) / 2.0
