@@ -45,8 +45,10 @@ class Outcome:
 def run_job(job: Job, stop_file: Path) -> Outcome:
     """Replay, and keep the outcome beside the results; whatever goes wrong is an outcome too.
 
-    The replay is interrupted when `stop_file` appears.
+    The replay is interrupted when `stop_file` appears, and not begun once it has.
     """
+    if stop_file.exists():
+        return Outcome(job.name, "stopped", job.fingerprint, "the batch was interrupted")
     began = time.monotonic()
     try:
         with replaced(job.folder, "batch", [job.recording]):

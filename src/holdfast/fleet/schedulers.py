@@ -5,10 +5,11 @@ Both yield outcomes as they come, and stop the running jobs when the consumer st
 
 import logging
 from collections.abc import Generator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed, wait
 from pathlib import Path
 from secrets import token_hex
 from socket import create_connection
+from typing import Any
 from urllib.parse import urlsplit
 
 from holdfast.errors import ConfigError
@@ -21,47 +22,47 @@ CONNECT_S = 10
 
 def run_locally(jobs: Sequence[Job], output: Path, workers: int) -> Generator[Outcome, None, None]:
     """Run so many jobs at a time on this machine; each is a process, watched by a thread."""
-    stop_file = _stop_file(output)
     with ThreadPoolExecutor(workers, thread_name_prefix="batch") as pool:
-        futures = [pool.submit(run_job, job, stop_file) for job in jobs]
-        try:
-            for future in as_completed(futures):
-                yield future.result()
-        except BaseException:
-            stop_file.touch()
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
-        finally:
-            stop_file.unlink(missing_ok=True)
+        yield from _outcomes(jobs, output, pool)
 
 
 def run_on_cluster(jobs: Sequence[Job], output: Path, address: str) -> Generator[Outcome, None, None]:
     """Run the jobs on a cluster whose workers see the same files under the same paths.
+
+    The client is opened and closed in a thread, and this one waits for standard futures: where Ctrl-C meets the
+    client's own waiting, its loop may print a traceback.
 
     Raises:
         ConfigError: distributed is not installed, or no scheduler answers.
     """
     with needing("a cluster", "fleet"):
         from distributed import Client
-        from distributed import as_completed as as_completed_there
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # it logs its own regular end as a fault
     _check_address(address)
-    stop_file = _stop_file(output)
-    # distributed is typed in part only
-    with Client(address, timeout=CONNECT_S, set_as_default=False) as client:  # type: ignore[no-untyped-call]
-        futures = [client.submit(run_job, job, stop_file, pure=False) for job in jobs]
-        job_of = dict(zip((future.key for future in futures), jobs, strict=True))
+    with ThreadPoolExecutor(1, thread_name_prefix="cluster") as thread:
+        # distributed is typed in part only
+        client: Any = thread.submit(Client, address, timeout=CONNECT_S, set_as_default=False).result()
         try:
-            for future in as_completed_there(futures, loop=client.loop):  # type: ignore[no-untyped-call]
-                job = job_of[future.key]
-                failure = future.exception()
-                yield future.result() if failure is None else _lost(job, failure)
-        except BaseException:
-            stop_file.touch()
-            client.gather([future for future in futures if future.status == "pending"], errors="skip")
-            raise
+            yield from _outcomes(jobs, output, client.get_executor(pure=False))
         finally:
-            stop_file.unlink(missing_ok=True)
+            thread.submit(client.close).result()
+
+
+def _outcomes(jobs: Sequence[Job], output: Path, pool: Executor) -> Generator[Outcome, None, None]:
+    """Yield the outcomes as they come; when the consumer stops, stop the replays and wait for them."""
+    stop_file = _stop_file(output)
+    job_of: dict[Future[Outcome], Job] = {}
+    try:
+        for job in jobs:
+            job_of[pool.submit(run_job, job, stop_file)] = job
+        for future in as_completed(job_of):
+            yield _outcome(job_of[future], future)
+    except BaseException:
+        stop_file.touch()
+        wait(job_of)
+        raise
+    finally:
+        stop_file.unlink(missing_ok=True)
 
 
 def _check_address(address: str) -> None:
@@ -76,9 +77,12 @@ def _check_address(address: str) -> None:
         raise ConfigError(f"--scheduler {address}: no scheduler answers ({reason}; allowed: tcp://host:port)") from None
 
 
-def _lost(job: Job, failure: BaseException) -> Outcome:
-    reason = f"the worker failed: {type(failure).__name__}: {failure}".splitlines()[0]
-    return Outcome(job.name, "failed", job.fingerprint, reason)
+def _outcome(job: Job, future: "Future[Outcome]") -> Outcome:
+    try:
+        return future.result()
+    except Exception as failure:  # whatever became of a worker or of the scheduler
+        reason = f"the worker failed: {type(failure).__name__}: {failure}".splitlines()[0]
+        return Outcome(job.name, "failed", job.fingerprint, reason)
 
 
 def _stop_file(output: Path) -> Path:
