@@ -15,6 +15,32 @@ def skew(vectors: Array) -> Array:
     return matrices.reshape(*vectors.shape, 3)
 
 
+def exponentials(vectors: Array) -> Array:
+    """Return the rotations (K, 3, 3) of rotation vectors (K, 3) [rad], by Rodrigues' formula."""
+    angles = np.linalg.norm(vectors, axis=1)[:, None, None]
+    hats = np.zeros((len(vectors), 3, 3))
+    hats[:, 2, 1], hats[:, 0, 2], hats[:, 1, 0] = vectors.T
+    hats -= hats.transpose(0, 2, 1)
+    # sin(a) / a, and (1 - cos(a)) / a^2 = (sin(a/2) / (a/2))^2 / 2
+    first, second = np.sinc(angles / np.pi), 0.5 * np.sinc(0.5 * angles / np.pi) ** 2
+    found: Array = np.eye(3) + first * hats + second * (hats @ hats)
+    return found
+
+
+def attitudes(turns: Array) -> Array:
+    """Return the attitudes (K + 1, 3, 3) after each of K turns about the body's own axes, the first the identity.
+
+    Args:
+        turns: (K, 3) rotation vectors [rad].
+    """
+    products = np.concatenate([np.eye(3)[None], exponentials(turns)])
+    reach = 1
+    while reach < len(products):  # in log2(K) rounds (Hillis and Steele, 1986)
+        products[reach:] = products[:-reach] @ products[reach:]
+        reach *= 2
+    return products
+
+
 def about_z(angles_rad: Array) -> Array:
     """Return the rotations (N, 3, 3) about the z axis by angles (N,)."""
     matrices = np.zeros((len(angles_rad), 3, 3))

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 
+from holdfast.geometry.rotations import attitudes
 from holdfast.messages import Array
 
 SHORTEST_S = 1e-6
@@ -67,12 +68,7 @@ class Rates:
 
     def rotations(self, times_s: Array) -> Array:
         """Return the attitude (K, 3, 3) at each of K increasing times in the frame at the first of them."""
-        products = np.concatenate([np.eye(3)[None], _exponentials(self._at(times_s, self.angular))])
-        reach = 1
-        while reach < len(products):  # in log2(K) rounds (Hillis and Steele, 1986)
-            products[reach:] = products[:-reach] @ products[reach:]
-            reach *= 2
-        return products
+        return attitudes(self._at(times_s, self.angular))
 
     def rotation(self, from_s: float, to_s: float) -> gtsam.Rot3:
         """Return the attitude at one time in the frame at an earlier one."""
@@ -93,18 +89,6 @@ class Rates:
         """Return the integrals (K - 1, 3) of readings between times."""
         middles_s, steps_s = (times_s[1:] + times_s[:-1]) / 2.0, np.diff(times_s)
         return np.column_stack([np.interp(middles_s, self.times_s, axis) * steps_s for axis in readings.T])
-
-
-def _exponentials(vectors: Array) -> Array:
-    """Return the rotations (K, 3, 3) of rotation vectors (K, 3) [rad], by Rodrigues' formula."""
-    angles = np.linalg.norm(vectors, axis=1)[:, None, None]
-    hats = np.zeros((len(vectors), 3, 3))
-    hats[:, 2, 1], hats[:, 0, 2], hats[:, 1, 0] = vectors.T
-    hats -= hats.transpose(0, 2, 1)
-    # sin(a) / a, and (1 - cos(a)) / a^2 = (sin(a/2) / (a/2))^2 / 2
-    first, second = np.sinc(angles / np.pi), 0.5 * np.sinc(0.5 * angles / np.pi) ** 2
-    found: Array = np.eye(3) + first * hats + second * (hats @ hats)
-    return found
 
 
 def deskew(points: Array, offsets_s: Array, at_s: float, rates: Rates, moving: Moving) -> Array:

@@ -106,14 +106,15 @@ def _combined(offsets: Array, variances: Array) -> ClockOffset:
 def _fit(stretch: Stretch) -> _Fit | None:
     """Solve one stretch: the parabola at the minimum of its costs; None where it holds too little motion."""
     seen, track = stretch.seen(), stretch.track()
-    felt = [stretch.felt(track, offset) for offset in GRID_S]
-    residuals = min((solve(one, seen).residuals for one in felt[::2]), key=lambda some: float(spread(some).sum()))
+    felt = stretch.felt(track, GRID_S)
+    tried = solve(felt[::2], seen).residuals
+    residuals = tried[spread(tried).sum(axis=(1, 2)).argmin()]
     scale = spread(residuals)
     usual = (np.abs(residuals) < OUTLIER * scale).all(axis=1)
     if usual.sum() < MIN_ROWS:
         return None
-    seen, felt = seen[usual], [one[usual] for one in felt]
-    costs = np.array([solve(one, seen, scale).cost for one in felt])
+    seen = seen[usual]
+    costs = solve(felt[:, usual], seen, scale).costs
     at_rest = loss((seen - np.mean(seen, axis=0)) / scale).sum()
     k = int(costs.argmin())
     freedom = seen.size - 3 - len(PRIOR_SIGMAS)

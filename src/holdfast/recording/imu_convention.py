@@ -70,8 +70,8 @@ def _spread_beside(stretch: Stretch, seen: Array, scale: Array, passes: int) -> 
     bias, left = np.zeros(6), inf
     for _ in range(passes):
         track = stretch.track(scale, bias)
-        solutions = [solve(stretch.felt(track, offset), seen) for offset in OFFSETS_S]
-        spreads = [float(spread(one.residuals).sum()) for one in solutions]
-        best = int(np.argmin(spreads))
-        bias, left = bias + solutions[best].bias, min(left, spreads[best])
+        solutions = solve(stretch.felt(track, OFFSETS_S), seen)
+        spreads = spread(solutions.residuals).sum(axis=(1, 2))
+        best = int(spreads.argmin())
+        bias, left = bias + solutions.biases[best], min(left, float(spreads[best]))
     return left

@@ -1,8 +1,8 @@
 """What an IMU felt since the start of a stretch: the sums from which the motion of an antenna beside it follows."""
 
-import gtsam
 import numpy as np
 
+from holdfast.geometry.rotations import attitudes, skew
 from holdfast.messages import Array
 
 
@@ -23,27 +23,22 @@ class InertialTrack:
 
     def __init__(self, times_s: Array, readings: Array) -> None:
         steps = np.diff(times_s)
-        attitude = gtsam.Rot3()
-        attitudes = [attitude.matrix()]
-        for turn in (readings[1:, :3] + readings[:-1, :3]) * (0.5 * steps[:, None]):
-            attitude = attitude.compose(gtsam.Rot3.Expmap(turn))
-            attitudes.append(attitude.matrix())
-        R = np.array(attitudes)
+        R = attitudes((readings[1:, :3] + readings[:-1, :3]) * (0.5 * steps[:, None]))
         force = np.einsum("nij,nj->ni", R, readings[:, 3:])
         turned = _integral(R, steps)
-        tilted = _integral(cross(force) @ turned, steps)
+        tilted = _integral(skew(force) @ turned, steps)
         sensed = np.concatenate([_integral(force, steps)[:, :, None], -turned, tilted], axis=2)
         self._times_s = times_s
         self._sums = (
-            np.concatenate([sensed, R @ cross(readings[:, :3])], axis=2),
+            np.concatenate([sensed, R @ skew(readings[:, :3])], axis=2),
             np.concatenate([_integral(sensed, steps), R], axis=2),
         )
 
     def at(self, times_s: Array, order: int) -> Array:
-        """Return S and H (M, 3, 10), for order 1 those of velocity, for 2 of position, linear between samples."""
+        """Return S and H (..., 3, 10) at times (...): of velocity for order 1, of position for 2."""
         t, sums = self._times_s, self._sums[order - 1]
         k = np.clip(np.searchsorted(t, times_s), 1, len(t) - 1)
-        fraction = ((times_s - t[k - 1]) / (t[k] - t[k - 1]))[:, None, None]
+        fraction = ((times_s - t[k - 1]) / (t[k] - t[k - 1]))[..., None, None]
         result: Array = sums[k - 1] * (1.0 - fraction) + sums[k] * fraction
         return result
 
@@ -53,8 +48,3 @@ def _integral(values: Array, steps: Array) -> Array:
     total = np.zeros_like(values)
     np.cumsum(0.5 * (values[1:] + values[:-1]) * steps.reshape(-1, *[1] * (values.ndim - 1)), axis=0, out=total[1:])
     return total
-
-
-def cross(vectors: Array) -> Array:
-    """Return the matrices (..., 3, 3) of the cross product with vectors (..., 3)."""
-    return np.cross(np.eye(3), vectors[..., None, :])  # row i is e_i x v, so that the matrix times u is v x u

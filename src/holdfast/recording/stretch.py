@@ -10,20 +10,22 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
-import gtsam
 import numpy as np
 
 from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2
+from holdfast.geometry.rotations import exponentials, skew
 from holdfast.messages import Array
-from holdfast.recording.inertial_track import InertialTrack, cross
+from holdfast.recording.inertial_track import InertialTrack
 
 STRETCH_S = 20.0
 STEP_S = 0.05
-GRID_S = STEP_S * np.arange(-12, 13)  # offsets of the receiver's clock that are tried
+GRID_S: Array = STEP_S * np.arange(-12.0, 13.0)  # offsets of the receiver's clock that are tried
 MIN_ROWS = 12
 HUBER = 1.5
 ITERATIONS = 6
+CONVERGED = 1e-5  # rad, and units of the biases and the lever arm
 PRIOR_SIGMAS = np.repeat([0.3, 0.02, 3.0], 3)  # accelerometer [m/s^2], gyroscope [rad/s], lever arm [m]
+PRIOR = np.diag(np.concatenate([np.full(3, 1e-9), PRIOR_SIGMAS**-2]))  # information; of the attitude nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,9 +58,10 @@ class Stretch:
         """Return what the IMU felt: its readings times `scale` (6,), less a bias (6,)."""
         return InertialTrack(self.imu_s, self.imu * scale - bias)
 
-    def felt(self, track: InertialTrack, offset_s: float) -> Array:
-        """Return the changes (K, 3, 10) of S and H of a track, the receiver's stamps moved by an offset."""
-        return _changes(self.times_s, track.at(self.times_s + offset_s, self.order), self.order, self.stride)[0]
+    def felt(self, track: InertialTrack, offsets_s: Array) -> Array:
+        """Return the changes (N, K, 3, 10) of S and H of a track, the receiver's stamps moved by offsets (N,)."""
+        values = track.at(self.times_s[:, None] + offsets_s, self.order)
+        return _changes(self.times_s, values, self.order, self.stride)[0].swapaxes(0, 1)
 
 
 def stretches(imu_s: Array, imu: Array, gnss_s: Array, gnss: Array, order: int, *, span_s: float) -> Iterator[Stretch]:
@@ -100,54 +103,68 @@ def _changes(times_s: Array, values: Array, order: int, stride: int) -> tuple[Ar
     return changes[stride:] - changes[:-stride], 0.5 * (times_s[2 * stride :] - times_s[: -2 * stride])
 
 
-class Solution(NamedTuple):
-    """How well a stretch is explained.
+class Solutions(NamedTuple):
+    """How well a stretch is explained, in each of N ways.
 
     Attributes:
-        cost: twice the negative logarithm of a likelihood.
-        residuals: (K, 3) of the changes of velocity [m/s].
-        bias: (6,) of gyroscope [rad/s] and accelerometer [m/s^2].
+        costs: (N,) twice the negative logarithm of a likelihood.
+        residuals: (N, K, 3) of the changes of velocity [m/s].
+        biases: (N, 6) of gyroscope [rad/s] and accelerometer [m/s^2].
     """
 
-    cost: float
+    costs: Array
     residuals: Array
-    bias: Array
+    biases: Array
 
 
-def solve(felt: Array, seen: Array, scale: Array | None = None) -> Solution:
-    """Fit first attitude, biases and lever arm to changes of velocity by reweighted Gauss-Newton.
+def solve(felt: Array, seen: Array, scale: Array | None = None) -> Solutions:
+    """Fit first attitude, biases and lever arm to changes of velocity by reweighted Gauss-Newton, in N ways at once.
 
     Args:
-        felt: (K, 3, 10) changes of S and H.
+        felt: (N, K, 3, 10) changes of S and H.
         seen: (K, 3) changes of velocity in W, without gravity.
-        scale: (3,) of the residuals; None for that of each iteration.
+        scale: (1, 3) of the residuals; None for that of each iteration.
     """
-    U, _, Vt = np.linalg.svd(seen.T @ felt[:, :, 0])
-    R = U @ np.diag([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)]) @ Vt
-    z = np.zeros(len(PRIOR_SIGMAS))
+    U, _, Vt = np.linalg.svd(seen.T @ felt[..., 0])
+    U[..., -1] *= np.linalg.det(U @ Vt)[:, None]
+    R = U @ Vt
+    z = np.zeros((len(felt), len(PRIOR_SIGMAS)))
+    moves = np.ones(len(felt), dtype=bool)
     for _ in range(ITERATIONS):
-        body = felt[:, :, 0] + felt[:, :, 1:] @ z
-        residuals = seen - body @ R.T
+        body, residuals = _explained(felt[moves], seen, R[moves], z[moves])
         sigmas = spread(residuals) if scale is None else scale
-        jacobian = R @ np.concatenate([-cross(body), felt[:, :, 1:]], axis=2)
-        weights = np.minimum(1.0, HUBER * sigmas / np.maximum(np.abs(residuals), 1e-12)) / sigmas**2
-        rows = jacobian.reshape(-1, 12)
-        normal = rows.T @ (rows * weights.reshape(-1, 1)) + np.diag(np.r_[np.full(3, 1e-9), PRIOR_SIGMAS**-2])
-        right = rows.T @ (weights * residuals).ravel() - np.r_[np.zeros(3), z / PRIOR_SIGMAS**2]
-        step = np.linalg.solve(normal, right)
-        R = R @ gtsam.Rot3.Expmap(step[:3]).matrix()
-        z = z + step[3:]
-        if np.abs(step).max() < 1e-5:
+        jacobian = R[moves, None] @ np.concatenate([-skew(body), felt[moves, :, :, 1:]], axis=3)
+        rows = jacobian.reshape(len(body), -1, 12)
+        weights = _weights(residuals, sigmas).reshape(len(body), -1, 1)
+        transposed = rows.swapaxes(1, 2)
+        right = (transposed @ (weights * residuals.reshape(weights.shape)))[..., 0]
+        right[:, 3:] -= z[moves] / PRIOR_SIGMAS**2
+        step = np.linalg.solve(transposed @ (rows * weights) + PRIOR, right[..., None])[..., 0]
+        R[moves] = R[moves] @ exponentials(step[:, :3])
+        z[moves] += step[:, 3:]
+        moves[moves] = np.abs(step).max(axis=1) >= CONVERGED
+        if not moves.any():
             break
-    residuals = seen - (felt[:, :, 0] + felt[:, :, 1:] @ z) @ R.T
-    sigmas = spread(residuals) if scale is None else scale
-    cost = float(loss(residuals / sigmas).sum() + ((z / PRIOR_SIGMAS) ** 2).sum())
-    return Solution(cost, residuals, np.r_[z[3:6], z[:3]])
+    residuals = _explained(felt, seen, R, z)[1]
+    ratios = residuals / (spread(residuals) if scale is None else scale)
+    costs = loss(ratios).sum(axis=(1, 2)) + ((z / PRIOR_SIGMAS) ** 2).sum(axis=1)
+    return Solutions(costs, residuals, np.concatenate([z[:, 3:6], z[:, :3]], axis=1))
+
+
+def _explained(felt: Array, seen: Array, R: Array, z: Array) -> tuple[Array, Array]:
+    """Return the changes (N, K, 3) of velocity that are explained, in the first body frame, and what is left in W."""
+    body = felt[..., 0] + (felt[..., 1:] @ z[:, None, :, None])[..., 0]
+    return body, seen - body @ R.swapaxes(1, 2)
+
+
+def _weights(residuals: Array, sigmas: Array) -> Array:
+    result: Array = np.minimum(1.0, HUBER * sigmas / np.maximum(np.abs(residuals), 1e-12)) / sigmas**2
+    return result
 
 
 def spread(residuals: Array) -> Array:
-    """Return a robust standard deviation (3,) of residuals (K, 3)."""
-    result: Array = np.percentile(np.abs(residuals), 80.0, axis=0) / 1.28 + 1e-4
+    """Return a robust standard deviation (..., 1, 3) of residuals (..., K, 3)."""
+    result: Array = np.percentile(np.abs(residuals), 80.0, axis=-2, keepdims=True) / 1.28 + 1e-4
     return result
 
 
