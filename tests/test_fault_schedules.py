@@ -17,8 +17,8 @@ AHEAD = (
     "a measurement had led the state past a sample; over the next one O went on by constant twist, not reported as such"
 )
 ONCE_FAILED = {
-    **dict.fromkeys((7, 17, 31, 65, 72, 73, 100, 118, 125, 128, 136, 140, 141, 145, 167, 168, 173, 181), AFTER_SILENCE),
-    **dict.fromkeys((187, 193, 1005, 1012, 1015), AFTER_SILENCE),
+    **dict.fromkeys((7, 31, 100, 141, 181), AFTER_SILENCE),
+    **dict.fromkeys((193, 1012), AFTER_SILENCE),
     679: "late fixes had left the window behind newer ones, and their factors were looked for at the recovery",
     576: "late fixes had left the window behind newer ones, and their factors were looked for at the recovery",
     **dict.fromkeys((717, 825), MEAN_RATE),
