@@ -34,19 +34,19 @@ ONCE_FAILED = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1000, 1010))
+@pytest.mark.parametrize("seed", range(1000, 1006))
 def test_no_schedule_breaks_the_estimator(seed):
     assert complaints(seed) == []
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2000, 2008))
+@pytest.mark.parametrize("seed", range(2000, 2005))
 def test_no_hostile_schedule_breaks_the_estimator(seed):
     assert complaints(seed, hostile=True) == []
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2020, 2024))
+@pytest.mark.parametrize("seed", range(2020, 2023))
 def test_no_hostile_schedule_breaks_the_engine_whose_optimiser_is_killed(seed):
     """How late its answers are is for a quiet machine: benchmarks/fault_schedules.py --realtime."""
     assert [line for line in complaints(seed, hostile=True, rate=8.0) if "late answers" not in line] == []
