@@ -5,16 +5,21 @@
 
 Each folder is played at its own pace, its clouds as sensor_msgs/PointCloud2 from another process, once without scans
 and once with them: what an IMU message takes to be answered, what a scan takes to become a pose (in time and processor
-time), what was dropped, and how far the published track is from the truth.
+time), what was dropped, and how far the published track is from the truth. With `--ros PYTHON`, an interpreter that has
+rclpy, the clouds come from a node of ROS 2 (`ros_clouds.py`); the tests keep such environments in the user's cache,
+`tests/live/peer` has what is in them.
 """
 
 import argparse
 import json
+import os
 import random
 import signal
+import struct
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Thread
@@ -40,6 +45,7 @@ CLOUD, IMU, ODOMETRY, DIAGNOSTICS = (
     "diagnostic_msgs/msg/DiagnosticArray",
 )
 WORLD = "/holdfast/odometry/world"
+FRAME = struct.Struct("<dQ")  # before each cloud in the file of `ros_clouds.py`: when [s], and how many bytes
 
 
 def configured(folder: Path, target: Path, domain: int, *, scans: bool, topic: str) -> None:
@@ -62,27 +68,60 @@ def stamped(raw: bytes, shift_ns: int) -> bytes:
     return bytes(data)
 
 
+def clouds(folder: Path, seconds: float, first_ns: int) -> Iterator[tuple[float, str, bytes]]:
+    """Yield the clouds of a recording: when [s], topic, CDR."""
+    with AnyReader([folder / "recording.mcap"]) as reader:
+        for connection, at_ns, raw in reader.messages([c for c in reader.connections if c.msgtype == CLOUD]):
+            if (at_s := (at_ns - first_ns) * 1e-9) > seconds:
+                return
+            yield at_s, connection.topic, raw
+
+
 def play_clouds(  # noqa: PLR0917 (to another process)
     folder: Path, domain: int, seconds: float, first_ns: int, began: float, shift_ns: int
 ) -> None:
     """Play the clouds of a recording as the driver of a lidar would, in a process of its own."""
     network = Network(LiveConfig(domain_id=domain, **LOOPBACK))
-    with AnyReader([folder / "recording.mcap"]) as reader:
-        wanted = [c for c in reader.connections if c.msgtype == CLOUD]
-        publish = {c.topic: network.advertise(c.topic, CLOUD, depth=2) for c in wanted}
-        for connection, at_ns, raw in reader.messages(wanted):
-            at_s = (at_ns - first_ns) * 1e-9
-            if at_s > seconds:
-                break
-            data = stamped(raw, shift_ns)
-            time.sleep(max(0.0, began + at_s - time.perf_counter()))
-            publish[connection.topic](data)
+    publish: dict[str, Callable[[bytes], None]] = {}
+    for at_s, topic, raw in clouds(folder, seconds, first_ns):
+        data = stamped(raw, shift_ns)
+        if topic not in publish:
+            publish[topic] = network.advertise(topic, CLOUD, depth=2)
+        time.sleep(max(0.0, began + at_s - time.perf_counter()))
+        publish[topic](data)
     time.sleep(1.0)
     network.close()
 
 
-def play(folder: Path, domain: int, seconds: float, *, scans: bool) -> tuple[list[float], int, int, dict[str, str]]:
+def write_clouds(folder: Path, file: Path, seconds: float, topic: str) -> None:
+    """Write the clouds of a topic for a node that reads no bags."""
+    with AnyReader([folder / "recording.mcap"]) as reader:
+        first_ns = reader.start_time
+    with file.open("wb") as out:
+        for at_s, of, raw in clouds(folder, seconds, first_ns):
+            if of == topic:
+                out.write(FRAME.pack(at_s, len(raw)) + raw)
+
+
+def play_clouds_in_ros(  # noqa: PLR0917 (as above)
+    python: Path, file: Path, topic: str, domain: int, began: float, shift_ns: int
+) -> None:
+    """The same by a node of ROS 2, in its own environment."""
+    environment = {"PATH": os.environ["PATH"], "HOME": str(file.parent), "ROS_DOMAIN_ID": str(domain)}
+    subprocess.Popen(
+        [python, Path(__file__).with_name("ros_clouds.py"), file, topic, repr(began), str(shift_ns)],
+        env=environment | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_LOG_DIR": str(file.parent)},
+    )
+
+
+def play(
+    folder: Path, domain: int, seconds: float, start_clouds: Callable[[int, float, int], object] | None
+) -> tuple[list[float], int, int, dict[str, str]]:
     """Play a recording as its drivers would.
+
+    Args:
+        start_clouds: begins to play the clouds, given the first stamp [ns], the beginning [s] and what is added to
+            stamps [ns].
 
     Returns round trips of the IMU [ms], how many had none, what was added to stamps [ns], and diagnostics.
     """
@@ -112,8 +151,8 @@ def play(folder: Path, domain: int, seconds: float, *, scans: bool) -> tuple[lis
         first_ns, count = reader.start_time, 0
         began = time.perf_counter() + 4.0
         shift_ns = time.time_ns() + 4 * 10**9 - first_ns
-        if scans:
-            beside(play_clouds, folder, domain, seconds, first_ns, began, shift_ns)
+        if start_clouds is not None:
+            start_clouds(first_ns, began, shift_ns)
         for connection, at_ns, raw in reader.messages(wanted):
             at_s = (at_ns - first_ns) * 1e-9
             if at_s > seconds:
@@ -129,8 +168,17 @@ def play(folder: Path, domain: int, seconds: float, *, scans: bool) -> tuple[lis
     return took[len(took) // 10 :], count - len(took), shift_ns, diagnostics
 
 
-def measure(folder: Path, work: Path, domain: int, seconds: float, topic: str, *, scans: bool) -> dict[str, Any]:
-    config, log = work / "live.json", work / "log.mcap"
+def measure(folder: Path, work: Path, domain: int, options: argparse.Namespace, *, scans: bool) -> dict[str, Any]:
+    config, log, seconds, topic = work / "live.json", work / "log.mcap", options.seconds, options.topic
+
+    def start_clouds(first_ns: int, began: float, shift_ns: int) -> None:
+        if options.ros is None:
+            beside(play_clouds, folder, domain, seconds, first_ns, began, shift_ns)
+        else:
+            play_clouds_in_ros(options.ros, work / "clouds", topic, domain, began, shift_ns)
+
+    if scans and options.ros is not None:
+        write_clouds(folder, work / "clouds", seconds, topic)
     configured(folder, config, domain, scans=scans, topic=topic)
     arguments = ["live", "-c", str(config), "--record", str(log)]
     live = subprocess.Popen([sys.executable, "-c", HOLDFAST, *arguments], stderr=subprocess.PIPE, text=True)
@@ -141,7 +189,7 @@ def measure(folder: Path, work: Path, domain: int, seconds: float, topic: str, *
     lines: list[str] = []
     Thread(target=lambda: lines.extend(live.stderr or ()), daemon=True).start()
     time.sleep(3.0)  # the odometry's process comes up
-    took, unanswered, shift_ns, diagnostics = play(folder, domain, seconds, scans=scans)
+    took, unanswered, shift_ns, diagnostics = play(folder, domain, seconds, start_clouds if scans else None)
     live.send_signal(signal.SIGINT)
     live.wait(60)
     found = report(f"{folder.name}, {'with' if scans else 'without'} scans", took, unanswered)
@@ -171,6 +219,7 @@ def main() -> None:
     parser.add_argument("folders", type=Path, nargs="+", help="written by holdfast simulate --scans")
     parser.add_argument("--seconds", type=float, default=60.0, help="of each recording")
     parser.add_argument("--topic", default="/lidar/points")
+    parser.add_argument("--ros", type=Path, metavar="PYTHON", help="interpreter with rclpy that publishes the clouds")
     options = parser.parse_args()
     domain = random.SystemRandom().randrange(1, 98)
     print(", ".join(f"{key} {value}" for key, value in describe_machine().items()))
@@ -178,7 +227,7 @@ def main() -> None:
     for folder in options.folders:
         for number, scans in enumerate((False, True)):
             with TemporaryDirectory() as work:
-                found = measure(folder, Path(work), domain + number, options.seconds, options.topic, scans=scans)
+                found = measure(folder, Path(work), domain + number, options, scans=scans)
             if scans:
                 print("    " + ", ".join(f"{key} {value}" for key, value in found["diagnostics"].items()))
                 print("".join(f"    live: {line}" for line in found["lines"][:12]), end="")

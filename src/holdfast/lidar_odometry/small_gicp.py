@@ -29,7 +29,7 @@ COARSE = 2.0  # times that resolution is the first pass where nothing measures t
 DESKEWED_M = 0.01  # a velocity that errs by so much over half a sweep is worth a second pass
 PARTNER_M = 1.0
 FASTEST_M = 3.0  # between the first two sweeps: 15 m/s at 5 Hz
-EPSILON_RAD, EPSILON_M = 1e-4, 1e-3  # a third of what scans are known by against each other
+EPSILON_RAD, EPSILON_M = 3e-4, 3e-3  # what scans are known by against each other: the first smaller step is the last
 MEMORY_SWEEPS = 3000  # ten minutes at 5 Hz: a machine that returns finds its map
 # neighbouring points have the error of their voxel in common, which H takes for independent: on two ray-cast sites
 # s^2 H^-1 is right for new noise at one position, and 2.3 to 3.6 times too small over positions; deskewing errors add
