@@ -10,6 +10,7 @@ from pydantic import Field
 from holdfast.config.section import Section, Topic, Vector3, quantity
 
 Axis = Literal["x", "y", "z"]
+MAP_VOXEL_M, SCAN_VOXEL_M = 0.5, 0.35  # `lidar_odometry.small_gicp` says why
 
 
 class RobustLoss(Section):
@@ -207,9 +208,9 @@ class ScansConfig(DriftingConfig):
         (), description="parts of the machine in the lidar's frame, whose points are cut: two corners x y z x y z [m]"
     )
     learn_machine: bool = Field(True, description="cut what is learnt to move with the machine, such as its arm")
-    map_voxel_m: float = quantity("m", 0.5, gt=0.05, le=5, doc="cell of the map (small-gicp)")
+    map_voxel_m: float = quantity("m", MAP_VOXEL_M, gt=0.05, le=5, doc="cell of the map (small-gicp)")
     scan_voxel_m: float = quantity(
-        "m", 0.35, gt=0.02, le=5, doc="of each cell of a scan one point is used (small-gicp)"
+        "m", SCAN_VOXEL_M, gt=0.02, le=5, doc="of each cell of a scan one point is used (small-gicp)"
     )
     use_gyroscope: bool = Field(True, description="deskew and predict with what the IMU measures")
     latency_s: float = quantity(

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from holdfast.config.model import Config
-from holdfast.config.sensors import DriftingConfig, ScansConfig
+from holdfast.config.sensors import MAP_VOXEL_M, SCAN_VOXEL_M, DriftingConfig, ScansConfig
 from holdfast.errors import ConfigError
 from holdfast.lidar_odometry.inertial_guide import NO_SAMPLES, ImuMount, ImuSamples, InertialGuide, imu_mount
 from holdfast.lidar_odometry.masked import Masked, Masking, boxes_of
@@ -37,8 +37,8 @@ class Settings:
     threads: int = 1
     min_range_m: float = 1.0
     max_range_m: float = 120.0
-    map_voxel_m: float = 0.5
-    scan_voxel_m: float = 0.35
+    map_voxel_m: float = MAP_VOXEL_M
+    scan_voxel_m: float = SCAN_VOXEL_M
     imu: ImuMount | None = None
     T_L0_L: Array | None = None
     masking: Masking = field(default_factory=Masking)

@@ -13,6 +13,7 @@ import gtsam
 import numpy as np
 import small_gicp
 
+from holdfast.config.sensors import MAP_VOXEL_M, SCAN_VOXEL_M
 from holdfast.lidar_odometry.degeneracy import GYROSCOPE_RAD_S, Degeneracy, Observability
 from holdfast.lidar_odometry.deskew import STILL, Moving, Rates, deskew
 from holdfast.lidar_odometry.free_space import FreeSpace
@@ -23,8 +24,6 @@ from holdfast.lidar_odometry.registration import Registered, Registration
 from holdfast.lidar_odometry.sweep import Sweep
 from holdfast.messages import Array
 
-VOXEL_M = 0.5
-RESOLUTION_M = 0.35
 COARSE = 2.0  # times that resolution is the first pass where nothing measures the rotation: it finds the motion
 DESKEWED_M = 0.01  # a velocity that errs by so much over half a sweep is worth a second pass
 PARTNER_M = 1.0
@@ -95,7 +94,7 @@ class SmallGicp(Registration):
         scan_voxel_m: of a scan one point is used per cell [m].
     """
 
-    def __init__(self, threads: int, map_voxel_m: float = VOXEL_M, scan_voxel_m: float = RESOLUTION_M) -> None:
+    def __init__(self, threads: int, map_voxel_m: float = MAP_VOXEL_M, scan_voxel_m: float = SCAN_VOXEL_M) -> None:
         self._threads = threads
         self._map_voxel_m, self._scan_voxel_m = map_voxel_m, scan_voxel_m
         self._at_ns = NEVER_NS
