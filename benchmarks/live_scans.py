@@ -15,7 +15,6 @@ import json
 import os
 import random
 import signal
-import struct
 import subprocess
 import sys
 import time
@@ -27,6 +26,7 @@ from typing import Any
 
 import numpy as np
 from dds import HOLDFAST, LOOPBACK, STAMP, beside, report
+from ros_clouds import FRAME, stamped
 from rosbags.highlevel import AnyReader
 from ruamel.yaml import YAML
 
@@ -45,7 +45,6 @@ CLOUD, IMU, ODOMETRY, DIAGNOSTICS = (
     "diagnostic_msgs/msg/DiagnosticArray",
 )
 WORLD = "/holdfast/odometry/world"
-FRAME = struct.Struct("<dQ")  # before each cloud in the file of `ros_clouds.py`: when [s], and how many bytes
 
 
 def configured(folder: Path, target: Path, domain: int, *, scans: bool, topic: str) -> None:
@@ -60,30 +59,20 @@ def configured(folder: Path, target: Path, domain: int, *, scans: bool, topic: s
     target.write_text(json.dumps(content | {"live": LOOPBACK | {"domain_id": domain}}))
 
 
-def stamped(raw: bytes, shift_ns: int) -> bytes:
-    """Return a message with a stamp of now."""
-    data = bytearray(raw)
-    sec, nanosec = STAMP.unpack_from(data, 4)
-    STAMP.pack_into(data, 4, *divmod(sec * 10**9 + nanosec + shift_ns, 10**9))
-    return bytes(data)
-
-
-def clouds(folder: Path, seconds: float, first_ns: int) -> Iterator[tuple[float, str, bytes]]:
-    """Yield the clouds of a recording: when [s], topic, CDR."""
+def clouds(folder: Path, seconds: float) -> Iterator[tuple[float, str, bytes]]:
+    """Yield the clouds of a recording: when after its beginning [s], topic, CDR."""
     with AnyReader([folder / "recording.mcap"]) as reader:
         for connection, at_ns, raw in reader.messages([c for c in reader.connections if c.msgtype == CLOUD]):
-            if (at_s := (at_ns - first_ns) * 1e-9) > seconds:
+            if (at_s := (at_ns - reader.start_time) * 1e-9) > seconds:
                 return
             yield at_s, connection.topic, raw
 
 
-def play_clouds(  # noqa: PLR0917 (to another process)
-    folder: Path, domain: int, seconds: float, first_ns: int, began: float, shift_ns: int
-) -> None:
+def play_clouds(folder: Path, domain: int, seconds: float, began: float, shift_ns: int) -> None:
     """Play the clouds of a recording as the driver of a lidar would, in a process of its own."""
     network = Network(LiveConfig(domain_id=domain, **LOOPBACK))
     publish: dict[str, Callable[[bytes], None]] = {}
-    for at_s, topic, raw in clouds(folder, seconds, first_ns):
+    for at_s, topic, raw in clouds(folder, seconds):
         data = stamped(raw, shift_ns)
         if topic not in publish:
             publish[topic] = network.advertise(topic, CLOUD, depth=2)
@@ -95,17 +84,13 @@ def play_clouds(  # noqa: PLR0917 (to another process)
 
 def write_clouds(folder: Path, file: Path, seconds: float, topic: str) -> None:
     """Write the clouds of a topic for a node that reads no bags."""
-    with AnyReader([folder / "recording.mcap"]) as reader:
-        first_ns = reader.start_time
     with file.open("wb") as out:
-        for at_s, of, raw in clouds(folder, seconds, first_ns):
+        for at_s, of, raw in clouds(folder, seconds):
             if of == topic:
                 out.write(FRAME.pack(at_s, len(raw)) + raw)
 
 
-def play_clouds_in_ros(  # noqa: PLR0917 (as above)
-    python: Path, file: Path, topic: str, domain: int, began: float, shift_ns: int
-) -> None:
+def play_clouds_in_ros(python: Path, file: Path, topic: str, *, domain: int, began: float, shift_ns: int) -> None:
     """The same by a node of ROS 2, in its own environment."""
     environment = {"PATH": os.environ["PATH"], "HOME": str(file.parent), "ROS_DOMAIN_ID": str(domain)}
     subprocess.Popen(
@@ -115,13 +100,12 @@ def play_clouds_in_ros(  # noqa: PLR0917 (as above)
 
 
 def play(
-    folder: Path, domain: int, seconds: float, start_clouds: Callable[[int, float, int], object] | None
+    folder: Path, domain: int, seconds: float, start_clouds: Callable[[float, int], object] | None
 ) -> tuple[list[float], int, int, dict[str, str]]:
     """Play a recording as its drivers would.
 
     Args:
-        start_clouds: begins to play the clouds, given the first stamp [ns], the beginning [s] and what is added to
-            stamps [ns].
+        start_clouds: begins to play the clouds, given the beginning [s] and what is added to stamps [ns].
 
     Returns round trips of the IMU [ms], how many had none, what was added to stamps [ns], and diagnostics.
     """
@@ -152,7 +136,7 @@ def play(
         began = time.perf_counter() + 4.0
         shift_ns = time.time_ns() + 4 * 10**9 - first_ns
         if start_clouds is not None:
-            start_clouds(first_ns, began, shift_ns)
+            start_clouds(began, shift_ns)
         for connection, at_ns, raw in reader.messages(wanted):
             at_s = (at_ns - first_ns) * 1e-9
             if at_s > seconds:
@@ -171,11 +155,11 @@ def play(
 def measure(folder: Path, work: Path, domain: int, options: argparse.Namespace, *, scans: bool) -> dict[str, Any]:
     config, log, seconds, topic = work / "live.json", work / "log.mcap", options.seconds, options.topic
 
-    def start_clouds(first_ns: int, began: float, shift_ns: int) -> None:
+    def start_clouds(began: float, shift_ns: int) -> None:
         if options.ros is None:
-            beside(play_clouds, folder, domain, seconds, first_ns, began, shift_ns)
+            beside(play_clouds, folder, domain, seconds, began, shift_ns)
         else:
-            play_clouds_in_ros(options.ros, work / "clouds", topic, domain, began, shift_ns)
+            play_clouds_in_ros(options.ros, work / "clouds", topic, domain=domain, began=began, shift_ns=shift_ns)
 
     if scans and options.ros is not None:
         write_clouds(folder, work / "clouds", seconds, topic)

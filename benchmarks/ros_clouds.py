@@ -10,25 +10,31 @@ import sys
 import time
 from pathlib import Path
 
-import rclpy
-from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import PointCloud2
-
 FRAME = struct.Struct("<dQ")
 STAMP = struct.Struct("<iI")  # behind the four bytes of the encapsulation
 
 
+def stamped(raw: bytes, shift_ns: int) -> bytes:
+    """Return a message with its stamp moved."""
+    data = bytearray(raw)
+    sec, nanosec = STAMP.unpack_from(data, 4)
+    STAMP.pack_into(data, 4, *divmod(sec * 10**9 + nanosec + shift_ns, 10**9))
+    return bytes(data)
+
+
 def main(path: str, topic: str, began_s: str, shift_ns: str) -> None:
+    import rclpy  # not where `live_scans.py` reads what else is here
+    from rclpy.qos import qos_profile_sensor_data
+    from sensor_msgs.msg import PointCloud2
+
     rclpy.init()
     publisher = rclpy.create_node("lidar").create_publisher(PointCloud2, topic, qos_profile_sensor_data)
     with Path(path).open("rb") as file:
         while frame := file.read(FRAME.size):
             due_s, size = FRAME.unpack(frame)
-            data = bytearray(file.read(size))
-            sec, nanosec = STAMP.unpack_from(data, 4)
-            STAMP.pack_into(data, 4, *divmod(sec * 10**9 + nanosec + int(shift_ns), 10**9))
+            data = stamped(file.read(size), int(shift_ns))
             time.sleep(max(0.0, float(began_s) + due_s - time.perf_counter()))
-            publisher.publish(bytes(data))
+            publisher.publish(data)
     time.sleep(1.0)
     rclpy.shutdown()
 

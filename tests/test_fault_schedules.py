@@ -17,8 +17,7 @@ AHEAD = (
     "a measurement had led the state past a sample; over the next one O went on by constant twist, not reported as such"
 )
 ONCE_FAILED = {
-    **dict.fromkeys((7, 31, 100, 141, 181), AFTER_SILENCE),
-    **dict.fromkeys((193, 1012), AFTER_SILENCE),
+    **dict.fromkeys((7, 31, 100, 141, 181, 193, 1012), AFTER_SILENCE),
     679: "late fixes had left the window behind newer ones, and their factors were looked for at the recovery",
     576: "late fixes had left the window behind newer ones, and their factors were looked for at the recovery",
     **dict.fromkeys((717, 825), MEAN_RATE),

@@ -19,6 +19,7 @@ TRUTH = Path("truth") / ESTIMATE
 POLL_S = 0.1
 STOP_TIMEOUT_S = 10.0  # in which an interrupted replay writes its results
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+INTERRUPTED = "the batch was interrupted"
 STOPPED = {128 + number for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
 MAIN = "from holdfast.cli import main; main()"
 
@@ -48,7 +49,7 @@ def run_job(job: Job, stop_file: Path) -> Outcome:
     The replay is interrupted when `stop_file` appears, and not begun once it has.
     """
     if stop_file.exists():
-        return Outcome(job.name, "stopped", job.fingerprint, "the batch was interrupted")
+        return Outcome(job.name, "stopped", job.fingerprint, INTERRUPTED)
     began = time.monotonic()
     try:
         with replaced(job.folder, "batch", [job.recording]):
@@ -96,14 +97,14 @@ def _replay(job: Job, stop_file: Path) -> tuple[State, str]:
         try:
             while process.poll() is None:
                 if stop_file.exists():
-                    return "stopped", "the batch was interrupted"
+                    return "stopped", INTERRUPTED
                 time.sleep(POLL_S)
         finally:
             _end(process)
     if process.returncode == 0:
         return "done", ""
     if process.returncode in STOPPED:  # Ctrl-C in a terminal reaches the replays, too
-        return "stopped", "the batch was interrupted"
+        return "stopped", INTERRUPTED
     return "failed", _reason(job.folder / LOG, process.returncode)
 
 

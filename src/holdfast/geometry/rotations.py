@@ -18,9 +18,7 @@ def skew(vectors: Array) -> Array:
 def exponentials(vectors: Array) -> Array:
     """Return the rotations (K, 3, 3) of rotation vectors (K, 3) [rad], by Rodrigues' formula."""
     angles = np.linalg.norm(vectors, axis=1)[:, None, None]
-    hats = np.zeros((len(vectors), 3, 3))
-    hats[:, 2, 1], hats[:, 0, 2], hats[:, 1, 0] = vectors.T
-    hats -= hats.transpose(0, 2, 1)
+    hats = skew(vectors)
     # sin(a) / a, and (1 - cos(a)) / a^2 = (sin(a/2) / (a/2))^2 / 2
     first, second = np.sinc(angles / np.pi), 0.5 * np.sinc(0.5 * angles / np.pi) ** 2
     found: Array = np.eye(3) + first * hats + second * (hats @ hats)
