@@ -4,12 +4,17 @@ from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
+from alone import alone
 from slewing import AT_REST, machine
 
 from holdfast.chassis.encoder import JointModel
 from holdfast.chassis.kinematics import BaseGeometry
 from holdfast.chassis.turn_joint import OUTCOMES, ROTATIONS, TurnJoint, joint_record
 from holdfast.kernel import joint_filter, layout, turn_joint
+
+predict, add_rate = alone(joint_filter.predict), alone(joint_filter.add_rate)
+rotation_until, add_angle = alone(joint_filter.rotation_until), alone(joint_filter.add_angle)
+hidden_rotation, advance = alone(turn_joint.hidden_rotation), alone(turn_joint.advance)
 
 NO_GYRO_GAP_NS = 10**9
 MOUNT = BaseGeometry(machine()).record(has_joint=True)[0]
@@ -39,16 +44,16 @@ class JointFilter:
         return self.one["P"][7]
 
     def predict(self, stamp_ns, cabin_rate_rad_s, cabin_density2):
-        joint_filter.predict(self.one, self.rotations, stamp_ns, cabin_rate_rad_s, cabin_density2)
+        predict(self.one, self.rotations, stamp_ns, cabin_rate_rad_s, cabin_density2)
 
     def add_rate(self, stamp_ns, rate_rad_s, variance):
-        joint_filter.add_rate(self.one, stamp_ns, rate_rad_s, variance)
+        add_rate(self.one, stamp_ns, rate_rad_s, variance)
 
     def rotation_until(self, stamp_ns):
-        return joint_filter.rotation_until(self.one, self.rotations, stamp_ns)
+        return rotation_until(self.one, self.rotations, stamp_ns)
 
     def add_angle(self, stamp_ns, angle_rad, variance, rotation_rad):
-        row = joint_filter.add_angle(self.one, self.rotations, stamp_ns, float(angle_rad), variance, rotation_rad)
+        row = add_angle(self.one, self.rotations, stamp_ns, float(angle_rad), variance, rotation_rad)
         return OUTCOMES[row]
 
 
@@ -65,7 +70,7 @@ class RepeatMonitor:
 
     def hidden_rotation(self, stamp_ns, reading_rad, rotation_rad, noise):
         known = (-1.0, -1.0) if noise is None else noise
-        return turn_joint.hidden_rotation(self.one, stamp_ns, reading_rad, rotation_rad, *known)
+        return hidden_rotation(self.one, stamp_ns, reading_rad, rotation_rad, *known)
 
 
 class Motion(NamedTuple):
@@ -81,6 +86,6 @@ class JointOverTime(TurnJoint):
     def advance(self, stamp_ns, cabin_rate_rad_s, *, from_imu):
         one, rates = self.record[0], (float(cabin_rate_rad_s), np.array([0.0, 0.0, cabin_rate_rad_s]))
         known = one, self.rotations, self.waiting, MOUNT, stamp_ns
-        is_known = turn_joint.advance(*known, *rates, AT_REST, from_imu)
+        is_known = advance(*known, *rates, AT_REST, from_imu)
         self.count()
         return Motion(*one["motion"].tolist()) if is_known else None

@@ -8,18 +8,21 @@ from functools import lru_cache
 
 import gtsam
 import numpy as np
+from alone import alone
 
 from holdfast.chassis.kinematics import BaseKinematics
 from holdfast.config.model import Config
 from holdfast.event_log import EventLog
+from holdfast.kernel import turn_joint
 from holdfast.kernel.imu_path import NO_ENCODER
-from holdfast.kernel.turn_joint import at
 from holdfast.messages import ImuSample, JointAngle
 from holdfast.sensors.learnt_joint import NOTHING_OF_JOINT
 from holdfast.sim.configuration import configuration
 from holdfast.sim.scenario import load_scenario
 from holdfast.sim.simulation import START_NS, simulate
 from holdfast.state import PUBLISHED, BaseState, Estimate
+
+at = alone(turn_joint.at)
 
 NO_BIAS = gtsam.imuBias.ConstantBias()
 NO_COVARIANCE = np.zeros((9, 9))

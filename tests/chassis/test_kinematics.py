@@ -5,6 +5,7 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
+from alone import alone
 from slewing import (
     AT_REST,
     DRIVING,
@@ -33,12 +34,14 @@ from holdfast.chassis.covariances import BaseUncertainty
 from holdfast.chassis.kinematics import BaseGeometry
 from holdfast.config.model import Config
 from holdfast.estimator.estimator import Estimator
-from holdfast.kernel.turn_joint import place
+from holdfast.kernel import turn_joint
 from holdfast.messages import FixStatus, GnssFix, ImuSample, JointAngle
 from holdfast.ros.rows import Rows
 from holdfast.sim.scenario import load_scenario
 from holdfast.sim.simulation import simulate
 from holdfast.state import PUBLISHED, BaseState, EncoderState, Estimate
+
+place = alone(turn_joint.place)
 
 AXIS = T_B_P.rotation().matrix()[:, 2]  # of the joint, in B
 SLEWING_RAD_S = 0.3

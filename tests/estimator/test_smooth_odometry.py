@@ -5,14 +5,16 @@ import itertools
 import gtsam
 import numpy as np
 import pytest
+from alone import alone
 from hypothesis import given
 from hypothesis import strategies as st
 from motion import Drive, estimates, fixes, imu, in_order, machine, ns, run, scans
 
 from holdfast.evaluation.soundness import violations
-from holdfast.kernel import layout
-from holdfast.kernel.odometry_frame import correct, flow
+from holdfast.kernel import layout, odometry_frame
 from holdfast.replay.published import PublishedRecorder
+
+correct, flow = alone(odometry_frame.correct), alone(odometry_frame.flow)
 
 
 class OdometryFrame:

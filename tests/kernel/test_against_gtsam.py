@@ -3,6 +3,7 @@
 import gtsam
 import numpy as np
 import pytest
+from alone import alone
 from hypothesis import example, given
 from hypothesis import strategies as st
 from motion import G, machine
@@ -10,14 +11,16 @@ from reference import Propagation, transition
 
 from holdfast.estimator.imu_path import ImuPath
 from holdfast.event_log import EventLog
-from holdfast.kernel import layout
-from holdfast.kernel.preintegration import integrate, predict, predict_covariance, reset
-from holdfast.kernel.propagation import move
+from holdfast.kernel import layout, preintegration, propagation
 from holdfast.messages import ImuSample
 from holdfast.sensors import preintegration as with_gtsam
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.preintegration import MotionModel, preintegration_params
 from holdfast.state import OptimisedState
+
+integrate, predict = alone(preintegration.integrate), alone(preintegration.predict)
+predict_covariance, reset = alone(preintegration.predict_covariance), alone(preintegration.reset)
+move = alone(propagation.move)
 
 CLOSE = 1e-10  # relative
 RATES_HZ = st.sampled_from([10.0, 100.0, 400.0, 1000.0, 2000.0])

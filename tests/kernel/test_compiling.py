@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import tempfile
 
 import pytest
 
@@ -51,10 +52,32 @@ def test_the_first_time_on_a_machine_says_what_takes_so_long_and_the_second_says
     assert python("import holdfast.kernel.compiling", **place).stderr == ""
 
 
-def test_a_cache_that_cannot_be_written_is_no_error():
-    done = python(COMPILE, NUMBA_CACHE_DIR="/proc/nowhere")
+def test_code_that_cannot_be_kept_among_the_caches_lies_among_the_temporary_files_where_nobody_else_writes(tmp_path):
+    place = {"NUMBA_CACHE_DIR": "/proc/nowhere", "TMPDIR": str(tmp_path)}
+    first, second = (python("from holdfast.kernel.compiling import FOLDER; print(FOLDER)", **place) for _ in range(2))
+    (mine,) = tmp_path.iterdir()
+    assert mine.stat().st_mode & 0o777 == 0o700
+    assert first.stdout == second.stdout and first.stdout.startswith(f"{mine}/")
+    assert (first.stderr, second.stderr) == (f"{compiling.MESSAGE}\n", "")
+
+
+@pytest.mark.parametrize(
+    "spoil", [lambda mine: mine.chmod(0o777), lambda mine: mine.rename("x") and mine.symlink_to("x")]
+)
+def test_a_temporary_folder_that_others_could_write_to_is_not_used(spoil, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "/proc/nowhere")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    assert compiling._folder() is not None
+    (mine,) = tmp_path.iterdir()
+    spoil(mine)
+    assert compiling._folder() is None
+
+
+def test_code_that_can_be_kept_nowhere_is_no_error():
+    done = python(f"import tempfile; tempfile.tempdir = '/proc/nowhere'\n{COMPILE}", NUMBA_CACHE_DIR="/proc/nowhere")
     assert done.stdout == "42\n"
-    assert "cannot be written" in done.stderr and len(done.stderr.splitlines()) == 1
+    assert done.stderr == f"{compiling.MESSAGE} (its cache cannot be written: each time)\n"
 
 
 def test_machine_code_of_other_sources_is_not_taken(tmp_path, monkeypatch):

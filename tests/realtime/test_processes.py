@@ -211,14 +211,14 @@ with holdfast.RealtimeEstimator(config) as engine, open_recording(sys.argv[1]) a
 
 
 @pytest.mark.slow
-def test_an_engine_whose_cache_cannot_be_written_compiles_in_both_processes_and_runs(drive):
+def test_an_engine_whose_cache_cannot_be_written_compiles_once_for_both_processes_and_runs(drive, tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", PLAYER, str(drive.folder)],
         capture_output=True,
         text=True,
         check=False,
-        env=os.environ | {"NUMBA_CACHE_DIR": "/proc/nowhere"},
+        env=os.environ | {"NUMBA_CACHE_DIR": "/proc/nowhere", "TMPDIR": str(tmp_path)},
         timeout=1200,
     )
     assert done.stdout == "True 0\n", done.stderr
-    assert set(done.stderr.splitlines()) == {f"{MESSAGE} (its cache cannot be written: each time)"}
+    assert done.stderr == f"{MESSAGE}\n"

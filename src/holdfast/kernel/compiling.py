@@ -2,13 +2,15 @@
 
 Machine code is kept in a folder of its own for each version of this room's sources: numba by itself looks only at the
 file of the function that is called, not at those of the functions that it calls. The folder lies where
-`NUMBA_CACHE_DIR` says, or else among the user's caches; if it cannot be written, the code lives as long as the process.
+`NUMBA_CACHE_DIR` says, or else among the user's caches; if it cannot be written there, among the temporary files; if
+there neither, the code lives as long as the process.
 """
 
 import logging
 import os
+import tempfile
 from collections.abc import Callable
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -25,24 +27,36 @@ HERE = Path(__file__).parent
 MESSAGE = "compiling the IMU path for this machine, once: about a minute"
 
 
+def _among_caches() -> Path:
+    return Path(os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+
+
+def _among_temporary_files() -> Path:
+    """A folder that nobody else can write to: what lies in it is executed."""
+    folder = Path(tempfile.gettempdir()) / f"holdfast-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if found.st_uid != os.getuid() or found.st_mode & 0o022:
+        raise PermissionError(f"{folder} belongs to others")
+    return folder
+
+
 def _folder() -> Path | None:
-    """Return where machine code is kept; None if nothing can be written there."""
+    """Return where machine code is kept; None if it can be kept nowhere."""
     version = sha256(str(HERE).encode())
     for source in sorted(HERE.glob("*.py")):
         version.update(source.read_bytes())
-    try:
-        base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        folder = Path(base) / "holdfast" / version.hexdigest()[:16]
-        is_new = not folder.exists()
-        folder.mkdir(parents=True, exist_ok=True)
-        usable = os.access(folder, os.W_OK)
-    except (OSError, RuntimeError):  # there may be no home
-        usable = False
-    if not usable or is_new:
-        logging.getLogger(__name__).warning(
-            MESSAGE if usable else f"{MESSAGE} (its cache cannot be written: each time)"
-        )
-    return folder if usable else None
+    for place in (_among_caches, _among_temporary_files):
+        with suppress(OSError, RuntimeError):  # there may be no home
+            folder = place() / "holdfast" / version.hexdigest()[:16]
+            is_new = not folder.exists()
+            folder.mkdir(parents=True, exist_ok=True)
+            if os.access(folder, os.W_OK):
+                if is_new:
+                    logging.getLogger(__name__).warning(MESSAGE)
+                return folder
+    logging.getLogger(__name__).warning(f"{MESSAGE} (its cache cannot be written: each time)")
+    return None
 
 
 FOLDER = _folder()
@@ -59,9 +73,10 @@ def _caching_here() -> "Iterator[None]":
 
 
 def inner(function: F) -> F:
-    """Compile a function with those that call it."""
+    """Compile a function with those that call it; Python cannot, which is a quarter of the work less."""
+    options: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # which the types of numba do not know
     with _caching_here():
-        compiled: Any = numba.njit(error_model="numpy", cache=FOLDER is not None)(function)
+        compiled: Any = numba.njit(error_model="numpy", cache=FOLDER is not None, **options)(function)
     return compiled
 
 
