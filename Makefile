@@ -19,7 +19,7 @@ export OMP_NUM_THREADS := 1
 export MPLBACKEND := Agg
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all fuzz properties check lint docs bench results scenarios paper paper-quick clean
+.PHONY: help demo test test-all fuzz properties check lint kernel docs bench results scenarios paper paper-quick clean
 
 help: ## Show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1: /p' Makefile | awk -F': ' '{ printf "  make %-11s %s\n", $$1, $$2 }'
@@ -49,6 +49,9 @@ lint: $(READY) ## Check format, style, types and the direction of imports
 	@$(BIN)/ruff check
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
+
+kernel: $(READY) ## Compile the IMU path for this machine, once (it is done when it is needed, too)
+	@$(BIN)/python -c "import holdfast; holdfast.RealtimeEstimator"
 
 docs: $(READY) ## Build the documentation site: site/index.html
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --clean

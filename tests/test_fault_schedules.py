@@ -17,11 +17,10 @@ AHEAD = (
     "a measurement had led the state past a sample; over the next one O went on by constant twist, not reported as such"
 )
 ONCE_FAILED = {
-    **dict.fromkeys((7, 31, 100, 141, 181, 193, 1012), AFTER_SILENCE),
-    679: "late fixes had left the window behind newer ones, and their factors were looked for at the recovery",
+    **dict.fromkeys((7, 141, 1012), AFTER_SILENCE),
     576: "late fixes had left the window behind newer ones, and their factors were looked for at the recovery",
-    **dict.fromkeys((717, 825), MEAN_RATE),
-    **dict.fromkeys((498, 819, 979), AHEAD),
+    717: MEAN_RATE,
+    498: AHEAD,
     115: "velocity corrected by 0.3 m/s at once: O stepped by 3.1 mm",
     120: "velocity corrected at once: O stepped",
     41: "the velocity was corrected by 0.5 m/s at once, after a jump of the lidar without GNSS",

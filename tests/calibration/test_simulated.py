@@ -15,7 +15,7 @@ pytestmark = pytest.mark.slow
 CLOCKS = ("gnss", "gnss_right", "heading", "lidar")
 
 
-def rows(scenario, seed, duration_s=60.0):
+def rows(scenario, seed, duration_s=45.0):
     found, truth = run(scenario, seed, duration_s, calibrate)
     return found, {
         (one.what, str(one.path[-1])): (one, truth[one.what, str(one.path[-1])])

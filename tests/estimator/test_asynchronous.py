@@ -90,7 +90,7 @@ def test_the_order_of_arrival_matters_little_to_a_window_that_holds_and_relinear
     """What is left is rounding: a node per sample is stiff, its positions are tied to a tenth of a millimetre."""
     graph = {"nodes": nodes, "lag_s": 60.0, "relinearize_threshold_rad": 1e-9}
     config = machine(graph=graph, standstill={"enabled": False}, gate=PATIENT)
-    position, rotation, _ = largest_difference(config, end_s=6.0)  # each update costs what all of the drive does
+    position, rotation, _ = largest_difference(config, end_s=5.0)  # each update costs what all of the drive does
     assert position < 1e-4  # a hundredth of a fix
     assert rotation < 1e-4
 

@@ -38,7 +38,7 @@ from holdfast.trial.pool import processes, run_all
 from holdfast.trial.truth import true_states
 
 FOLDER, SCORES, TRUE_POSES = "maps", "maps.json", "truth"
-QUICK_DECIMATION = 3  # one in so many scans is used where it has to be quick
+QUICK_DECIMATION = 5  # one in so many scans is used where it has to be quick
 COLOUR_LIMIT_M = 0.2
 SCALE = ((0.0, (24, 90, 70)), (0.25, (60, 160, 110)), (0.5, (240, 220, 110)), (1.0, (200, 60, 40)))
 """From the surface to `COLOUR_LIMIT_M` beside it: fraction of the limit -> red, green, blue."""

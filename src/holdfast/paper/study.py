@@ -111,6 +111,7 @@ ODOMETRY_DELAYS_S = (0.2, 0.5, 1.0, 2.0)
 GNSS_CLOCKS_S = (0.002, 0.005, 0.01, 0.02, 0.05)
 ODOMETRY_CLOCKS_S = (0.005, 0.01, 0.02, 0.05, 0.1)
 SENSITIVITY_S = 180.0
+QUICK_SENSITIVITY: dict[str, Any] = {"duration_s": 30.0, "faults": []}
 GROWTH_SEEDS = 5
 
 
@@ -135,7 +136,7 @@ def plan(seeds: int, quick: bool) -> list[Job]:
     ]
     growth = tuple(Task("growth", system) for system in SYSTEMS)
     jobs += [Job("tunnel", seed, growth, QUICK["tunnel"] if quick else {}) for seed in range(min(seeds, GROWTH_SEEDS))]
-    disturbed = QUICK["construction"] if quick else {"duration_s": SENSITIVITY_S}
+    disturbed = QUICK_SENSITIVITY if quick else {"duration_s": SENSITIVITY_S}
     jobs += [
         Job("construction", 0, tasks, disturbed, label=f"sensitivity-{name}")
         for name, tasks in _sensitivity(quick).items()
