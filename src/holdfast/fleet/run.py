@@ -129,7 +129,7 @@ def _reason(log: Path, code: int) -> str:
 
 
 def _errors(job: Job) -> dict[str, float]:
-    """Judge the estimate by the truth in the folder of a simulated recording, if there is one."""
+    """Judge the estimate by the truth of a simulated recording in the world of the run, if there is one."""
     folder = job.recording if job.recording.is_dir() else job.recording.parent
     if not (folder / TRUTH).exists():
         return {}
@@ -138,9 +138,12 @@ def _errors(job: Job) -> dict[str, float]:
     from holdfast.evaluation.absolute import ape
     from holdfast.evaluation.association import associate
     from holdfast.recording.tum import read_tum
+    from holdfast.replay.reference import datum_of, read_reference
 
+    estimate = job.folder / ESTIMATE
     try:
-        errors = ape(associate(read_tum(job.folder / ESTIMATE), read_tum(folder / TRUTH)))
+        truth = read_reference(folder / TRUTH, datum_of(estimate))
+        errors = ape(associate(read_tum(estimate), truth.poses))
     except RecordingError:
         return {}
     names = ("horizontal_m", "vertical_m", "yaw_deg")
