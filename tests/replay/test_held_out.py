@@ -285,6 +285,21 @@ def test_a_fix_judges_the_track_at_the_time_that_the_clock_of_its_receiver_was_f
     np.testing.assert_allclose(judged.error, [error_m, 0.0, 0.0], atol=1e-6)
 
 
+def test_a_fix_before_the_first_estimate_is_in_no_gap_of_the_imu(config):
+    """The nodes of the start are not from the IMU: a fix among them was told as one in a drop-out."""
+    judge, frame = HeldOutJudge(config), LocalFrame(Geodetic(*DATUM))
+    at = frame.to_geodetic(ARM)
+    for t in (0.95, 1.05, 1.15, 1.25):
+        judge.add_message(GnssFix(stamp(t), stamp(t), "gnss", *at, np.eye(3), FixStatus.GBAS), False)
+    # two nodes of the start, two estimates at the IMU, and a node where the IMU is silent
+    for t, from_imu in ((0.9, False), (1.0, False), (1.1, True), (1.2, True), (1.3, False)):
+        estimate = Estimate.of(
+            stamp(t), gtsam.NavState(), gtsam.Pose3(), gtsam.imuBias.ConstantBias(), np.eye(9), np.zeros(3), from_imu
+        )
+        judge.add_estimate(estimate, frame)
+    assert [one.imu_silent for one in judge.judgements] == [False, False, False, True]
+
+
 def test_without_hold_out_nothing_is_judged(replayed):
     assert summary(replayed)["held_out"] == {"causal": None, "smoothed": None}
 

@@ -155,7 +155,10 @@ class HoldOutFilter:
 
 
 class TrackPoint(NamedTuple):
-    """A point of a track; `covariance` (9, 9) is NaN where it is not known, `from_imu` False in an IMU drop-out."""
+    """A point of a track; `covariance` (9, 9) is NaN where it is not known.
+
+    `from_imu` is False in an IMU drop-out, and for the nodes of the start, before the first estimate.
+    """
 
     stamp_ns: int
     pose: gtsam.Pose3
@@ -210,6 +213,7 @@ class HeldOutJudge:
         self._estimator = estimator
         self._sensors = _position_sensors(config)
         self._track: deque[TrackPoint] = deque()
+        self._first_imu_ns: int | None = None  # the first point that comes from the IMU
         self._waiting: deque[tuple[Message, bool]] = deque()
         self._due: deque[_Due] = deque()
         self.judgements: list[Judgement] = []
@@ -246,6 +250,8 @@ class HeldOutJudge:
         if self._track and point.stamp_ns <= self._track[-1].stamp_ns:
             return
         self._track.append(point)
+        if point.from_imu and self._first_imu_ns is None:
+            self._first_imu_ns = point.stamp_ns
         while point.stamp_ns - self._track[0].stamp_ns > MAX_DELAY_NS:
             self._track.popleft()
         while self._waiting and self._stamp_ns(self._waiting[0][0]) <= point.stamp_ns:
@@ -284,7 +290,12 @@ class HeldOutJudge:
         innovation = self._sensors[position.sensor].innovation(position, state)
         ratio = 1.0 if self._estimator is None else self._estimator.noise(position.sensor)
         nees = innovation._replace(R=innovation.R * ratio**2).nis(state)
-        silent = not (before.from_imu and after.from_imu)
+        silent = self._is_gap(before, after)
         self.judgements.append(
             Judgement(position.stamp_ns, position.sensor, in_outage, -innovation.y, nees, position.p_W_P, silent)
         )
+
+    def _is_gap(self, before: TrackPoint, after: TrackPoint) -> bool:
+        """Whether the IMU is silent between two points: there is no gap before it has spoken."""
+        has_begun = self._first_imu_ns is not None and self._first_imu_ns <= before.stamp_ns
+        return has_begun and not (before.from_imu and after.from_imu)
