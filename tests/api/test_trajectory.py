@@ -87,3 +87,10 @@ def test_a_trajectory_is_shown_on_one_line():
 def test_a_reference_that_is_no_trajectory_is_named(reference):
     with pytest.raises(holdfast.ConfigError, match="reference: must be a Trajectory"):
         turning().errors(reference)
+
+
+@pytest.mark.parametrize("alignment", ["SE3", "sim3", "", None, True, ["yaw"]])
+def test_an_alignment_that_there_is_not_is_named(alignment):
+    """Whatever was neither `none` nor `yaw` was taken for `se3`."""
+    with pytest.raises(holdfast.ConfigError, match="alignment: must be one of none, yaw, se3, got"):
+        turning().errors(turning(), alignment=alignment)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,7 @@ from holdfast.evaluation.absolute import Statistics, ape, summarise
 from holdfast.evaluation.alignment import AlignmentName, align
 from holdfast.evaluation.association import Association, associate
 from holdfast.extras import needing
+from holdfast.measured_fields import got
 from holdfast.messages import Array
 from holdfast.recording.covariance_csv import CovarianceWriter, beside, read_covariances
 from holdfast.recording.tum import read_tum, write_tum
@@ -162,9 +163,10 @@ class Trajectory:
 
         Raises:
             RecordingError: the two do not overlap in time, or cannot be aligned.
-            ConfigError: the reference is no trajectory.
+            ConfigError: the reference is no trajectory, or the alignment is none of these.
         """
         _check(reference)
+        _check_alignment(alignment)
         pairs = associate(self.poses, reference.poses, Association(max_gap_s=max_gap_s))
         pairs = align(pairs, alignment).apply(pairs)
         return Errors(pairs.reference.stamps_ns, ape(pairs))
@@ -227,3 +229,9 @@ def _check(reference: object) -> None:
     if not isinstance(reference, Trajectory):
         given = type(reference).__name__
         raise ConfigError(f"reference: must be a Trajectory, such as Trajectory.read(FILE), not {given}")
+
+
+def _check_alignment(alignment: object) -> None:
+    names = get_args(AlignmentName)
+    if alignment not in names:
+        raise ConfigError(f"alignment: must be one of {', '.join(names)}, {got(alignment)}")
