@@ -13,9 +13,11 @@ from click.testing import CliRunner
 from holdfast.cli import holdfast
 from holdfast.config.load import load_config
 from holdfast.errors import HoldfastError, RecordingError
+from holdfast.geometry.earth import Geodetic
 from holdfast.mapping.source import Scans
 from holdfast.output_folder import MARK, replaced
 from holdfast.recording.tum import read_tum, write_tum
+from holdfast.replay.reference import in_other_world
 from holdfast.state import Trajectory
 
 for package in ("embreex", "laspy", "lazrs", "pyproj", "matplotlib", "rerun"):
@@ -81,6 +83,33 @@ def test_a_map_from_poses_that_are_10_cm_off_is_found_off(tmp_path: Path, simula
     folder = run_of(tmp_path / "wrong", wrong, simulated)
     call("map", folder, simulated / "recording.mcap", "--max-range", "15", "--voxel", "0.3", "-o", folder / "map.ply")
     assert within_5_cm(folder) < 0.2
+
+
+QUICK = ("--max-range", "15", "--voxel", "0.3")
+
+
+def test_a_run_about_another_datum_is_compared_in_its_own_world(tmp_path: Path, simulated: Path, truth: Trajectory):
+    """Without `frames.datum` the datum is at the first fix: the map was compared with a site 3 m below it."""
+    datum = load_config(simulated / "config.yaml").frames.datum
+    here = Geodetic(**datum.model_dump())
+    there = here._replace(latitude_deg=here.latitude_deg + 0.01, altitude_m=here.altitude_m + 3.0)  # 1.1 km
+    moved = in_other_world(truth, here, there)
+    folder = run_of(tmp_path / "out", moved, simulated, datum=there._asdict())
+    told = call("map", folder, simulated / "recording.mcap", *QUICK, "-o", folder / "map.ply")
+    assert within_5_cm(folder) > 0.9
+    assert "site.ply is 1.11e+03 m from that of the run: it is judged by in the world of the run" in told
+
+
+@pytest.mark.parametrize("whose", ["run", "site"])
+def test_where_a_datum_is_not_known_it_is_told(tmp_path: Path, simulated: Path, truth: Trajectory, whose):
+    folder, site = run_of(tmp_path / "out", truth, simulated), simulated / "site.ply"
+    if whose == "run":
+        folder = run_of(tmp_path / "nowhere", truth, simulated, datum=None)
+    else:
+        site = Path(shutil.copy(site, tmp_path))
+    told = call("map", folder, simulated / "recording.mcap", *QUICK, "-o", folder / "map.ply", "--site", site)
+    (line,) = (line for line in told.splitlines() if line.startswith("note: The datum of"))
+    assert line.endswith("is not known: site.ply may be in another world than the run.")
 
 
 def test_a_recording_that_is_cut_off_gives_the_map_until_the_cut(tmp_path: Path, out: Path, simulated: Path):

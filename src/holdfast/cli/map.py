@@ -17,10 +17,10 @@ from holdfast.mapping.options import SiteMapOptions
 from holdfast.output_folder import add_results, check_output_file
 
 if TYPE_CHECKING:
-    from holdfast.evaluation.mesh import Mesh
     from holdfast.mapping.las import Grid
     from holdfast.mapping.site_map import MapBuilder, SiteMap
     from holdfast.mapping.source import Run, Scans
+    from holdfast.replay.reference import Surface
 
 _FILE = click.Path(path_type=Path, dir_okay=False)
 LAS = (".las", ".laz")
@@ -82,13 +82,13 @@ def map(  # noqa: A001, PLR0917 (click passes the options by name)
         for option, given in (("--crs", crs), ("--geoid", geoid)):
             if given is not None:
                 raise ConfigError(f"{option} {given}: is for LAS and LAZ, and none is written (allowed: -o FILE.laz)")
-    from holdfast.evaluation.mesh import read_mesh
     from holdfast.mapping.las import Grid
     from holdfast.mapping.source import Scans, read_run
     from holdfast.recording.raw import RawBag
+    from holdfast.replay.reference import read_surface
 
     run = read_run(folder)
-    mesh = None if site is None else read_mesh(site)  # before long work
+    surface = None if site is None else read_surface(site, run.datum)  # before long work
     if run.covariances is None and colour == "sigma":
         raise ConfigError(f"--colour sigma: {folder} holds no covariances (allowed: height, intensity)")
     grid = Grid(run.datum, crs, geoid) if any(file.suffix.lower() in LAS for file in files) else None
@@ -105,8 +105,8 @@ def map(  # noqa: A001, PLR0917 (click passes the options by name)
         write_files(found, run, colour, grid, voxel_m, files)
         add_results(*files)
         numbers = _print_account(found, grid)
-        if site is not None and mesh is not None:
-            numbers["site"] = {"file": str(site), "regions": _print_closeness(found, mesh, site.name)}
+        if site is not None and surface is not None:
+            numbers["site"] = {"file": str(site), "regions": _print_closeness(found, surface, site.name)}
     write_json(folder / SUMMARY, numbers | {"options": asdict(options), "files": [str(file) for file in files]})
     click.echo(f"written to {', '.join(str(file) for file in files)}, {folder / SUMMARY}")
     if failure is not None:
@@ -223,11 +223,13 @@ def _print_account(found: "SiteMap", grid: "Grid | None") -> dict[str, Any]:
     }
 
 
-def _print_closeness(found: "SiteMap", mesh: "Mesh", name_of_site: str) -> dict[str, Any]:
+def _print_closeness(found: "SiteMap", surface: "Surface", name_of_site: str) -> dict[str, Any]:
     """Print how near the map is to the true surface; return the numbers by region."""
     with needing("comparing with a site", "sim"):
         from holdfast.mapping.verdict import closeness
-    regions = closeness(found, mesh)
+    if surface.note:
+        click.echo(f"note: {surface.note}", err=True)
+    regions = closeness(found, surface.mesh)
     for name, near in regions.items():
         click.echo(
             f"{name:>10s}: {100.0 * near.fraction_within:6.2f} % within 5 cm of {name_of_site}, median "

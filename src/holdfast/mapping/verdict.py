@@ -10,7 +10,7 @@ POINTS = 1_000_000  # that are judged: bounds the memory
 
 
 def closeness(site_map: SiteMap, mesh: Mesh) -> dict[str, Closeness]:
-    """Return how near the points are to a surface, each patch of it weighted by its area, of all and by region.
+    """Return how near the points are to a surface in W, each patch of it weighted by its area, of all and by region.
 
     Raises:
         ConfigError: scipy is not installed.
