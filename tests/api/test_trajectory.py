@@ -94,3 +94,69 @@ def test_an_alignment_that_there_is_not_is_named(alignment):
     """Whatever was neither `none` nor `yaw` was taken for `se3`."""
     with pytest.raises(holdfast.ConfigError, match="alignment: must be one of none, yaw, se3, got"):
         turning().errors(turning(), alignment=alignment)
+
+
+def one_pose(**changes):
+    arrays = {"stamps_ns": [5], "positions": [[1, 2, 3]], "quaternions_xyzw": [[0, 0, 0, 1]]}
+    return holdfast.Trajectory(**arrays | changes)
+
+
+def no_poses():
+    return one_pose(stamps_ns=[], positions=np.zeros((0, 3)), quaternions_xyzw=np.zeros((0, 4)))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"stamps_ns": [0.5]}, r"stamps_ns: must be an array \(N,\) of whole numbers \[ns\], got a list of 1: \[0.5\]"),
+        ({"stamps_ns": np.array([1.0])}, r"stamps_ns: must be .* got an array \(1,\) of float64"),
+        ({"stamps_ns": np.zeros(0)}, r"stamps_ns: must be .* got an array \(0,\) of float64"),
+        ({"stamps_ns": 5}, r"stamps_ns: must be .* got 5 \(int\)"),
+        ({"stamps_ns": [True]}, "stamps_ns: must be .* whole numbers"),
+        ({"stamps_ns": [2**63]}, "stamps_ns: must be .* whole numbers"),
+        ({"stamps_ns": [2**70]}, "stamps_ns: must be .* whole numbers"),
+        ({"stamps_ns": [[1], [2, 3]]}, "stamps_ns: must be .* whole numbers"),
+        ({"stamps_ns": [7, 7]}, r"stamps_ns: must increase \[ns\], but 7 comes after 7"),
+        ({"stamps_ns": np.array([7, 5], dtype=np.uint64)}, r"stamps_ns: must increase \[ns\], but 5 comes after 7"),
+        ({"stamps_ns": [5, 6]}, r"positions: must be an array \(2, 3\) of numbers \[m\], got a list of 1"),
+        ({"positions": np.zeros((3, 3))}, r"positions: must be an array \(1, 3\) .* got an array \(3, 3\) of float64"),
+        ({"positions": [["1", "2", "3"]]}, r"positions: must be an array \(1, 3\) of numbers \[m\]"),
+        ({"positions": None}, r"positions: must be an array \(1, 3\) of numbers \[m\]"),
+        ({"quaternions_xyzw": [[0, 0, 0]]}, r"quaternions_xyzw: must be an array \(1, 4\) of numbers \[1\]"),
+        ({"velocities": [1, 2, 3]}, r"velocities: must be an array \(1, 3\) of numbers \[m/s\]"),
+        ({"covariances": np.eye(9)}, r"covariances: must be an array \(1, 9, 9\) of numbers \[rad, m, m/s squared\]"),
+    ],
+)
+def test_an_array_of_another_shape_or_type_is_named(wrong, words):
+    """Stamps in seconds were lost by `write`, and positions of another length were found by what came later."""
+    with pytest.raises(holdfast.MessageError, match=words):
+        one_pose(**wrong)
+
+
+def test_lists_of_numbers_become_arrays(tmp_path):
+    track = one_pose(stamps_ns=[5, 2**60 + 1], positions=[[1, 2, 3], [1, 2, 4]], quaternions_xyzw=[[0, 0, 0, 1]] * 2)
+    assert track.stamps_ns.dtype == np.int64 and track.stamps_ns.tolist() == [5, 2**60 + 1]
+    assert track.positions.dtype == track.quaternions_xyzw.dtype == np.float64
+    track.write(tmp_path / "track.tum")
+    again = holdfast.Trajectory.read(tmp_path / "track.tum")
+    assert again.stamps_ns.tolist() == track.stamps_ns.tolist() and np.array_equal(again.positions, track.positions)
+    assert repr(track) == "Trajectory(2 poses, 1152921504.6 s, 1.0 m)"
+
+
+def test_one_pose_is_known_at_its_stamp_and_nowhere_else():
+    """It was NaN."""
+    track = one_pose(velocities=[[4, 5, 6]], covariances=np.eye(9)[None])
+    found = track.interpolate([5])
+    for name in ("stamps_ns", "positions", "quaternions_xyzw", "velocities", "covariances"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(track, name))
+    for stamp_ns in (4, 6):
+        with pytest.raises(holdfast.ConfigError, match="stamps_ns: must be within 5 and 5"):
+            track.interpolate([stamp_ns])
+
+
+def test_a_trajectory_without_poses_is_known_nowhere():
+    """It ended in an IndexError."""
+    assert len(no_poses().interpolate(np.zeros(0, dtype=np.int64))) == 0
+    assert repr(no_poses()) == "Trajectory(0 poses, 0.0 s, 0.0 m)"
+    with pytest.raises(holdfast.ConfigError, match="stamps_ns: must be empty, this trajectory has no poses"):
+        no_poses().interpolate([5])

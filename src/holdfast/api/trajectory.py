@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from holdfast import state
 from holdfast.covariances import Covariances
-from holdfast.errors import ConfigError
+from holdfast.errors import ConfigError, MessageError
 from holdfast.evaluation import quaternions
 from holdfast.evaluation.absolute import Statistics, ape, summarise
 from holdfast.evaluation.alignment import AlignmentName, align
 from holdfast.evaluation.association import Association, associate
 from holdfast.extras import needing
-from holdfast.measured_fields import got
+from holdfast.measured_fields import LIMIT_NS, array_of, got
 from holdfast.messages import Array
 from holdfast.recording.covariance_csv import CovarianceWriter, beside, read_covariances
 from holdfast.recording.tum import read_tum, write_tum
@@ -27,6 +27,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SHOWN = (("horizontal_m", "horizontal [m]"), ("vertical_m", "vertical [m]"), ("yaw_deg", "yaw [deg]"))
+COLUMNS: Mapping[str, tuple[tuple[int, ...], str]] = {  # shape of each row, unit
+    "positions": ((3,), "m"),
+    "quaternions_xyzw": ((4,), "1"),
+    "velocities": ((3,), "m/s"),
+    "covariances": ((9, 9), "rad, m, m/s squared"),
+}
+NEEDED = ("positions", "quaternions_xyzw")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +69,9 @@ class Trajectory:
         quaternions_xyzw: (N, 4) of unit norm.
         velocities: (N, 3) [m/s], expressed in the other frame; None where they are not known.
         covariances: (N, 9, 9) of rotation [rad], position [m] and velocity [m/s], each in the body frame; or None.
+
+    Raises:
+        MessageError: an array has another shape, or is not made of such numbers; names it. Lists become arrays.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -69,6 +79,14 @@ class Trajectory:
     quaternions_xyzw: Array
     velocities: Array | None = None
     covariances: Array | None = None
+
+    def __post_init__(self) -> None:
+        stamps_ns = _increasing(self.stamps_ns)
+        object.__setattr__(self, "stamps_ns", stamps_ns)
+        for name, (shape, unit) in COLUMNS.items():
+            values = getattr(self, name)
+            if values is not None or name in NEEDED:
+                object.__setattr__(self, name, array_of(values, (len(stamps_ns), *shape), name, unit))
 
     @classmethod
     def read(cls, path: str | PathLike[str]) -> "Trajectory":
@@ -131,27 +149,31 @@ class Trajectory:
             ConfigError: the stamps are no increasing integers, or beyond the ends.
         """
         stamps = np.asarray(stamps_ns)
-        if stamps.ndim != 1 or not np.issubdtype(stamps.dtype, np.integer) or (np.diff(stamps) <= 0).any():
+        if stamps.ndim != 1 or stamps.dtype.kind not in "iu" or (stamps[1:] <= stamps[:-1]).any():
             raise ConfigError(
                 f"stamps_ns: must be increasing integers of shape (M,) [ns], not {stamps.dtype} {stamps.shape}"
             )
+        if len(stamps) and not len(self):
+            raise ConfigError("stamps_ns: must be empty, this trajectory has no poses")
         if len(stamps) and not self.stamps_ns[0] <= stamps[0] <= stamps[-1] <= self.stamps_ns[-1]:
             raise ConfigError(f"stamps_ns: must be within {self.stamps_ns[0]} and {self.stamps_ns[-1]}")
-        after = np.clip(np.searchsorted(self.stamps_ns, stamps, side="right"), 1, len(self) - 1)
-        length = self.stamps_ns[after] - self.stamps_ns[after - 1]
-        fraction = (stamps - self.stamps_ns[after - 1]) / length
+        stamps = stamps.astype(np.int64)
+        after = np.minimum(np.searchsorted(self.stamps_ns, stamps, side="right"), len(self) - 1)
+        before = np.maximum(after - 1, 0)  # of one pose it is that pose, too
+        length = np.maximum(self.stamps_ns[after] - self.stamps_ns[before], 1)
+        fraction = (stamps - self.stamps_ns[before]) / length
 
         def linear(values: Array | None) -> Array | None:
             if values is None:
                 return None
             part = fraction.reshape(-1, *[1] * (values.ndim - 1))
-            between: Array = (1.0 - part) * values[after - 1] + part * values[after]
+            between: Array = (1.0 - part) * values[before] + part * values[after]
             return between
 
-        turned = quaternions.slerp(self.quaternions_xyzw[after - 1], self.quaternions_xyzw[after], fraction)
+        turned = quaternions.slerp(self.quaternions_xyzw[before], self.quaternions_xyzw[after], fraction)
         positions = linear(self.positions)
         assert positions is not None
-        return Trajectory(stamps.astype(np.int64), positions, turned, linear(self.velocities), linear(self.covariances))
+        return Trajectory(stamps, positions, turned, linear(self.velocities), linear(self.covariances))
 
     def errors(self, reference: "Trajectory", *, alignment: AlignmentName = "none", max_gap_s: float = 0.5) -> Errors:
         """Return the errors at the stamps of a reference.
@@ -223,6 +245,23 @@ class Trajectory:
         above.set_ylabel("north [m]")
         above.legend()
         return figure
+
+
+def _increasing(stamps_ns: ArrayLike) -> NDArray[np.int64]:
+    """Return stamps (N,) as whole numbers of 64 bits [ns]."""
+    must_be = "stamps_ns: must be an array (N,) of whole numbers [ns]"
+    try:
+        found = np.asarray(stamps_ns)
+    except (TypeError, ValueError):
+        raise MessageError(f"{must_be}, {got(stamps_ns)}") from None
+    is_whole = found.dtype.kind in "iu" or (not found.size and isinstance(stamps_ns, list | tuple))
+    if found.ndim != 1 or not is_whole or (found >= LIMIT_NS).any():
+        raise MessageError(f"{must_be}, {got(stamps_ns)}")
+    (back,) = np.nonzero(found[1:] <= found[:-1])
+    if len(back):
+        earlier, later = found[back[0] : back[0] + 2]
+        raise MessageError(f"stamps_ns: must increase [ns], but {later} comes after {earlier}")
+    return np.asarray(found, np.int64)
 
 
 def _check(reference: object) -> None:
