@@ -70,12 +70,41 @@ def test_what_holdfast_did_not_write_is_named_and_kept(out):
         write(out, "b.tum")
 
 
-def test_results_that_were_added_and_results_of_other_runs_within_are_replaced_too(out):
+def test_results_that_were_added_are_replaced_too(out):
     write(out, "a.tum")
     (out / "report.html").touch()
     add_results(out / "report.html")
-    write(out / "within", "b.tum")
     write(out, "c.tum")
+    assert names(out) == {"c.tum"}
+
+
+@pytest.mark.parametrize("of", ["replay", "simulate"])
+def test_results_of_another_run_within_are_refused_and_kept(out, of):
+    """A replay into a folder deleted the replay into a folder within it, without a word."""
+    with replaced(out, of):
+        (out / "a.tum").write_text(RESULT)
+    write(out / "variant", "b.tum")
+    with (
+        pytest.raises(ConfigError, match=r"out: holds results of other runs \(variant\): give another folder$"),
+        replaced(out, of),
+    ):
+        pass
+    assert names(out) == {"a.tum", "variant"}
+    with pytest.raises(ConfigError, match=r"parent: holds results of other runs \(out\)|is a simulated|simulated rec"):
+        write(out.parent, "c.tum")
+    assert names(out / "variant") == {"b.tum"}
+
+
+@pytest.mark.parametrize("command", ["batch", "paper", "ablate"])
+def test_a_folder_of_several_runs_is_replaced_by_its_own_command_only(out, command):
+    """`holdfast replay -o` deleted the table of a batch and all its runs."""
+    with continued(out, command):
+        write(out / "run", "a.tum")
+    with pytest.raises(ConfigError, match=f"out: holds results of holdfast {command}: give another folder, or remove"):
+        write(out, "b.tum")
+    assert names(out) == {"run"}
+    with replaced(out, command):
+        (out / "c.tum").write_text(RESULT)
     assert names(out) == {"c.tum"}
 
 

@@ -20,6 +20,7 @@ from holdfast.printable import listed
 MARK = ".holdfast"
 BAG, BAG_KEY = "metadata.yaml", b"rosbag2_bagfile_information"
 SIMULATE = "simulate"
+OF_SEVERAL_RUNS = ("ablate", "batch", "paper")  # commands whose folders only they replace
 HEADERS_BYTES = 4096  # that the files of a run may hold before any result is in them
 SHOWN = 3  # names in an error
 
@@ -44,13 +45,16 @@ def replaced(folder: str | Path, command: str, reads: Iterable[str | Path] = ())
         reads: files and folders that are read meanwhile.
 
     Raises:
-        ConfigError: `folder` is a file, holds or is part of what is read, holds what Holdfast did not write or another
-            command simulated, or is being written by another process.
+        ConfigError: `folder` is a file, holds or is part of what is read, holds what Holdfast did not write, results of
+            other runs or of a command of several runs, or what another command simulated, or is being written by
+            another process.
         OSError: it cannot be written.
         KeyboardInterrupt: as it came, with the folder in its text.
     """
-    place = _checked(folder, reads)
-    _check_simulations(place, folder, command)
+    place = _checked(folder, reads, command)
+    mark = _read_mark(place) or NO_MARK
+    if mark.command in OF_SEVERAL_RUNS:
+        _check_command(mark, folder, command)
     with _locked(place, folder):  # nobody else replaces what is about to be moved
         earlier = _set_aside(place)
     place.mkdir(parents=True, exist_ok=True)
@@ -74,12 +78,8 @@ def continued(folder: str | Path, command: str, reads: Iterable[str | Path] = ()
     Raises:
         ConfigError: also for results of another command.
     """
-    place = _checked(folder, reads)
-    mark = _read_mark(place) or NO_MARK
-    if mark.command and mark.command != command:
-        raise ConfigError(
-            f"{folder}: holds results of holdfast {mark.command}: give another folder, or remove this one first"
-        )
+    place = _checked(folder, reads, command)
+    _check_command(_read_mark(place) or NO_MARK, folder, command)
     place.mkdir(parents=True, exist_ok=True)
     with _owned(place, folder, command):
         yield
@@ -102,16 +102,28 @@ def add_results(*files: Path) -> None:
             _write_mark(file.parent, Mark(mark.command, tuple(sorted({*mark.files, file.name}))))
 
 
-def _checked(folder: str | Path, reads: Iterable[str | Path]) -> Path:
+def _checked(folder: str | Path, reads: Iterable[str | Path], command: str) -> Path:
     place = _real(folder)
     if place.exists() and not place.is_dir():
         raise ConfigError(f"{folder}: is a file: the output must be a folder")
     _check_reads(place, folder, reads)
+    _check_simulations(place, folder, command)
     strange = _strangers(place) if place.exists() else []
-    if strange:
-        names = ", ".join(strange[:SHOWN]) + ", ..." * (len(strange) > SHOWN)
+    others = [name for name in strange if _read_mark(place / name) is None]
+    if others:
+        names = ", ".join(others[:SHOWN]) + ", ..." * (len(others) > SHOWN)
         raise ConfigError(f"{folder}: holds what Holdfast did not write ({names}): give another folder or an empty one")
+    if strange:
+        raise ConfigError(f"{folder}: holds results of other runs ({listed(strange, SHOWN)}): give another folder")
     return place
+
+
+def _check_command(mark: Mark, name: str | Path, command: str) -> None:
+    """Refuse results of another command."""
+    if mark.command and mark.command != command:
+        raise ConfigError(
+            f"{name}: holds results of holdfast {mark.command}: give another folder, or remove this one first"
+        )
 
 
 def _check_simulations(place: Path, name: str | Path, command: str) -> None:
@@ -154,12 +166,12 @@ def _is_bag(folder: Path) -> bool:
 
 
 def _strangers(place: Path) -> list[str]:
-    """Return what Holdfast did not write into a folder; what it was writing when it was killed, it wrote."""
+    """Return what the last run did not write into a folder; what it was writing when it was killed, it wrote."""
     mark = _read_mark(place) or NO_MARK
     if mark.files is None:
         return []
     mine = {MARK, *mark.files}
-    return sorted(one.name for one in place.iterdir() if one.name not in mine and _read_mark(one) is None)
+    return sorted(one.name for one in place.iterdir() if one.name not in mine)
 
 
 def _read_mark(folder: Path) -> Mark | None:
