@@ -225,3 +225,33 @@ def test_the_configuration_that_is_read_is_never_replaced(out):
         write(out, "a.tum", reads=[out / "config.yaml"])
     with pytest.raises(ConfigError, match="which is read"):
         check_output_file(out / "config.yaml", [out / "config.yaml"])
+
+
+@pytest.mark.parametrize("name", ["a.tum", "truth/imu_bias.csv", MARK])
+def test_no_file_of_a_run_is_overwritten_by_another_command(out, name):
+    """`holdfast export -o OUT/measurements.csv` and `evaluate --json OUT/summary.json` did so."""
+    write(out, "a.tum", "truth/imu_bias.csv")
+    with pytest.raises(ConfigError, match=f"{name}: was written by holdfast replay, which keeps it: give another file"):
+        check_output_file(out / name)
+
+
+@pytest.mark.parametrize("name", ["track.csv", "truth/track.csv", "mine/track.csv"])
+def test_a_file_beside_the_results_is_new_once_and_then_written_again(out, name):
+    write(out, "a.tum", "truth/imu_bias.csv")
+    (out / "mine").mkdir()
+    for _ in range(2):
+        check_output_file(out / name)
+        (out / name).touch()
+        add_results(out / name)
+
+
+def test_what_was_added_to_a_folder_that_goes_on_may_be_written_again(out):
+    with continued(out, "paper"):
+        (out / "results.json").touch()
+    (out / "report.html").touch()
+    add_results(out / "report.html")
+    with continued(out, "paper"):
+        pass
+    check_output_file(out / "report.html")
+    with pytest.raises(ConfigError, match="was written by holdfast paper"):
+        check_output_file(out / "results.json")

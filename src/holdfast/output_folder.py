@@ -26,10 +26,14 @@ SHOWN = 3  # names in an error
 
 
 class Mark(NamedTuple):
-    """What a folder says of itself: the command that wrote it, and what is in it; None while that is being written."""
+    """What a folder says of itself: the command that wrote it, and what is in it; None while that is being written.
+
+    `added` are the paths of the files that other commands wrote into it.
+    """
 
     command: str
     files: tuple[str, ...] | None
+    added: tuple[str, ...] = ()
 
 
 NO_MARK = Mark("", ())
@@ -86,20 +90,36 @@ def continued(folder: str | Path, command: str, reads: Iterable[str | Path] = ()
 
 
 def check_output_file(file: str | Path, reads: Iterable[str | Path] = ()) -> None:
-    """Refuse an output file that would overwrite what is read, or lie in a recording.
+    """Refuse an output file that would overwrite what is read or what a run wrote, or lie in a recording.
 
     Raises:
         ConfigError: names both.
     """
-    _check_reads(_real(file), file, reads)
+    place = _real(file)
+    _check_reads(place, file, reads)
+    folder, mark = _marked(place)
+    if folder is None or not place.exists():
+        return
+    path = place.relative_to(folder)
+    if path.parts[0] in {MARK, *(mark.files or ())} and str(path) not in mark.added:
+        raise ConfigError(f"{file}: was written by holdfast {mark.command}, which keeps it: give another file")
 
 
 def add_results(*files: Path) -> None:
     """Note files that were written into a folder of results afterwards, so that they are replaced with it."""
     for file in files:
-        mark = _read_mark(file.parent)
-        if mark is not None and mark.files is not None:
-            _write_mark(file.parent, Mark(mark.command, tuple(sorted({*mark.files, file.name}))))
+        place = _real(file)
+        folder, mark = _marked(place)
+        if folder is not None and mark.files is not None:
+            added = {*mark.added, str(place.relative_to(folder))}
+            names = {*mark.files, place.name} if place.parent == folder else mark.files
+            _write_mark(folder, Mark(mark.command, tuple(sorted(names)), tuple(sorted(added))))
+
+
+def _marked(place: Path) -> tuple[Path | None, Mark]:
+    """Return the innermost folder with a mark that holds a file, and the mark."""
+    marks = ((folder, _read_mark(folder)) for folder in place.parents)
+    return next(((folder, mark) for folder, mark in marks if mark is not None), (None, NO_MARK))
 
 
 def _checked(folder: str | Path, reads: Iterable[str | Path], command: str) -> Path:
@@ -178,7 +198,8 @@ def _read_mark(folder: Path) -> Mark | None:
     """Return what `_write_mark` wrote, or None if it did not; an empty one is of a run that was killed."""
     try:
         found = json.loads((folder / MARK).read_text(encoding="utf-8") or '{"command": "", "files": null}')
-        return Mark(str(found["command"]), None if found["files"] is None else tuple(map(str, found["files"])))
+        files = None if found["files"] is None else tuple(map(str, found["files"]))
+        return Mark(str(found["command"]), files, tuple(map(str, found.get("added", ()))))
     except (OSError, ValueError, TypeError, KeyError):
         return None
 
@@ -192,7 +213,8 @@ def _owned(place: Path, name: str | Path, command: str) -> Iterator[None]:
     """Mark a folder as one that is being written, and at the end with what was written."""
     (place / MARK).touch()
     with _locked(place, name):
-        _write_mark(place, Mark(command, None))
+        added = (_read_mark(place) or NO_MARK).added
+        _write_mark(place, Mark(command, None, added))
         try:
             yield
         except KeyboardInterrupt:
@@ -200,7 +222,7 @@ def _owned(place: Path, name: str | Path, command: str) -> Iterator[None]:
         finally:
             with suppress(OSError):  # a full disk, which has been reported
                 names = sorted(one.name for one in place.iterdir() if one.name != MARK)
-                _write_mark(place, Mark(command, tuple(names)))
+                _write_mark(place, Mark(command, tuple(names), added))
 
 
 @contextmanager
