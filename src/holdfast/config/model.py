@@ -277,6 +277,16 @@ def check_config(config: object) -> None:
         raise ConfigError(f"config: must be a Config, as load_config gives, not {type(config).__name__}")
 
 
+def check_sensor(config: Config, sensor: object) -> None:
+    """Refuse what is no sensor of a configuration.
+
+    Raises:
+        ConfigError: names those that there are.
+    """
+    if not isinstance(sensor, str) or sensor not in config.sensors:
+        raise ConfigError(f"sensor: {sensor!r} is not in the configuration (allowed: {', '.join(config.sensors)})")
+
+
 def faults_of(config: Config) -> Iterator[str]:
     """Yield what contradicts itself in a configuration, each with its place."""
     yield from _faults_of_sensors(config)
