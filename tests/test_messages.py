@@ -7,6 +7,7 @@ from holdfast import Config, Estimator, HoldfastError, MessageError, RealtimeEst
 from holdfast.config.load import parse_config
 from holdfast.config.model import GateConfig
 from holdfast.errors import ConfigError
+from holdfast.geometry.earth import Geodetic
 from holdfast.messages import (
     FixStatus,
     GnssFix,
@@ -189,3 +190,29 @@ def test_a_section_made_in_a_program_says_what_is_wrong_in_one_line_per_fault(ma
     found = str(caught.value).splitlines()
     assert len(found) == len(lines)
     assert all(text.startswith(words) for text, words in zip(found, lines, strict=True)), found
+
+
+@pytest.mark.parametrize("engine", [Estimator, RealtimeEstimator])
+def test_a_datum_or_a_sensor_that_is_none_is_refused_by_name_and_changes_nothing(engine):
+    """A tuple was an AttributeError, None a silent reset, and the noise of an unknown sensor was 1."""
+    estimator = engine(parse_config(CONFIG))
+    try:
+        estimator.set_datum(Geodetic(47.0, 8.0, 400.0))
+        for wrong in (None, (47, 8, 500), Geodetic(47.0, "8", 500.0), Geodetic(47.0, 8.0, True)):
+            with pytest.raises(
+                ConfigError, match=r"^datum: must be a Geodetic \(latitude_deg, longitude_deg, alt.*, got"
+            ):
+                estimator.set_datum(wrong)
+        for wrong in (Geodetic(90.1, 8.0, 0.0), Geodetic(47.0, 8.0, np.inf), Geodetic(47.0, -361.0, 0.0)):
+            with pytest.raises(ConfigError, match=r"^datum: must be finite, of a latitude within 90 deg"):
+                estimator.set_datum(wrong)
+        assert estimator.datum == Geodetic(47.0, 8.0, 400.0)
+        assert estimator.noise("gnss") == estimator.noise("imu") == 1.0
+        for unknown in ("typo", None, []):
+            with pytest.raises(
+                ConfigError, match=r"^sensor: .* is not in the configuration \(allowed: imu, gnss, head"
+            ):
+                estimator.noise(unknown)
+    finally:
+        if engine is RealtimeEstimator:
+            estimator.close()

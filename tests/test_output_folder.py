@@ -70,12 +70,41 @@ def test_what_holdfast_did_not_write_is_named_and_kept(out):
         write(out, "b.tum")
 
 
-def test_results_that_were_added_and_results_of_other_runs_within_are_replaced_too(out):
+def test_results_that_were_added_are_replaced_too(out):
     write(out, "a.tum")
     (out / "report.html").touch()
     add_results(out / "report.html")
-    write(out / "within", "b.tum")
     write(out, "c.tum")
+    assert names(out) == {"c.tum"}
+
+
+@pytest.mark.parametrize("of", ["replay", "simulate"])
+def test_results_of_another_run_within_are_refused_and_kept(out, of):
+    """A replay into a folder deleted the replay into a folder within it, without a word."""
+    with replaced(out, of):
+        (out / "a.tum").write_text(RESULT)
+    write(out / "variant", "b.tum")
+    with (
+        pytest.raises(ConfigError, match=r"out: holds results of other runs \(variant\): give another folder$"),
+        replaced(out, of),
+    ):
+        pass
+    assert names(out) == {"a.tum", "variant"}
+    with pytest.raises(ConfigError, match=r"parent: holds results of other runs \(out\)|is a simulated|simulated rec"):
+        write(out.parent, "c.tum")
+    assert names(out / "variant") == {"b.tum"}
+
+
+@pytest.mark.parametrize("command", ["batch", "paper", "ablate"])
+def test_a_folder_of_several_runs_is_replaced_by_its_own_command_only(out, command):
+    """`holdfast replay -o` deleted the table of a batch and all its runs."""
+    with continued(out, command):
+        write(out / "run", "a.tum")
+    with pytest.raises(ConfigError, match=f"out: holds results of holdfast {command}: give another folder, or remove"):
+        write(out, "b.tum")
+    assert names(out) == {"run"}
+    with replaced(out, command):
+        (out / "c.tum").write_text(RESULT)
     assert names(out) == {"c.tum"}
 
 
@@ -196,3 +225,33 @@ def test_the_configuration_that_is_read_is_never_replaced(out):
         write(out, "a.tum", reads=[out / "config.yaml"])
     with pytest.raises(ConfigError, match="which is read"):
         check_output_file(out / "config.yaml", [out / "config.yaml"])
+
+
+@pytest.mark.parametrize("name", ["a.tum", "truth/imu_bias.csv", MARK])
+def test_no_file_of_a_run_is_overwritten_by_another_command(out, name):
+    """`holdfast export -o OUT/measurements.csv` and `evaluate --json OUT/summary.json` did so."""
+    write(out, "a.tum", "truth/imu_bias.csv")
+    with pytest.raises(ConfigError, match=f"{name}: was written by holdfast replay, which keeps it: give another file"):
+        check_output_file(out / name)
+
+
+@pytest.mark.parametrize("name", ["track.csv", "truth/track.csv", "mine/track.csv"])
+def test_a_file_beside_the_results_is_new_once_and_then_written_again(out, name):
+    write(out, "a.tum", "truth/imu_bias.csv")
+    (out / "mine").mkdir()
+    for _ in range(2):
+        check_output_file(out / name)
+        (out / name).touch()
+        add_results(out / name)
+
+
+def test_what_was_added_to_a_folder_that_goes_on_may_be_written_again(out):
+    with continued(out, "paper"):
+        (out / "results.json").touch()
+    (out / "report.html").touch()
+    add_results(out / "report.html")
+    with continued(out, "paper"):
+        pass
+    check_output_file(out / "report.html")
+    with pytest.raises(ConfigError, match="was written by holdfast paper"):
+        check_output_file(out / "results.json")

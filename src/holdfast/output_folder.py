@@ -20,15 +20,20 @@ from holdfast.printable import listed
 MARK = ".holdfast"
 BAG, BAG_KEY = "metadata.yaml", b"rosbag2_bagfile_information"
 SIMULATE = "simulate"
+OF_SEVERAL_RUNS = ("ablate", "batch", "paper")  # commands whose folders only they replace
 HEADERS_BYTES = 4096  # that the files of a run may hold before any result is in them
 SHOWN = 3  # names in an error
 
 
 class Mark(NamedTuple):
-    """What a folder says of itself: the command that wrote it, and what is in it; None while that is being written."""
+    """What a folder says of itself: the command that wrote it, and what is in it; None while that is being written.
+
+    `added` are the paths of the files that other commands wrote into it.
+    """
 
     command: str
     files: tuple[str, ...] | None
+    added: tuple[str, ...] = ()
 
 
 NO_MARK = Mark("", ())
@@ -44,13 +49,16 @@ def replaced(folder: str | Path, command: str, reads: Iterable[str | Path] = ())
         reads: files and folders that are read meanwhile.
 
     Raises:
-        ConfigError: `folder` is a file, holds or is part of what is read, holds what Holdfast did not write or another
-            command simulated, or is being written by another process.
+        ConfigError: `folder` is a file, holds or is part of what is read, holds what Holdfast did not write, results of
+            other runs or of a command of several runs, or what another command simulated, or is being written by
+            another process.
         OSError: it cannot be written.
         KeyboardInterrupt: as it came, with the folder in its text.
     """
-    place = _checked(folder, reads)
-    _check_simulations(place, folder, command)
+    place = _checked(folder, reads, command)
+    mark = _read_mark(place) or NO_MARK
+    if mark.command in OF_SEVERAL_RUNS:
+        _check_command(mark, folder, command)
     with _locked(place, folder):  # nobody else replaces what is about to be moved
         earlier = _set_aside(place)
     place.mkdir(parents=True, exist_ok=True)
@@ -74,44 +82,68 @@ def continued(folder: str | Path, command: str, reads: Iterable[str | Path] = ()
     Raises:
         ConfigError: also for results of another command.
     """
-    place = _checked(folder, reads)
-    mark = _read_mark(place) or NO_MARK
-    if mark.command and mark.command != command:
-        raise ConfigError(
-            f"{folder}: holds results of holdfast {mark.command}: give another folder, or remove this one first"
-        )
+    place = _checked(folder, reads, command)
+    _check_command(_read_mark(place) or NO_MARK, folder, command)
     place.mkdir(parents=True, exist_ok=True)
     with _owned(place, folder, command):
         yield
 
 
 def check_output_file(file: str | Path, reads: Iterable[str | Path] = ()) -> None:
-    """Refuse an output file that would overwrite what is read, or lie in a recording.
+    """Refuse an output file that would overwrite what is read or what a run wrote, or lie in a recording.
 
     Raises:
         ConfigError: names both.
     """
-    _check_reads(_real(file), file, reads)
+    place = _real(file)
+    _check_reads(place, file, reads)
+    folder, mark = _marked(place)
+    if folder is None or not place.exists():
+        return
+    path = place.relative_to(folder)
+    if path.parts[0] in {MARK, *(mark.files or ())} and str(path) not in mark.added:
+        raise ConfigError(f"{file}: was written by holdfast {mark.command}, which keeps it: give another file")
 
 
 def add_results(*files: Path) -> None:
     """Note files that were written into a folder of results afterwards, so that they are replaced with it."""
     for file in files:
-        mark = _read_mark(file.parent)
-        if mark is not None and mark.files is not None:
-            _write_mark(file.parent, Mark(mark.command, tuple(sorted({*mark.files, file.name}))))
+        place = _real(file)
+        folder, mark = _marked(place)
+        if folder is not None and mark.files is not None:
+            added = {*mark.added, str(place.relative_to(folder))}
+            names = {*mark.files, place.name} if place.parent == folder else mark.files
+            _write_mark(folder, Mark(mark.command, tuple(sorted(names)), tuple(sorted(added))))
 
 
-def _checked(folder: str | Path, reads: Iterable[str | Path]) -> Path:
+def _marked(place: Path) -> tuple[Path | None, Mark]:
+    """Return the innermost folder with a mark that holds a file, and the mark."""
+    marks = ((folder, _read_mark(folder)) for folder in place.parents)
+    return next(((folder, mark) for folder, mark in marks if mark is not None), (None, NO_MARK))
+
+
+def _checked(folder: str | Path, reads: Iterable[str | Path], command: str) -> Path:
     place = _real(folder)
     if place.exists() and not place.is_dir():
         raise ConfigError(f"{folder}: is a file: the output must be a folder")
     _check_reads(place, folder, reads)
+    _check_simulations(place, folder, command)
     strange = _strangers(place) if place.exists() else []
-    if strange:
-        names = ", ".join(strange[:SHOWN]) + ", ..." * (len(strange) > SHOWN)
+    others = [name for name in strange if _read_mark(place / name) is None]
+    if others:
+        names = ", ".join(others[:SHOWN]) + ", ..." * (len(others) > SHOWN)
         raise ConfigError(f"{folder}: holds what Holdfast did not write ({names}): give another folder or an empty one")
+    if strange:
+        raise ConfigError(f"{folder}: holds results of other runs ({listed(strange, SHOWN)}): give another folder")
     return place
+
+
+def _check_command(mark: Mark, name: str | Path, command: str) -> None:
+    """Refuse results of another command."""
+    if mark.command and mark.command != command:
+        raise ConfigError(
+            f"{name}: holds results of holdfast {mark.command}: give another folder, or remove this one first"
+        )
 
 
 def _check_simulations(place: Path, name: str | Path, command: str) -> None:
@@ -154,19 +186,20 @@ def _is_bag(folder: Path) -> bool:
 
 
 def _strangers(place: Path) -> list[str]:
-    """Return what Holdfast did not write into a folder; what it was writing when it was killed, it wrote."""
+    """Return what the last run did not write into a folder; what it was writing when it was killed, it wrote."""
     mark = _read_mark(place) or NO_MARK
     if mark.files is None:
         return []
     mine = {MARK, *mark.files}
-    return sorted(one.name for one in place.iterdir() if one.name not in mine and _read_mark(one) is None)
+    return sorted(one.name for one in place.iterdir() if one.name not in mine)
 
 
 def _read_mark(folder: Path) -> Mark | None:
     """Return what `_write_mark` wrote, or None if it did not; an empty one is of a run that was killed."""
     try:
         found = json.loads((folder / MARK).read_text(encoding="utf-8") or '{"command": "", "files": null}')
-        return Mark(str(found["command"]), None if found["files"] is None else tuple(map(str, found["files"])))
+        files = None if found["files"] is None else tuple(map(str, found["files"]))
+        return Mark(str(found["command"]), files, tuple(map(str, found.get("added", ()))))
     except (OSError, ValueError, TypeError, KeyError):
         return None
 
@@ -180,7 +213,8 @@ def _owned(place: Path, name: str | Path, command: str) -> Iterator[None]:
     """Mark a folder as one that is being written, and at the end with what was written."""
     (place / MARK).touch()
     with _locked(place, name):
-        _write_mark(place, Mark(command, None))
+        added = (_read_mark(place) or NO_MARK).added
+        _write_mark(place, Mark(command, None, added))
         try:
             yield
         except KeyboardInterrupt:
@@ -188,7 +222,7 @@ def _owned(place: Path, name: str | Path, command: str) -> Iterator[None]:
         finally:
             with suppress(OSError):  # a full disk, which has been reported
                 names = sorted(one.name for one in place.iterdir() if one.name != MARK)
-                _write_mark(place, Mark(command, tuple(names)))
+                _write_mark(place, Mark(command, tuple(names), added))
 
 
 @contextmanager

@@ -294,6 +294,15 @@ def test_a_damaged_summary_of_an_older_run_is_no_reason_to_fail_in_a_batch(place
     assert "Traceback" not in done.out + done.err
 
 
+@pytest.mark.parametrize("duration", ["-4", "0", "nan", "inf"])
+def test_a_batch_of_an_impossible_duration_is_refused_before_anything_is_made(place, duration):
+    """Each of its runs failed by itself."""
+    done = holdfast("batch", "csv", "-c", "machine.yaml", "-o", "out", "--duration", duration)
+    assert done.code == 2
+    assert done.err == f"error: --duration {duration}: must be > 0 and <= 1e+09\n"
+    assert not Path("out").exists()
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a window needs no variable")
 def test_a_window_without_a_display_is_one_line(place, monkeypatch):
     pytest.importorskip("rerun")

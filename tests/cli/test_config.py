@@ -122,6 +122,27 @@ def test_check_refuses_two_antennas_at_one_place(run: Run, tmp_path: Path) -> No
     assert run("check", file)[0] == 0
 
 
+@pytest.mark.parametrize("more", ["", ", encoder: {kind: joint, topic: /joint}", ", slip: {kind: nonholonomic}"])
+def test_check_refuses_an_imu_beside_which_nothing_can_start_the_estimate(run: Run, tmp_path: Path, more: str) -> None:
+    file = tmp_path / "machine.yaml"
+    file.write_text(f"sensors: {{imu: {{kind: imu, topic: /imu}}{more}}}\nextrinsics: [{{parent: imu, child: slip}}]\n")
+    code, out, err = run("check", file)
+    assert (code, out) == (2, "")
+    assert err == (
+        f"error: {file}: sensors: nothing beside the IMU can start the estimate: add a sensor of positions or poses, "
+        "such as `kind: gnss`, `kind: pose` or `kind: odometry`\n"
+    )
+
+
+def test_check_accepts_an_imu_with_an_odometry_alone(run: Run, tmp_path: Path) -> None:
+    file = tmp_path / "machine.yaml"
+    file.write_text(
+        "sensors: {imu: {kind: imu, topic: /imu}, lidar: {kind: odometry, topic: /odometry}}\n"
+        "extrinsics: [{parent: imu, child: lidar, translation_m: [1, 0, 0]}]\n"
+    )
+    assert run("check", file)[0] == 0
+
+
 @pytest.mark.parametrize("command", ["replay", "smooth", "live"])
 def test_what_check_calls_impossible_is_refused_by_whatever_estimates(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

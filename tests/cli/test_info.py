@@ -73,6 +73,25 @@ def test_damage_further_in_ends_in_code_3_after_what_could_be_read(folder: Path)
     assert "imu.csv:152: column stamp_ns is 'oops'" in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "must_be"),
+    [
+        ("--duration", "nan", "> 0"),
+        ("--duration", "inf", "> 0"),
+        ("--duration", "-1", "> 0"),
+        ("--duration", "0", "> 0"),
+        ("--start", "-1", ">= 0"),
+        ("--start", "nan", ">= 0"),
+    ],
+)
+def test_a_window_that_cannot_be_read_is_refused_as_replay_does(folder, option, value, must_be) -> None:
+    """An endless duration was a traceback, a negative one a fault of the recording."""
+    done = info(folder, option, value, "--json")
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr == f"error: {option} {value}: must be {must_be} and <= 1e+09\n"
+
+
 def test_a_mistyped_option_ends_in_code_2(folder: Path) -> None:
     assert info(folder, "--durration", "3").returncode == 2
 

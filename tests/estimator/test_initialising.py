@@ -40,6 +40,23 @@ def test_without_positions_an_odometry_will_do():
     assert initialiser.add(TrackPose(ns(1.0), "lidar", gtsam.Pose3()))
 
 
+def waiting_for(until_s, sensors):
+    config = machine(gnss=False)
+    config = config.model_copy(update={"sensors": {name: config.sensors[name] for name in sensors}})
+    buffer = ImuBuffer(config.imu)
+    for sample in imu(STILL, 0.0, until_s, 100.0, np.random.default_rng(1)):
+        buffer.add(sample)
+    return Initialising(config, buffer, sensors_of(config), G).waiting_for
+
+
+def test_an_imu_that_has_come_is_not_what_is_waited_for():
+    """An IMU alone said "no usable IMU sample has come", after 500 of them."""
+    lidar = "no usable measurement of a sensor other than the IMU has come"
+    assert waiting_for(2.0, ["imu", "lidar"]) == lidar
+    assert waiting_for(-1.0, ["imu", "lidar"]) == f"no usable IMU sample has come, and {lidar}"
+    assert waiting_for(2.0, ["imu"]).startswith("no sensor beside the IMU is configured that can start it (needed: pos")
+
+
 def test_at_standstill_the_state_is_that_of_gravity_the_heading_and_the_lever_arm():
     initialiser, _ = begun()
     stand(initialiser)

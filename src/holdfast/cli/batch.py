@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from holdfast.cli.replay import check_window
 from holdfast.cli.terminal import guarded_console
 from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError, HoldfastError
@@ -59,6 +60,7 @@ def batch(  # noqa: PLR0917 (click passes the options by name)
 
     if scheduler is not None and jobs is not None:
         raise ConfigError("--jobs: with --scheduler the cluster decides how many run at a time")
+    check_window(0.0, duration)
     rules = [HoldOut.parse_every(text) for text in hold_out]
     options = [word for rule in hold_out for word in ("--hold-out", rule)]
     options += [] if duration is None else ["--duration", f"{duration:g}"]

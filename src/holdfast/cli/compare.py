@@ -41,7 +41,8 @@ def compare(first: Path, second: Path, reference: Path | None, output: Path | No
     from holdfast.report.page import page_file, write_page
 
     file = page_file(second / "compare.html" if output is None else output, "--output ")
-    check_output_file(file, [] if reference is None else [reference])
+    for written in (file, file.with_suffix(".json")):
+        check_output_file(written, [] if reference is None else [reference])
     one, other = names_of(first, second) if first.resolve() != second.resolve() else (str(first), str(second))
     comparison = read_comparison((first, second), (one, other), reference, command_line())
     write_page(comparison_page(comparison), file)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from holdfast.cli.progress import reading_bar
+from holdfast.cli.replay import check_window
 from holdfast.cli.terminal import guarded_console
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ def info(recording: str, start_s: float, duration_s: float | None, as_json: bool
     from holdfast.recording.problems import list_problems
     from holdfast.recording.source import open_recording
 
+    check_window(start_s, duration_s)
     with (
         open_recording(recording) as opened,
         reading_bar("reading", opened, start_s, duration_s) as progress,

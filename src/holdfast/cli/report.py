@@ -30,7 +30,8 @@ def report(folder: Path, reference: Path | None, output: Path | None) -> None:
     from holdfast.report.single_run import single_run_page
 
     file = page_file(folder / "report.html" if output is None else output, "--output ")
-    check_output_file(file, [] if reference is None else [reference])
+    for written in (file, file.with_suffix(".json")):
+        check_output_file(written, [] if reference is None else [reference])
     write_page(single_run_page(read_run(folder, reference)), file)
     add_results(file, file.with_suffix(".json"))
     click.echo(f"written to {file} and {file.with_suffix('.json').name}")

@@ -277,6 +277,16 @@ def check_config(config: object) -> None:
         raise ConfigError(f"config: must be a Config, as load_config gives, not {type(config).__name__}")
 
 
+def check_sensor(config: Config, sensor: object) -> None:
+    """Refuse what is no sensor of a configuration.
+
+    Raises:
+        ConfigError: names those that there are.
+    """
+    if not isinstance(sensor, str) or sensor not in config.sensors:
+        raise ConfigError(f"sensor: {sensor!r} is not in the configuration (allowed: {', '.join(config.sensors)})")
+
+
 def faults_of(config: Config) -> Iterator[str]:
     """Yield what contradicts itself in a configuration, each with its place."""
     yield from _faults_of_sensors(config)
@@ -287,6 +297,7 @@ def faults_of(config: Config) -> Iterator[str]:
     elif config.sensors_of(ImuConfig):
         yield from _faults_of_mounts(config)
         yield from _faults_of_chassis(config)
+        yield from _faults_of_frames(config)
 
 
 def _faults_of_sensors(config: Config) -> Iterator[str]:
@@ -311,6 +322,8 @@ def _faults_of_sensors(config: Config) -> Iterator[str]:
         strange = [antenna for antenna in heading.baseline or () if antenna not in config.sensors_of(GnssConfig)]
         if strange:
             yield f"sensors.{name}.baseline: {strange[0]!r} is no sensor with `kind: gnss`"
+        elif heading.baseline is not None and heading.baseline[0] == heading.baseline[1]:
+            yield f"sensors.{name}.baseline: must be two antennas, not {heading.baseline[0]} twice"
 
 
 def _faults_of_mounts(config: Config) -> Iterator[str]:
@@ -344,3 +357,16 @@ def _faults_of_chassis(config: Config) -> Iterator[str]:
         frame = config.frame_of(name)
         if not config.reaches(frame, base):
             yield f"sensors.{name}.frame: {config.unreachable(frame, base)}"
+
+
+def _faults_of_frames(config: Config) -> Iterator[str]:
+    """Yield names with which the published frames would be no tree; the base may well be the IMU's frame."""
+    frames = config.frames
+    names = {"world": frames.world, "odometry": frames.odometry, "base": frames.base}
+    yield from (f"frames.{key}: must not be empty" for key, name in names.items() if not name.strip())
+    if frames.world == frames.odometry:
+        yield f"frames.odometry: {frames.odometry!r} is frames.world, too: must be another name"
+        return
+    for key in ("world", "odometry"):
+        if config.reaches(names[key]) or config.reaches(names[key], frames.base):
+            yield f"frames.{key}: {names[key]!r} is a frame of the machine: must be another name"

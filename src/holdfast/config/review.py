@@ -54,6 +54,11 @@ def impossibilities(config: Config) -> list[str]:
     """Return what a machine cannot be like, one line each; a file that was only begun may say so."""
     places = {name: config.T_I(config.frame_of(name))[:3, 3] for name in config.sensors_of(GnssConfig)}
     found = []
+    if not _can_start(config):
+        found.append(
+            "sensors: nothing beside the IMU can start the estimate: add a sensor of positions or poses, such as "
+            "`kind: gnss`, `kind: pose` or `kind: odometry`"
+        )
     for (one, at), (other, there) in combinations(places.items(), 2):
         apart_m = float(np.linalg.norm(at - there))
         if apart_m < MIN_BASELINE_M:
@@ -63,6 +68,11 @@ def impossibilities(config: Config) -> list[str]:
                 f"{MIN_BASELINE_M:g} m: measure the translation_m of {frames}"
             )
     return found
+
+
+def _can_start(config: Config) -> bool:
+    """Whether messages come by which a start is attempted; those of IMUs and of the encoder are none."""
+    return any(one.topic and not isinstance(one, InertialConfig | JointConfig) for one in config.sensors.values())
 
 
 def check_possible(config: Config, name: str) -> Config:

@@ -7,7 +7,7 @@ are called in turn; `holdfast.realtime` puts them into two processes.
 from collections import Counter
 from dataclasses import replace
 
-from holdfast.config.model import Config, check_config
+from holdfast.config.model import Config, check_config, check_sensor
 from holdfast.errors import ConfigError
 from holdfast.estimator.density import Density
 from holdfast.estimator.imu_path import ImuPath
@@ -15,7 +15,7 @@ from holdfast.estimator.intake import Intake
 from holdfast.estimator.listener import Listener
 from holdfast.estimator.optimiser import Optimiser
 from holdfast.event_log import EventLog, MeasurementRecord
-from holdfast.geometry.earth import Geodetic, LocalFrame
+from holdfast.geometry.earth import Geodetic, LocalFrame, check_datum
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.measured_fields import no_message
 from holdfast.messages import ImuSample, JointAngle, Message
@@ -101,7 +101,12 @@ class Estimator(Intake):
         return replace(self._optimiser.monitor.report(self._buffer.latest_ns, self.health), stamp_ns=stamp_ns)
 
     def noise(self, sensor: str) -> float:
-        """Return how many times larger the noise of a sensor is than it claims, as its innovations show."""
+        """Return how many times larger the noise of a sensor is than it claims, as its innovations show.
+
+        Raises:
+            ConfigError: the sensor is not in the configuration.
+        """
+        check_sensor(self.config, sensor)
         return self._optimiser.monitor.noise(sensor)
 
     def constants(self) -> dict[str, Constant]:
@@ -160,7 +165,12 @@ class Estimator(Intake):
         self._optimiser.restart()
 
     def set_datum(self, datum: Geodetic) -> None:
-        """Put the origin of W somewhere else and begin anew: no pose of before compares with one of now."""
+        """Put the origin of W somewhere else and begin anew: no pose of before compares with one of now.
+
+        Raises:
+            ConfigError: it is no position on the earth; nothing is changed.
+        """
+        check_datum(datum)
         self._path.stop()
         self._optimiser.restart(datum)
 

@@ -49,6 +49,8 @@ MOST_STANDSTILLS = 30
 STANDING_S = 5.0, 15.0  # over which positions tell whether the machine stands, longer ones if the first cannot
 Point = TypeVar("Point", Position, Velocity)
 NO_POSITION, NO_IMU = "no usable position has come", "no usable IMU sample has come"
+NO_OTHER = "no usable measurement of a sensor other than the IMU has come"
+NO_SENSOR = "no sensor beside the IMU is configured that can start it (needed: positions, poses or an odometry)"
 
 
 class Initialising:
@@ -85,14 +87,15 @@ class Initialising:
         self._window_ns = round(config.initialisation.window_s * 1e9)
         noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
         self._aligner = BatchAligner(buffer, noise, self._points, of_role(sensors, Role.VELOCITY))
-        self.reason = NO_POSITION if self._points else NO_IMU
+        has_messages = any(one.message is not None for one in sensors.values())
+        self.reason = NO_POSITION if self._points else NO_OTHER if has_messages else NO_SENSOR
 
     @property
     def waiting_for(self) -> str:
         """Everything that is missing."""
-        if self._buffer.latest_ns or self.reason == NO_IMU:
+        if self._buffer.latest_ns:
             return self.reason
-        return f"{NO_IMU}, and {self.reason}" if self.reason.startswith(NO_POSITION) else NO_IMU
+        return f"{NO_IMU}, and {self.reason}" if self.reason.startswith((NO_POSITION, NO_OTHER, NO_SENSOR)) else NO_IMU
 
     def add(self, measurement: Measurement) -> bool:
         """Take in a checked measurement; say whether it is one with which a start can be attempted."""

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from holdfast.errors import ConfigError
+from holdfast.measured_fields import got, has_double, is_number
 from holdfast.messages import Array
 
 SEMI_MAJOR_AXIS_M = 6378137.0
@@ -28,6 +29,25 @@ class Geodetic(NamedTuple):
     latitude_deg: float
     longitude_deg: float
     altitude_m: float
+
+
+def check_datum(datum: object) -> None:
+    """Refuse what is no position on the earth.
+
+    Raises:
+        ConfigError: says what it must be, and what came.
+    """
+    if not isinstance(datum, Geodetic) or not all(map(is_number, datum)) or not all(map(has_double, datum)):
+        raise ConfigError(f"datum: must be a Geodetic (latitude_deg, longitude_deg, altitude_m), {got(datum)}")
+    if not is_on_earth(datum):
+        raise ConfigError(
+            f"datum: must be finite, of a latitude within 90 deg and a longitude within 360 deg, {got(datum)}"
+        )
+
+
+def is_on_earth(point: Geodetic) -> bool:
+    """Whether latitude, longitude and altitude are those of a point near the ellipsoid."""
+    return all(map(isfinite, point)) and abs(point.latitude_deg) <= 90.0 and abs(point.longitude_deg) <= 360.0
 
 
 class _Meridian(NamedTuple):

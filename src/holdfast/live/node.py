@@ -3,12 +3,11 @@
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from math import isfinite
 from time import monotonic_ns, time_ns
 from typing import Any
 
 from holdfast.config.model import Config
-from holdfast.geometry.earth import Geodetic
+from holdfast.geometry.earth import Geodetic, is_on_earth
 from holdfast.live.dds import Network, Sample
 from holdfast.live.feed import Feed, Record
 from holdfast.live.idl import STORE
@@ -183,7 +182,7 @@ class LiveNode:
             self._report((sample.topic, "unreadable"), Level.ERROR, f"{sample.topic}: cannot be read ({error})", now_ns)
             return
         datum = Geodetic(fix.latitude, fix.longitude, fix.altitude)
-        if not all(map(isfinite, datum)) or abs(datum.latitude_deg) > 90.0 or abs(datum.longitude_deg) > 360.0:
+        if not is_on_earth(datum):
             text = f"{sample.topic}: {tuple(datum)} is no position on the Earth; nothing is changed"
             self._report((sample.topic, "no position"), Level.ERROR, text, now_ns)
             return

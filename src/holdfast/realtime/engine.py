@@ -10,13 +10,13 @@ from time import monotonic, sleep
 from types import TracebackType
 from typing import Self
 
-from holdfast.config.model import Config, check_config
+from holdfast.config.model import Config, check_config, check_sensor
 from holdfast.errors import ConfigError, EstimatorError
 from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import ImuPath, Received
 from holdfast.estimator.intake import Intake
 from holdfast.event_log import EventLog
-from holdfast.geometry.earth import Geodetic, LocalFrame
+from holdfast.geometry.earth import Geodetic, LocalFrame, check_datum
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.kernel.imu_path import HAS_NEWS
 from holdfast.measured_fields import no_message
@@ -168,7 +168,12 @@ class RealtimeEstimator(Intake):
         return replace(self._monitor.report(self._buffer.latest_ns, self.health), stamp_ns=stamp_ns)
 
     def noise(self, sensor: str) -> float:
-        """Return how many times larger the noise of a sensor is than it claims, as its innovations show."""
+        """Return how many times larger the noise of a sensor is than it claims, as its innovations show.
+
+        Raises:
+            ConfigError: the sensor is not in the configuration.
+        """
+        check_sensor(self.config, sensor)
         return self._monitor.noise(sensor)
 
     def learnt(self) -> LearntSnapshot:
@@ -284,7 +289,12 @@ class RealtimeEstimator(Intake):
         self._begin_anew(None)
 
     def set_datum(self, datum: Geodetic) -> None:
-        """Put the origin of W somewhere else and begin anew: no pose of before compares with one of now."""
+        """Put the origin of W somewhere else and begin anew: no pose of before compares with one of now.
+
+        Raises:
+            ConfigError: it is no position on the earth; nothing is changed.
+        """
+        check_datum(datum)
         self._states.world.place(datum)
         self._begin_anew(datum)
 
