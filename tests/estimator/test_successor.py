@@ -46,7 +46,7 @@ def assert_explained(state, motion=ROAD):
 
 
 def test_positions_that_tell_the_heading_are_all_that_is_used():
-    beginning = drive(begun()).begin(astray(yaw_rad=2.0))
+    beginning = drive(begun()).begin(astray(yaw_rad=2.0), ns(0.0))
     assert beginning.reason.startswith("heading from motion")
     assert_explained(beginning.state)
     assert np.degrees(abs(beginning.state.nav.attitude().logmap(ROAD.nav(END_S - 0.1).attitude()))).max() < 10.0
@@ -54,7 +54,7 @@ def test_positions_that_tell_the_heading_are_all_that_is_used():
 
 def test_without_a_heading_position_and_velocity_are_those_of_the_fixes_and_the_attitude_is_doubted():
     successor = drive(begun(), END_S - 1.0)
-    beginning = successor.begin(astray(yaw_rad=0.3))
+    beginning = successor.begin(astray(yaw_rad=0.3), ns(0.0))
     assert beginning.reason == "position and velocity of the fixes, the heading in doubt"
     state = beginning.state
     assert state.stamp_ns == ns(END_S)
@@ -68,28 +68,44 @@ def test_without_a_heading_position_and_velocity_are_those_of_the_fixes_and_the_
 
 def test_a_heading_that_was_wrong_by_60_deg_is_explained_by_the_doubt():
     """It is 3 sigma of the 20 deg that are assumed: fixes were thrown out for ten seconds, the error grew to 4 m."""
-    beginning = drive(begun(), END_S - 1.0).begin(astray(yaw_rad=np.radians(60.0)))
+    beginning = drive(begun(), END_S - 1.0).begin(astray(yaw_rad=np.radians(60.0)), ns(0.0))
     R = beginning.state.nav.attitude().matrix()
     sigma = np.sqrt((R @ beginning.state.covariance[:3, :3] @ R.T)[2, 2])
     assert sigma > np.radians(30.0)
+
+
+def test_what_was_measured_before_the_contradiction_is_forgotten():
+    """A mount may have turned: for half a minute a batch held what was before and after."""
+    successor = drive(begun())
+    successor.begin(astray(), ns(0.0))
+    beginning = successor.begin(astray(yaw_rad=2.0), ns(END_S - 1.0))
+    assert beginning.reason == "position and velocity of the fixes, the heading in doubt"
+
+
+def test_what_has_begun_and_is_contradicted_again_doubts_the_biases():
+    """A gyroscope whose bias had jumped began with that of the first standstill 16 times."""
+    successor = drive(begun(), END_S - 1.0)
+    sigmas = [np.sqrt(np.diag(successor.begin(astray(), ns(0.0)).state.covariance)[9:]) for _ in range(2)]
+    np.testing.assert_allclose(sigmas[0], 1e-3)
+    np.testing.assert_allclose(sigmas[1], [0.1, 0.1, 0.1, 0.03, 0.03, 0.03])
 
 
 def test_a_measured_velocity_is_used():
     successor = drive(begun(more={"doppler": {"kind": "gnss_velocity", "frame": "gnss"}}), END_S - 1.0)
     velocity = np.array([1.0, 2.0, 3.0])
     successor.add(Velocity(ns(END_S - 0.1), "doppler", velocity, np.eye(3) * 0.01))
-    np.testing.assert_allclose(successor.begin(astray()).state.nav.velocity(), velocity)
+    np.testing.assert_allclose(successor.begin(astray(), ns(0.0)).state.nav.velocity(), velocity)
 
 
 def test_what_was_measured_long_ago_is_not_where_it_begins():
-    assert drive(begun(), 0.1, 3.0).begin(astray()) is None
-    assert begun().begin(astray()) is None
+    assert drive(begun(), 0.1, 3.0).begin(astray(), ns(0.0)) is None
+    assert begun().begin(astray(), ns(0.0)) is None
 
 
 def test_at_standstill_it_is_that():
     still = Drive(start_s=100.0)
     successor = drive(begun(still, 5.0, initialisation={"heading_deg": 17.0}), 0.1, 5.0, still)
-    beginning = successor.begin(astray(5.0, still))
+    beginning = successor.begin(astray(5.0, still), ns(0.0))
     assert beginning.reason == "standstill"
     assert not beginning.state.nav.velocity().any()
 
@@ -114,5 +130,5 @@ def test_an_attempt_over_half_a_minute_is_cheap():
     """40 ms of processor time when this was written; the first had no limit on what it took in."""
     successor = drive(begun(ROAD, 30.0), 0.1, 30.0)
     began_s = process_time()
-    successor.begin(astray(30.0))
+    successor.begin(astray(30.0), ns(0.0))
     assert process_time() - began_s < 0.2

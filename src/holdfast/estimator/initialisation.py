@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from math import radians
+from math import inf, radians
 from typing import Any, TypeVar
 
 import gtsam
@@ -17,7 +17,7 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig
-from holdfast.estimator.course import Course, course_of
+from holdfast.estimator.course import Course, course_of, leading_elsewhere
 from holdfast.estimator.first_heading import Antennas, baseline_heading, pose_heading
 from holdfast.graph.alignment import BatchAligner, BiasPrior, Evidence, level_attitude, thin
 from holdfast.measured_fields import NEVER_NS
@@ -42,10 +42,12 @@ PLAUSIBLE_FORCE_M_S2 = (7.0, 13.0)  # mean specific force of a machine on the gr
 MIN_TRAVEL_M, MIN_TRAVEL_SIGMAS = 2.0, 5.0
 RETRY_NS = 1_000_000_000
 POSE_CORRELATION_S = 1.0
+PIECE_NS = 5_000_000_000  # over which velocities are compared with positions
 MIN_POSITIONS = 3
 SAME_BIAS_RAD_S = 5e-3  # two standstills differ by no more
 BIAS_DRIFT_RAD_S = 1e-3  # from a standstill to the motion after it, with temperature and vibration
 MOST_STANDSTILLS = 30
+DOUBTED = 3.0  # times the sigma at power-on: of the bias of a gyroscope that has jumped
 STANDING_S = 5.0, 15.0  # over which positions tell whether the machine stands, longer ones if the first cannot
 Point = TypeVar("Point", Position, Velocity)
 NO_POSITION, NO_IMU = "no usable position has come", "no usable IMU sample has come"
@@ -82,7 +84,10 @@ class Initialising:
         self._others: dict[str, deque[Any]] = {}  # headings, poses and tracks, by sensor
         self._bias = gtsam.imuBias.ConstantBias()
         self._standstills = 0  # that have this bias, less those that have another
-        self._bias_sigmas = np.repeat([imu.accelerometer_bias_sigma, imu.gyroscope_bias_sigma], 3)
+        self._at_power_on = np.repeat([imu.accelerometer_bias_sigma, imu.gyroscope_bias_sigma], 3)
+        self._bias_sigmas = self._at_power_on
+        self.misfit = inf  # of the last attempt: squared residuals over what is claimed
+        self._lying: set[str] = set()  # sensors of velocity that led elsewhere than the positions
         self._last_try_ns = self._newest_ns = NEVER_NS
         self._window_ns = round(config.initialisation.window_s * 1e9)
         noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
@@ -116,6 +121,25 @@ class Initialising:
     def oldest_ns(self) -> int:
         """Samples of the IMU before this time are of no use."""
         return max(self._newest_ns, self._buffer.latest_ns - self._window_ns) - self._window_ns
+
+    def check_velocities(self) -> None:
+        """Leave out sensors of velocity from now on that lead elsewhere than the positions."""
+        self._lying |= self._leading_elsewhere()
+
+    def forget_before(self, stamp_ns: int) -> None:
+        """Forget what was measured before a time."""
+        self._forget_before(stamp_ns)
+        self._last_try_ns = NEVER_NS
+
+    def doubt_biases(self) -> None:
+        """Doubt what standstills have told of the biases: what it led to has proved wrong."""
+        self._standstills = 0
+        self._bias_sigmas = self._at_power_on * np.repeat([1.0, DOUBTED], 3)
+
+    @property
+    def biases(self) -> BiasPrior:
+        """What is known of the biases."""
+        return BiasPrior(self._bias, self._bias_sigmas)
 
     def refuse(self, message: Message, outcome: Outcome) -> None:
         """Note a message that cannot be used: as long as no position could be, it is the reason."""
@@ -179,7 +203,7 @@ class Initialising:
         """Return where the newest positions of the first receiver, no older than that, lead at a time."""
         since_ns = stamp_ns - round(duration_s * 1e9)
         positions = sorted(self._of_first_receiver(since_ns), key=lambda one: one.stamp_ns)
-        velocities = _between(self._velocities, since_ns, max(stamp_ns, self._buffer.latest_ns))
+        velocities, _ = self._credible_velocities(positions, max(stamp_ns, self._buffer.latest_ns))
         arm = self._points[positions[-1].sensor].p_I_P if positions else np.zeros(3)
         return course_of(positions, velocities, stamp_ns, arm)
 
@@ -206,7 +230,7 @@ class Initialising:
         position, position_covariance, arm = self._position(now_ns, R_W_I)
         up, in_imu = force / np.linalg.norm(force), R_W_I.matrix().T @ position_covariance @ R_W_I.matrix()
         covariance = standstill_covariance(imu, standstill_s, self._gravity, up, yaw_sigma, in_imu, arm)
-        self.reason = "standstill"
+        self.reason, self.misfit = "standstill", 0.0
         nav = gtsam.NavState(R_W_I, position, np.zeros(3))
         return OptimisedState(now_ns, nav, bias, covariance, np.zeros(3))
 
@@ -284,13 +308,40 @@ class Initialising:
         if fixes[-1].stamp_ns - self._last_try_ns < RETRY_NS:
             return None
         self._last_try_ns = fixes[-1].stamp_ns
-        velocities = thin(_between(self._velocities, fixes[0].stamp_ns, fixes[-1].stamp_ns))
-        evidence = Evidence(fixes, velocities)
+        velocities, lying = self._credible_velocities(fixes, fixes[-1].stamp_ns)
+        evidence = Evidence(fixes, thin(velocities))
         evidence = evidence._replace(motions=self._odometry_factors(evidence.stamps))
         limit_rad = radians(self._config.initialisation.max_heading_sigma_deg)
-        alignment = self._aligner.solve(evidence, BiasPrior(self._bias, self._bias_sigmas), limit_rad)
-        self.reason = alignment.reason
+        alignment = self._aligner.solve(evidence, self.biases, limit_rad)
+        self.misfit = alignment.misfit
+        without = f", without {', '.join(lying)}, which leads elsewhere than the positions" if lying else ""
+        self.reason = f"{alignment.reason}{without}"
         return None if alignment.state is None else self._by_any_clock(alignment.state, fixes[-1])
+
+    def _credible_velocities(self, fixes: Sequence[Position], end_ns: int) -> tuple[list[Velocity], list[str]]:
+        """Return velocities since the first of some positions, and the sensors that lead elsewhere than they do.
+
+        Of those there is none among the velocities.
+        """
+        if not fixes:
+            return [], []
+        track = [fix for fix in fixes if fix.sensor == fixes[-1].sensor]
+        velocities = _between(self._velocities, fixes[0].stamp_ns, end_ns)
+        lying = [name for name in {one.sensor for one in velocities} if name in self._lying]
+        lying += [name for name in leading_elsewhere(velocities, track) if name not in lying]
+        return [one for one in velocities if one.sensor not in lying], lying
+
+    def _leading_elsewhere(self) -> set[str]:
+        """Return the sensors of velocity that lead elsewhere than the positions in a piece of the window."""
+        track = sorted(self._of_first_receiver(), key=lambda one: one.stamp_ns)
+        pieces: dict[int, list[Position]] = {}
+        for one in track:
+            pieces.setdefault(one.stamp_ns // PIECE_NS, []).append(one)
+        return {
+            name
+            for piece in pieces.values()
+            for name in leading_elsewhere(_between(self._velocities, piece[0].stamp_ns, piece[-1].stamp_ns), piece)
+        }
 
     def _by_any_clock(self, state: OptimisedState, fix: Position) -> OptimisedState:
         """Return a state in motion that is as uncertain as the clock of the positions that it was found from."""

@@ -12,9 +12,12 @@ import gtsam
 import numpy as np
 
 from holdfast.estimator.initialisation import Initialising
+from holdfast.measured_fields import NEVER_NS
 from holdfast.sensors.sensor import Measurement
 from holdfast.state import OptimisedState
 
+AGAIN_NS = 60_000_000_000
+FITS = 4.0  # squared residuals over what is claimed
 COURSE_S = 3.0  # over which positions and velocities are averaged
 DOUBT_RAD = radians(60.0)  # of a heading that is kept
 TILT_DOUBT_RAD = radians(15.0)
@@ -38,6 +41,7 @@ class Successor:
     def __init__(self, start: Initialising, *, is_in_doubt: bool = False) -> None:
         self.start = start
         self._is_in_doubt = is_in_doubt
+        self._begun_ns = NEVER_NS
 
     def add(self, measurement: Measurement) -> None:
         """Take in a checked measurement."""
@@ -48,14 +52,31 @@ class Successor:
         """Samples of the IMU before this time are of no use."""
         return self.start.oldest_ns
 
-    def begin(self, current: OptimisedState) -> Beginning | None:
-        """Return a state to begin anew from, now; `current` is the estimate that is contradicted."""
-        state = self.start.attempt()
+    def begin(self, current: OptimisedState, since_ns: int) -> Beginning | None:
+        """Return a state to begin anew from, now.
+
+        Args:
+            current: the estimate that is contradicted.
+            since_ns: stamp from which on it is. If what was measured before does not fit to it, as after a knock that
+                turned the mount, or what has begun within a minute is contradicted again, only that counts.
+        """
+        is_wrong_again = current.stamp_ns - self._begun_ns < AGAIN_NS
+        self.start.check_velocities()
+        state = None if is_wrong_again else self.start.attempt()
+        if state is None or self.start.misfit > FITS:
+            self.start.forget_before(since_ns)
+            if is_wrong_again:  # a bias may have jumped
+                self.start.doubt_biases()
+            state = self.start.attempt()
         self._is_in_doubt = state is None
         if state is not None:
+            self._begun_ns = state.stamp_ns
             return Beginning(state, self.start.reason)
-        moved = self._moved(current)
-        return None if moved is None else Beginning(moved, "position and velocity of the fixes, the heading in doubt")
+        moved = self._moved(current, doubt_biases=is_wrong_again)
+        if moved is None:
+            return None
+        self._begun_ns = current.stamp_ns
+        return Beginning(moved, "position and velocity of the fixes, the heading in doubt")
 
     def settle_doubt(self) -> Beginning | None:
         """Return a state to begin from once more, as soon as the motion tells the heading that was kept in doubt."""
@@ -65,18 +86,20 @@ class Successor:
         self._is_in_doubt = False
         return Beginning(state, f"no longer in doubt: {self.start.reason}")
 
-    def _moved(self, current: OptimisedState) -> OptimisedState | None:
+    def _moved(self, current: OptimisedState, *, doubt_biases: bool) -> OptimisedState | None:
         """Return the estimate with position and velocity of the positions, its attitude in doubt."""
         course = self.start.course(current.stamp_ns, COURSE_S)
         if course is None:
             return None
         nav, R = current.nav, current.nav.attitude().matrix()
         covariance = np.zeros((15, 15))
-        covariance[9:, 9:] = current.covariance[9:, 9:]
+        bias, covariance[9:, 9:] = current.bias, current.covariance[9:, 9:]
+        if doubt_biases:
+            bias, covariance[9:, 9:] = self.start.biases.bias, np.diag(self.start.biases.sigmas**2)
         in_W = np.diag([TILT_DOUBT_RAD**2, TILT_DOUBT_RAD**2, DOUBT_RAD**2])
         covariance[:3, :3] = current.covariance[:3, :3] + R.T @ in_W @ R
         across = gtsam.SO3.Hat(course.p_I_P)
         covariance[3:6, 3:6] = R.T @ course.of_position @ R + across @ covariance[:3, :3] @ across.T
         covariance[6:9, 6:9] = R.T @ course.of_velocity @ R
         moved = gtsam.NavState(nav.attitude(), course.p_W_P - R @ course.p_I_P, course.v_W_P)
-        return OptimisedState(current.stamp_ns, moved, current.bias, covariance, current.angular_velocity)
+        return OptimisedState(current.stamp_ns, moved, bias, covariance, current.angular_velocity)

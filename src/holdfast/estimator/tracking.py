@@ -256,12 +256,14 @@ class Tracking:
         self._calibration.review(self.graph.main, now_ns)
         self._noise_review.review(self._odometries, self._positions.learnt_accelerometer(), now_ns)
         published = self.graph.published
-        contradicting = None if self._odometries.has_agreed() else self._positions.contradicted_by()
+        contradiction = None if self._odometries.has_agreed() else self._positions.contradiction()
         beginning = self.successor.settle_doubt()
-        if beginning is None and contradicting is not None:
-            beginning = self.successor.begin(published.newest)
+        if beginning is None and contradiction is not None:
+            beginning = self.successor.begin(published.newest, contradiction.since_ns)
         if beginning is not None:
-            self._log.report(EventKind.BEGUN_ANEW, now_ns, contradicting or "", beginning.reason)
+            self._log.report(
+                EventKind.BEGUN_ANEW, now_ns, "" if contradiction is None else contradiction.sensor, beginning.reason
+            )
             return Update(beginning.state, (), is_recovery=True, begins_anew=True)
         if is_recovery:
             self._monitor.recovered(now_ns)

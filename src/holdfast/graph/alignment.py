@@ -43,12 +43,14 @@ class Alignment:
         reason: what was found, in words.
         heading_sigma_rad: standard deviation of the heading, if a single best solution was found.
         excess: squared residuals over their expectation.
+        misfit: the same, or how many times more than claimed the positions or the velocities vary, if that is more.
     """
 
     state: OptimisedState | None
     reason: str
     heading_sigma_rad: float | None = None
     excess: float = inf
+    misfit: float = inf
 
 
 class BiasPrior(NamedTuple):
@@ -218,7 +220,7 @@ class BatchAligner:
         bias = best.atConstantBias(gtsam.symbol("b", 0))
         rate = self._buffer.angular_velocity(stamps[-1]) - bias.gyroscope()
         state = OptimisedState(stamps[-1], nav, bias, covariance, rate)
-        return Alignment(state, f"heading from motion, {np.degrees(sigma):.1f} deg", sigma, excess)
+        return Alignment(state, f"heading from motion, {np.degrees(sigma):.1f} deg", sigma, excess, max(excess, *noise))
 
     def _preintegrate(
         self, stamps: Sequence[int], bias: gtsam.imuBias.ConstantBias

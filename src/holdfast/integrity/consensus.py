@@ -69,10 +69,18 @@ class Consensus:
         """Whether the estimate refused most of a run that is long enough."""
         if self._refused < REFUSED_FRACTION * self._count:  # as a rule: it need not be looked at
             return False
-        run = list(dropwhile(lambda one: not one[1], self._run))
+        run = self._since_first_refused()
         if len(run) < self._count or run[-1][0] - run[0][0] < self._duration_ns:
             return False
         return sum(is_refused for _, is_refused in run) >= REFUSED_FRACTION * len(run)
+
+    @property
+    def since_ns(self) -> int:
+        """Stamp of the first position of the run that the estimate refused; it must be against it."""
+        return self._since_first_refused()[0][0]
+
+    def _since_first_refused(self) -> list[tuple[int, bool]]:
+        return list(dropwhile(lambda one: not one[1], self._run))
 
     def _follows(self, position: Position) -> bool:
         last = self._newest[-1]

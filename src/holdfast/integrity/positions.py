@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from math import inf
+from typing import NamedTuple
 
 from holdfast.config.model import GateConfig
 from holdfast.event_log import EventLog
@@ -31,6 +32,13 @@ SLOW_S, LOWEST_SLOW = 1.0, 0.01  # most of such a claim is a slow error, by whic
 ARM_SIZE = 3  # of a parameter that holds a lever arm
 LEARNT_FROM = Outcome.USED, Outcome.INNOVATION
 BENIGN = {Outcome.LOW_STATUS, Outcome.LARGE_COVARIANCE, Outcome.NO_COVARIANCE, Outcome.NOT_FINITE}
+
+
+class Contradiction(NamedTuple):
+    """A receiver whose positions agree among themselves, not with the estimate, and since when they do."""
+
+    sensor: str
+    since_ns: int
 
 
 class Positions:
@@ -193,11 +201,13 @@ class Positions:
                 self._consensus[worst.sensor].contradict(worst)
                 self.take_out(smoother, worst, Outcome.CONTRADICTED)
 
-    def contradicted_by(self) -> str | None:
-        """Return a receiver whose positions agree among themselves, not with the estimate; None if one is trusted."""
-        against = [name for name, run in self._consensus.items() if run.is_against()]
+    def contradiction(self) -> Contradiction | None:
+        """Return whose positions agree among themselves, not with the estimate; None if another receiver is trusted."""
+        against = {name: run.since_ns for name, run in self._consensus.items() if run.is_against()}
         others = (gate for name, gate in self.gates.items() if name not in against)
-        return against[0] if against and all(gate.trust is Trust.LOST for gate in others) else None
+        if not against or any(gate.trust is not Trust.LOST for gate in others):
+            return None
+        return Contradiction(*next(iter(against.items())))
 
     def lose_due(self, smoother: Smoother, now_ns: int) -> None:
         """Lose the receivers that are silent or had too many bad positions in a row."""
