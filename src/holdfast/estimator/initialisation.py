@@ -327,8 +327,7 @@ class Initialising:
             return [], []
         track = [fix for fix in fixes if fix.sensor == fixes[-1].sensor]
         velocities = _between(self._velocities, fixes[0].stamp_ns, end_ns)
-        lying = [name for name in {one.sensor for one in velocities} if name in self._lying]
-        lying += [name for name in leading_elsewhere(velocities, track) if name not in lying]
+        lying = sorted({one.sensor for one in velocities} & {*self._lying, *leading_elsewhere(velocities, track)})
         return [one for one in velocities if one.sensor not in lying], lying
 
     def _leading_elsewhere(self) -> set[str]:

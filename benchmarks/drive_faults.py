@@ -1,0 +1,119 @@
+"""Prints what faults of IMU and Doppler velocities cost on the cars of `drives/`: `python benchmarks/drive_faults.py`.
+
+Fixes stay as they are. Every second one is held out and judges, as in `drives.py`; the configuration is what `config
+init` writes of the drive without the fault. IMUs fail from the middle of the drive on, velocities in all of it.
+"""
+
+import argparse
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from drives import held_out_row, names_of, run_system, starter_config
+
+from holdfast.estimator.estimator import Estimator
+from holdfast.geometry.rotations import exponentials
+from holdfast.messages import GnssVelocity, ImuSample, Message
+from holdfast.recording.source import open_recording
+from holdfast.recording.subscriptions import subscriptions
+from holdfast.replay.held_out import HoldOut
+
+AXIS = np.array([0.6, -0.5, 0.62])  # of what happens to the IMU: no axis of any car
+KNOCKED = exponentials(np.radians(60.0) * AXIS[None] / np.linalg.norm(AXIS))[0].T
+LATE_S = 1.0
+
+Fault = Callable[[list[Message]], list[Message]]
+
+
+def of_imu(change: Callable[[ImuSample], ImuSample]) -> Fault:
+    """Return a fault that changes the samples of the IMU from the middle of a drive on."""
+
+    def fault(messages: list[Message]) -> list[Message]:
+        middle_ns = (messages[0].stamp_ns + messages[-1].stamp_ns) // 2
+        return [change(one) if isinstance(one, ImuSample) and one.stamp_ns > middle_ns else one for one in messages]
+
+    return fault
+
+
+def of_velocity(change: Callable[[Any], Any]) -> Fault:
+    """Return a fault that changes every Doppler velocity (3,), east, north and up."""
+    return lambda messages: [
+        replace(one, velocity=change(one.velocity)) if isinstance(one, GnssVelocity) else one for one in messages
+    ]
+
+
+def late(messages: list[Message]) -> list[Message]:
+    """Doppler velocities that are those of a second ago."""
+    velocities = [one for one in messages if isinstance(one, GnssVelocity)]
+    stamps, values = np.array([one.stamp_ns for one in velocities]), np.array([one.velocity for one in velocities])
+    if not velocities:
+        return messages
+
+    def before(stamp_ns: int) -> np.ndarray:
+        at = stamp_ns - LATE_S * 1e9 - stamps[0]
+        return np.array([np.interp(at, stamps - stamps[0], column) for column in values.T])
+
+    return [replace(one, velocity=before(one.stamp_ns)) if isinstance(one, GnssVelocity) else one for one in messages]
+
+
+def turned(sample: ImuSample) -> ImuSample:
+    """Return a sample of an IMU that has been knocked."""
+    rate, force = KNOCKED @ sample.angular_velocity, KNOCKED @ sample.specific_force
+    return replace(sample, angular_velocity=rate, specific_force=force)
+
+
+FAULTS: dict[str, Fault] = {
+    "none": lambda messages: messages,
+    "gyroscope's bias jumps by 1 deg/s": of_imu(
+        lambda one: replace(one, angular_velocity=one.angular_velocity + np.radians(1.0) * AXIS)
+    ),
+    "gyroscope's bias jumps by 3 deg/s": of_imu(
+        lambda one: replace(one, angular_velocity=one.angular_velocity + np.radians(3.0) * AXIS)
+    ),
+    "accelerometer's bias jumps by 0.5 m/s^2": of_imu(
+        lambda one: replace(one, specific_force=one.specific_force + 0.5 * AXIS)
+    ),
+    "IMU knocked by 60 deg between two samples": of_imu(turned),
+    "Doppler of the other sign": of_velocity(lambda velocity: -velocity),
+    "Doppler north, east, down": of_velocity(lambda velocity: velocity[[1, 0, 2]] * [1.0, 1.0, -1.0]),
+    "Doppler always zero": of_velocity(lambda velocity: 0.0 * velocity),
+    "Doppler late by 1 s": late,
+}
+
+
+def judge(drive: Path, name: str) -> dict[str, Any]:
+    """Run one drive with one fault, in a process of its own."""
+    config = starter_config(drive / "bag")
+    with open_recording(drive / "bag") as opened:
+        messages = FAULTS[name](list(opened.read(subscriptions(config))))
+    rules = [HoldOut(sensor, 2) for sensor in names_of(config, "gnss")]
+    return held_out_row(config, run_system(Estimator(config), messages, rules), messages, drive / "reference.csv")
+
+
+def main() -> None:
+    """Run what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data" / "drives")
+    given = parser.parse_args()
+    drives = [drive for drive in sorted(given.data.glob("*")) if (drive / "bag").exists()]
+    if not drives:
+        print(f"all drives: skipped, no recording at {given.data}")
+        return
+    print("Horizontal errors at held-out fixes [m]: the RMS of each drive, and the largest of all\n")
+    print(f"| Fault | {' | '.join(drive.name for drive in drives)} | median | largest |")
+    print("|---|" + "---:|" * (len(drives) + 2))
+    with ProcessPoolExecutor(2) as pool:
+        jobs = {name: [pool.submit(judge, drive, name) for drive in drives] for name in FAULTS}
+        for name, futures in jobs.items():
+            rows = [future.result() for future in futures]
+            errors = [row.get("rms", np.nan) for row in rows]
+            cells = " | ".join("never started" if np.isnan(one) else f"{one:.2f}" for one in errors)
+            largest = max(row.get("max", np.nan) for row in rows)
+            print(f"| {name} | {cells} | {np.nanmedian(errors):.2f} | {largest:.1f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
