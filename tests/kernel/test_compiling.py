@@ -30,7 +30,7 @@ def python(program, **environment):
 )
 def test_what_estimates_nothing_does_not_import_the_compiler(arguments, tmp_path):
     config = tmp_path / "machine.yaml"
-    config.write_text("sensors:\n  imu: {kind: imu, topic: /imu}\n")
+    config.write_text("sensors:\n  imu: {kind: imu, topic: /imu}\n  fix: {kind: gnss, topic: /fix, frame: imu}\n")
     done = python(
         f"""
 import sys

@@ -29,6 +29,10 @@ TOPICS = {
     "/joint_states": JOINTS,
     "/lidar/odometry": ODOMETRY,
 }
+MACHINE = {
+    "sensors": {"imu": {"kind": "imu", "topic": "/imu/data"}, "gnss": {"kind": "gnss", "topic": "/gnss/fix"}},
+    "extrinsics": [{"parent": "imu", "child": "gnss", "translation_m": [1.0, 0.0, 1.0]}],
+}
 ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 
 
@@ -221,9 +225,8 @@ def test_a_mistake_of_the_user_is_one_line_and_exit_code_2(domain, tmp_path, mis
     arguments, settings, words = mistake[0], dict(mistake[1]), mistake[2]
     from holdfast.cli import main
 
-    sensors = {"imu": {"kind": "imu", "topic": "/imu/data"}} | settings.pop("sensors", {})
-    extrinsics = [{"parent": "imu", "child": "gnss", "translation_m": [1.0, 0.0, 1.0]}]
-    content = {"sensors": sensors, "extrinsics": extrinsics, "live": LOOPBACK | {"domain_id": domain} | settings}
+    sensors = MACHINE["sensors"] | settings.pop("sensors", {})
+    content = MACHINE | {"sensors": sensors, "live": LOOPBACK | {"domain_id": domain} | settings}
     (tmp_path / "live.yaml").write_text(json.dumps(content))
     with pytest.MonkeyPatch.context() as patched, pytest.raises(SystemExit) as stopped:
         patched.setattr("sys.argv", ["holdfast", "live", "-c", str(tmp_path / "live.yaml"), *arguments])
@@ -256,7 +259,7 @@ def test_ctrl_c_while_it_starts_is_one_word_and_no_traceback_of_any_process(live
     ("rerun", ("view", "RECORDING"), "viz"),
 ])  # fmt: skip
 def test_a_missing_extra_is_named_with_the_command_that_installs_it(missing, arguments, extra, domain, tmp_path):
-    content = {"sensors": {"imu": {"kind": "imu", "topic": "/imu/data"}}, "live": LOOPBACK | {"domain_id": domain}}
+    content = MACHINE | {"live": LOOPBACK | {"domain_id": domain}}
     (tmp_path / "live.yaml").write_text(json.dumps(content))
     places = {"CONFIG": str(tmp_path / "live.yaml"), "RECORDING": str(drive() / "recording.mcap")}
     code = f"import sys; sys.modules[{missing!r}] = None; from holdfast.cli import main; main()"

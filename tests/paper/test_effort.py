@@ -10,12 +10,12 @@ from holdfast.paper.effort import COST, Effort, effort
 from holdfast.paper.job import run_file
 from holdfast.paper.study import plan
 
-QUICK_RUNS, QUICK_RECORDED_S = 28, 1680.0
+QUICK_RUNS, QUICK_RECORDED_S = 28, 1410.0
 
 
 def test_a_quick_evaluation_of_an_idle_machine_is_announced_as_minutes() -> None:
     todo = Effort(QUICK_RUNS, QUICK_RECORDED_S, 2, 1.0)
-    assert announced(todo).startswith("28 runs on 1680 s of recordings, 2 at a time: roughly 67 s to 3 min.")
+    assert announced(todo).startswith("28 runs on 1410 s of recordings, 2 at a time: roughly 56 s to 2 min.")
     assert "other work" in announced(Effort(QUICK_RUNS, QUICK_RECORDED_S, 2, 6.0))
 
 
