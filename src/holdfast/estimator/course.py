@@ -1,7 +1,6 @@
 """Where the positions of one receiver lead: its place and velocity now, without an estimate."""
 
 from collections.abc import Sequence
-from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -10,8 +9,6 @@ from holdfast.messages import Array
 from holdfast.sensors.sensor import Position, Velocity
 
 UNKNOWN_VARIANCE = 100.0  # [m^2/s^2] of a velocity axis about which too little is known
-# of the way, and of the noise of two positions: in 316 pieces of five drives good receivers missed half of it at most
-ELSEWHERE, ELSEWHERE_SIGMA = 0.1, 3.0
 ACCELERATION_M_S2 = 2.0  # by which a machine usually departs from even motion
 
 
@@ -31,36 +28,6 @@ class Course(NamedTuple):
     of_position: Array
     of_velocity: Array
     p_I_P: Array
-
-
-def leading_elsewhere(velocities: Sequence[Velocity], positions: Sequence[Position]) -> list[str]:
-    """Return the sensors whose velocities lead elsewhere than the positions of one receiver, all sorted by stamp.
-
-    A receiver whose velocities are in other axes, late, of another sign or always zero claims no less than a good one.
-    """
-    by_sensor: dict[str, list[Velocity]] = {}
-    for one in velocities:
-        by_sensor.setdefault(one.sensor, []).append(one)
-    return [name for name, series in by_sensor.items() if _leads_elsewhere(series, positions)]
-
-
-def _leads_elsewhere(velocities: Sequence[Velocity], positions: Sequence[Position]) -> bool:
-    if len(velocities) < 2 or len(positions) < 2:
-        return False
-    stamps_ns = np.array([one.stamp_ns for one in velocities])
-    at_ns = np.array([one.stamp_ns for one in positions])
-    inside = (stamps_ns >= at_ns[0]) & (stamps_ns <= at_ns[-1])
-    if inside.sum() < 2:
-        return False
-    t = (stamps_ns[inside] - at_ns[0]) * 1e-9
-    track = np.array([one.p_W_P for one in positions])
-    speeds = np.array([one.v_W_P for one in velocities])[inside]
-    known = np.max([one.covariance.diagonal() for one in velocities], axis=0) < UNKNOWN_VARIANCE
-    ends = np.column_stack([np.interp(t[[0, -1]], (at_ns - at_ns[0]) * 1e-9, axis) for axis in track.T])
-    moved, led = (ends[1] - ends[0])[known], np.trapezoid(speeds, t, axis=0)[known]
-    noise_m = ELSEWHERE_SIGMA * sqrt(sum(float(np.trace(one.covariance)) for one in (positions[0], positions[-1])))
-    way_m = max(np.linalg.norm(moved), np.trapezoid(np.linalg.norm(speeds[:, known], axis=1), t))
-    return bool(np.linalg.norm(moved - led) > noise_m + ELSEWHERE * way_m)
 
 
 def course_of(

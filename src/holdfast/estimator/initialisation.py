@@ -17,8 +17,9 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig
-from holdfast.estimator.course import Course, course_of, leading_elsewhere
+from holdfast.estimator.course import Course, course_of
 from holdfast.estimator.first_heading import Antennas, baseline_heading, pose_heading
+from holdfast.estimator.velocity_check import VelocityCheck
 from holdfast.graph.alignment import BatchAligner, BiasPrior, Evidence, level_attitude, thin
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array, Message
@@ -42,7 +43,6 @@ PLAUSIBLE_FORCE_M_S2 = (7.0, 13.0)  # mean specific force of a machine on the gr
 MIN_TRAVEL_M, MIN_TRAVEL_SIGMAS = 2.0, 5.0
 RETRY_NS = 1_000_000_000
 POSE_CORRELATION_S = 1.0
-PIECE_NS = 5_000_000_000  # over which velocities are compared with positions
 MIN_POSITIONS = 3
 SAME_BIAS_RAD_S = 5e-3  # two standstills differ by no more
 BIAS_DRIFT_RAD_S = 1e-3  # from a standstill to the motion after it, with temperature and vibration
@@ -87,7 +87,7 @@ class Initialising:
         self._at_power_on = np.repeat([imu.accelerometer_bias_sigma, imu.gyroscope_bias_sigma], 3)
         self._bias_sigmas = self._at_power_on
         self.misfit = inf  # of the last attempt: squared residuals over what is claimed
-        self._lying: set[str] = set()  # sensors of velocity that led elsewhere than the positions
+        self._velocity_check = VelocityCheck()
         self._last_try_ns = self._newest_ns = NEVER_NS
         self._window_ns = round(config.initialisation.window_s * 1e9)
         noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
@@ -124,7 +124,8 @@ class Initialising:
 
     def check_velocities(self) -> None:
         """Leave out sensors of velocity from now on that lead elsewhere than the positions."""
-        self._lying |= self._leading_elsewhere()
+        track = sorted(self._of_first_receiver(), key=lambda one: one.stamp_ns)
+        self._velocity_check.look_back(_between(self._velocities, NEVER_NS, self._newest_ns), track)
 
     def forget_before(self, stamp_ns: int) -> None:
         """Forget what was measured before a time."""
@@ -319,28 +320,11 @@ class Initialising:
         return None if alignment.state is None else self._by_any_clock(alignment.state, fixes[-1])
 
     def _credible_velocities(self, fixes: Sequence[Position], end_ns: int) -> tuple[list[Velocity], list[str]]:
-        """Return velocities since the first of some positions, and the sensors that lead elsewhere than they do.
-
-        Of those there is none among the velocities.
-        """
+        """Return velocities since the first of some positions, and the sensors that are left out."""
         if not fixes:
             return [], []
         track = [fix for fix in fixes if fix.sensor == fixes[-1].sensor]
-        velocities = _between(self._velocities, fixes[0].stamp_ns, end_ns)
-        lying = sorted({one.sensor for one in velocities} & {*self._lying, *leading_elsewhere(velocities, track)})
-        return [one for one in velocities if one.sensor not in lying], lying
-
-    def _leading_elsewhere(self) -> set[str]:
-        """Return the sensors of velocity that lead elsewhere than the positions in a piece of the window."""
-        track = sorted(self._of_first_receiver(), key=lambda one: one.stamp_ns)
-        pieces: dict[int, list[Position]] = {}
-        for one in track:
-            pieces.setdefault(one.stamp_ns // PIECE_NS, []).append(one)
-        return {
-            name
-            for piece in pieces.values()
-            for name in leading_elsewhere(_between(self._velocities, piece[0].stamp_ns, piece[-1].stamp_ns), piece)
-        }
+        return self._velocity_check.credible(_between(self._velocities, fixes[0].stamp_ns, end_ns), track)
 
     def _by_any_clock(self, state: OptimisedState, fix: Position) -> OptimisedState:
         """Return a state in motion that is as uncertain as the clock of the positions that it was found from."""
