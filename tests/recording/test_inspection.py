@@ -55,6 +55,17 @@ def test_gaps_are_counted_and_the_longest_is_placed(tmp_path: Path) -> None:
     ]
 
 
+def test_bursts_are_told_as_such_and_are_no_gaps(tmp_path: Path) -> None:
+    stamps = [START_NS + k // 10 * 100 * MS + k % 10 * MS // 10 for k in range(300)]
+    topics, problems, _ = look(tmp_path, imu_rows(stamps))
+    assert topics["/imu"].gaps == 0
+    assert topics["/imu"].rate_hz == pytest.approx(100, rel=0.05)
+    assert problems == [
+        "/imu: the stamps come in bursts of about 10, every 0.099 s: they are times of arrival, not of measurement; "
+        "let the driver stamp by the sensor's clock"
+    ]
+
+
 def test_clock_trouble_is_found(tmp_path: Path) -> None:
     stamps = [START_NS + k * 10 * MS for k in range(100)]
     stamps[50] = stamps[40] + 1

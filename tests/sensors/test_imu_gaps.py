@@ -81,6 +81,23 @@ def test_a_silence_of_a_few_samples_is_none_and_a_slow_imu_sets_its_own_measure(
     assert gaps(buffer, 0.1, 11.9) == []
 
 
+@pytest.mark.parametrize("size", [5, 10, 20])
+def test_samples_that_come_in_bursts_are_no_drop_outs_and_one_burst_that_is_missing_is(size):
+    def burst_of(k):
+        return k // size * size * 10_000_000 + k % size * 100_000
+
+    samples = [replace(one, stamp_ns=ns(0) + burst_of(k)) for k, one in enumerate(noisy(end_s=8.0))]
+    assert gaps(fed(samples)[0], 2.1, 7.7) == []
+    lost = samples[:400] + samples[440:]
+    assert gaps(fed(lost)[0], 2.1, 7.7) == [pytest.approx((4.0, 4.4), abs=size * 0.01)]
+
+
+def test_a_few_long_drop_outs_do_not_make_shorter_ones_usual():
+    samples = noisy(end_s=8.0)
+    silent = [one for k, one in enumerate(samples) if not 300 <= k < 340 and not 360 <= k < 400]
+    assert len(gaps(fed(silent[:360] + silent[375:])[0], 0.1, 7.9)) == 3
+
+
 @pytest.mark.parametrize("length", [12, 40, 150])
 def test_a_straight_line_that_a_logger_drew_is_a_gap(length):
     samples = drawn(noisy(), 100, 100 + length)

@@ -9,7 +9,8 @@ from holdfast.kernel.types import INT64, READING, TRIPLE, UNTIL, VOID
 
 SUSPECT_LINE = 3  # so many steps on one line happen by chance once in a long while
 FROZEN_FACTOR = 10  # a reading that does not change at all for this many gap lengths is a dead sensor
-PERIOD_WINDOW = 64
+PERIOD_WINDOW, EXCEPTIONS = 64, 2  # samples that tell how often they come; longer intervals than the others
+MOST_GAP_NS = 250_000_000  # that bursts explain
 LINE_TOLERANCE = 1e-3  # of the change per sample; six channels of a living sensor never agree that well
 KEPT_ROWS, KEPT_NS = 1000, 10_000_000_000  # so many samples, or so long, are dropped at once
 DELAY_WINDOW = 64  # samples over whose shortest delay the next are judged; twice as many at most
@@ -39,8 +40,7 @@ def append(buffer: Any, samples: Any, stamp_ns: int, arrival_ns: int, reading: t
     if buffer.first < row:
         is_gap = int(dt_ns > buffer.max_gap_ns)
         has_step = not is_gap
-        if has_step:
-            _learn_period(buffer, dt_ns)
+        _learn_period(buffer, dt_ns)
     sample.stamp_ns, sample.is_gap = stamp_ns, is_gap
     for k in range(3):
         sample.force[k], sample.rate[k] = reading[k], reading[3 + k]
@@ -66,7 +66,10 @@ def _learn_delay(buffer: Any, delay_ns: int) -> None:
 
 @inner
 def _learn_period(buffer: Any, dt_ns: int) -> None:
-    """Keep the periods sorted, and take 2.5 times their median where that is more than the configured gap."""
+    """Keep the periods sorted, and take 2.5 times the usual one where that is more than the configured gap.
+
+    Usual is their median or, where samples come in bursts, the period between these: half of the time lies in it.
+    """
     periods, at = buffer.periods_ns, buffer.periods
     while at > 0 and periods[at - 1] > dt_ns:
         periods[at] = periods[at - 1]
@@ -75,7 +78,13 @@ def _learn_period(buffer: Any, dt_ns: int) -> None:
     buffer.periods += 1
     if buffer.periods == PERIOD_WINDOW:
         median_ns = 0.5 * (periods[PERIOD_WINDOW // 2 - 1] + periods[PERIOD_WINDOW // 2])
-        buffer.max_gap_ns = max(buffer.least_gap_ns, round(2.5 * median_ns))
+        last = PERIOD_WINDOW - 1 - EXCEPTIONS
+        longer_ns, all_ns = periods[last], periods[: last + 1].sum()
+        while 2 * longer_ns < all_ns:
+            last -= 1
+            longer_ns += periods[last]
+        burst_ns = min(round(2.5 * periods[last]), MOST_GAP_NS)
+        buffer.max_gap_ns = max(buffer.least_gap_ns, round(2.5 * median_ns), burst_ns)
         buffer.periods = 0
 
 

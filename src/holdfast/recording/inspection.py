@@ -13,6 +13,7 @@ from holdfast.recording.kinds import Findings, Kind, kinds_of
 from holdfast.recording.source import Header, Recording
 
 GAP_PERIODS = 5
+BURSTS = 0.02  # of the steps between stamps are between two bursts, at least
 NS_PER_S = 1_000_000_000
 
 Stamps = NDArray[np.int64]
@@ -23,6 +24,7 @@ class TopicFindings:
     """One topic. Times in seconds after the recording's first arrival; None where a single message is not enough.
 
     Attributes:
+        burst_s: where stamps come in bursts, the time between these.
         kind: what it is without a configuration, None if nothing that Holdfast decodes.
         values: what was found in them, None if its kind has no findings.
     """
@@ -35,6 +37,7 @@ class TopicFindings:
     gaps: int
     longest_gap_s: float | None
     longest_gap_at_s: float | None
+    burst_s: float | None
     stamps_back: int
     duplicate_stamps: int
     arrived_before_stamp: int
@@ -128,19 +131,20 @@ def _find(topic: str, type_name: str, log: _TopicLog, start_ns: int) -> TopicFin
     latency_s = _seconds_between(stamps, np.array(log.arrivals, dtype=np.int64))
     steps = np.diff(stamps)
     ordered = np.unique(stamps)
-    gaps, longest_s, at_s = _gaps(ordered, start_ns)
-    periods = np.diff(ordered)
+    periods, burst_s = np.diff(ordered), _burst_s(np.diff(ordered))
+    gaps, longest_s, at_s = _gaps(ordered, start_ns, burst_s)
     values = log.findings(start_ns)
     has_header = bool(log.count) and bool(latency_s.any())
     return TopicFindings(
         topic=topic,
         type=type_name,
         count=log.count,
-        rate_hz=float(NS_PER_S / np.median(periods)) if periods.size else None,
+        rate_hz=float(NS_PER_S / (np.median(periods) if burst_s is None else periods.mean())) if periods.size else None,
         duration_s=float(ordered[-1] - ordered[0]) / NS_PER_S if ordered.size else 0.0,
         gaps=gaps,
         longest_gap_s=longest_s,
         longest_gap_at_s=at_s,
+        burst_s=burst_s,
         stamps_back=int((steps < 0).sum()),
         duplicate_stamps=int(stamps.size - ordered.size),
         arrived_before_stamp=int((latency_s < 0).sum()),
@@ -165,13 +169,24 @@ def _kind_of(type_name: str, values: Findings | None) -> str | None:
     return kinds[0].name if kinds else None
 
 
-def _gaps(ordered: Stamps, start_ns: int) -> tuple[int, float | None, float | None]:
-    """Return the number of steps above 5 median periods, the longest step [s] and where it begins [s]."""
+def _burst_s(periods: Stamps) -> float | None:
+    """Return the time between bursts of stamps [s]: half of the time lies in long steps, that are often and alike."""
+    long = periods[periods > GAP_PERIODS * np.median(periods)] if periods.size else periods
+    if long.size <= BURSTS * periods.size or 2 * long.sum() < periods.sum():
+        return None
+    usual_ns = float(np.median(long))
+    alike = np.abs(long - usual_ns) < 0.3 * usual_ns
+    return usual_ns / NS_PER_S if alike.mean() > 0.8 else None
+
+
+def _gaps(ordered: Stamps, start_ns: int, burst_s: float | None) -> tuple[int, float | None, float | None]:
+    """Return the number of steps above 5 median periods or bursts, the longest step [s] and where it begins [s]."""
     periods = np.diff(ordered)
     if not periods.size:
         return 0, None, None
     longest = int(periods.argmax())
-    number = int((periods > GAP_PERIODS * np.median(periods)).sum())
+    usual_ns = np.median(periods) if burst_s is None else burst_s * NS_PER_S
+    number = int((periods > GAP_PERIODS * usual_ns).sum())
     return number, float(periods[longest]) / NS_PER_S, max(0.0, (int(ordered[longest]) - start_ns) / NS_PER_S)
 
 

@@ -41,6 +41,11 @@ def _gap_problems(topic: TopicFindings, kind: Kind) -> Iterator[str]:
             f"{topic.gaps} gap(s) longer than 5 periods, the longest {topic.longest_gap_s:.3f} s at "
             f"{topic.longest_gap_at_s:.1f} s; {kind.gap}"
         )
+    if topic.burst_s is not None and topic.rate_hz is not None:
+        yield (
+            f"the stamps come in bursts of about {topic.burst_s * topic.rate_hz:.0f}, every {topic.burst_s:.3f} s: "
+            "they are times of arrival, not of measurement; let the driver stamp by the sensor's clock"
+        )
 
 
 def _clock_problems(topic: TopicFindings) -> Iterator[str]:
