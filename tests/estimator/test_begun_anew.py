@@ -22,7 +22,7 @@ from motion import (
     velocities,
 )
 
-from holdfast.state import EventKind
+from holdfast.state import EventKind, Health
 
 ROAD = Drive(start_s=4.0, ramp_s=4.0, radius_m=20.0, speed=0.3, tilt=0.0, heave_m=0.0)  # 6 m/s
 RTK, CONSUMER = (0.01, 0.01, 0.02), (0.4, 0.4, 0.8)
@@ -142,15 +142,28 @@ def test_a_gyroscope_whose_bias_jumps_is_found_out(sigma, hz, doppler):
     assert max(errors_m(outputs, 50.0)) < max(0.5, 5.0 * np.hypot(*sigma[:2]))
 
 
-@pytest.mark.parametrize("wrong", [lambda v: -v, lambda v: 0.0 * v, lambda v: v[[1, 0, 2]]])
-def test_velocities_that_lead_elsewhere_than_the_positions_do_not_spoil_a_start(wrong):
-    """Of the other sign it was 100 m off, with perfect fixes."""
+def by(change):
+    """Velocities that are changed."""
+    return lambda sent: [replace(one, velocity=change(one.velocity)) for one in sent]
+
+
+def a_second_late(sent):
+    return [
+        replace(one, velocity=before.velocity)
+        for before, one in itertools.pairwise(sent[::5])  # 5 Hz
+    ]
+
+
+@pytest.mark.parametrize("wrong", [by(lambda v: -v), by(lambda v: 0.0 * v), by(lambda v: v[[1, 0, 2]]), a_second_late])
+def test_velocities_that_lead_elsewhere_than_the_positions_spoil_nothing_for_long(wrong):
+    """Of the other sign it was 100 m off, with perfect fixes; late by a second they spoilt every beginning anew."""
     sent = streams(CONSUMER, 1.0, True, 60.0)
-    sent["doppler"] = [replace(one, velocity=wrong(one.velocity)) for one in sent["doppler"]]
+    sent["doppler"] = wrong(sent["doppler"])
     config = machine(lidar=False, more=DOPPLER, heading_deg=None)
     estimator, outputs = run(config, in_order(*sent.values()))
     assert estimator.initialised
     assert max(errors_m(outputs, 40.0)) < 5.0 * np.hypot(*CONSUMER[:2])
+    assert estimator.health is Health.SENSOR_LOST
 
 
 def far(fix, offset_m):

@@ -19,7 +19,7 @@ from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig
 from holdfast.estimator.course import Course, course_of
 from holdfast.estimator.first_heading import Antennas, baseline_heading, pose_heading
-from holdfast.estimator.velocity_check import VelocityCheck
+from holdfast.estimator.velocity_check import PIECE_NS, VelocityCheck
 from holdfast.graph.alignment import BatchAligner, BiasPrior, Evidence, level_attitude, thin
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array, Message
@@ -88,7 +88,7 @@ class Initialising:
         self._bias_sigmas = self._at_power_on
         self.misfit = inf  # of the last attempt: squared residuals over what is claimed
         self._velocity_check = VelocityCheck()
-        self._last_try_ns = self._newest_ns = NEVER_NS
+        self._last_try_ns = self._newest_ns = self._reviewed_ns = NEVER_NS
         self._window_ns = round(config.initialisation.window_s * 1e9)
         noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
         self._aligner = BatchAligner(buffer, noise, self._points, of_role(sensors, Role.VELOCITY))
@@ -124,8 +124,20 @@ class Initialising:
 
     def check_velocities(self) -> None:
         """Leave out sensors of velocity from now on that lead elsewhere than the positions."""
+        self._velocity_check.look_back(*self._both_tracks())
+
+    def lying(self) -> Collection[str]:
+        """Return the sensors of velocity that lead elsewhere than the positions: looked at every few seconds."""
+        check = self._velocity_check
+        if self._velocities and self._newest_ns - self._reviewed_ns > PIECE_NS:
+            self._reviewed_ns = self._newest_ns
+            check.review(*self._both_tracks())
+        return check.lying
+
+    def _both_tracks(self) -> tuple[list[Velocity], list[Position]]:
+        """Return the velocities, and the positions of one receiver."""
         track = sorted(self._of_first_receiver(), key=lambda one: one.stamp_ns)
-        self._velocity_check.look_back(_between(self._velocities, NEVER_NS, self._newest_ns), track)
+        return _between(self._velocities, NEVER_NS, self._newest_ns), track
 
     def forget_before(self, stamp_ns: int) -> None:
         """Forget what was measured before a time."""
@@ -315,6 +327,7 @@ class Initialising:
         limit_rad = radians(self._config.initialisation.max_heading_sigma_deg)
         alignment = self._aligner.solve(evidence, self.biases, limit_rad)
         self.misfit = alignment.misfit
+        self._velocity_check.lying.update(lying)
         without = f", without {', '.join(lying)}, which leads elsewhere than the positions" if lying else ""
         self.reason = f"{alignment.reason}{without}"
         return None if alignment.state is None else self._by_any_clock(alignment.state, fixes[-1])

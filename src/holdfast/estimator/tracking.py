@@ -252,6 +252,7 @@ class Tracking:
         is_recovery = self._recovery.review(self.graph, now_ns)
         for channel in self._headings, self._states:
             channel.review(self.graph, now_ns)
+        self._states.hold(self.successor.start.lying(), "it leads elsewhere than the positions", now_ns)
         self._odometries.review(now_ns)
         self._calibration.review(self.graph.main, now_ns)
         self._noise_review.review(self._odometries, self._positions.learnt_accelerometer(), now_ns)

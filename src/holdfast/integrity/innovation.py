@@ -35,7 +35,7 @@ class InnovationGate:
 
     def __init__(self, settings: JudgedConfig, *, can_fall_silent: bool = True) -> None:
         self.limit = settings.gate_sigma**2
-        self.is_lost = False
+        self.is_lost = self._is_held = False
         self.reasons: Counter[Outcome] = Counter()  # of what was refused since a measurement entered last
         self._settings, self._can_fall_silent = settings, can_fall_silent
         self._refused_in_a_row = 0
@@ -50,6 +50,12 @@ class InnovationGate:
             self._period_s = (measurement.stamp_ns - self._last_ns) * 1e-9
         self._last_ns, self._received_ns = measurement.stamp_ns, now_ns
 
+    def hold(self, *, is_wrong: bool) -> bool:
+        """Lose the sensor while it is known to be wrong, whatever the state says; return whether that is new."""
+        is_new = is_wrong and not self._is_held
+        self._is_held, self.is_lost = is_wrong, self.is_lost or is_wrong
+        return is_new
+
     def judge(self, measurement: Measurement, nis: float | Outcome, now_ns: int) -> Outcome:
         """Say what a measurement is worth: USED where it may enter, QUARANTINED where it waits, else what is wrong.
 
@@ -61,6 +67,8 @@ class InnovationGate:
         self.note(measurement, now_ns)
         if isinstance(nis, Outcome):
             return nis
+        if self._is_held:
+            return Outcome.CONTRADICTED
         if not nis <= self.limit:
             self._refused_in_a_row += 1
             self.reasons[Outcome.INNOVATION] += 1

@@ -1,6 +1,6 @@
 """Measurements that one state explains, on their way into the graphs: tested one by one, with hysteresis."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from itertools import pairwise
 
 import gtsam
@@ -185,11 +185,18 @@ class States:
     def __init__(
         self, sensors: dict[str, StateSensor], scales: Mapping[str, NoiseScale], joint_at: JointAt, log: EventLog
     ) -> None:
+        self._log = log
         self._judged = {name: JudgedSensor(sensor, scales[name], joint_at, log) for name, sensor in sensors.items()}
 
     def lost(self) -> list[str]:
         """Return the sensors that are not trusted."""
         return [name for name, judged in self._judged.items() if judged.gate.is_lost]
+
+    def hold(self, wrong: Collection[str], reason: str, now_ns: int) -> None:
+        """Keep these sensors, and no others, out of the graphs whatever their measurements look like."""
+        for name, judged in self._judged.items():
+            if judged.gate.hold(is_wrong=name in wrong):
+                self._log.report(EventKind.SENSOR_LOST, now_ns, name, reason)
 
     def add(self, graph: DualGraph, measurement: Measurement, now_ns: int) -> Outcome:
         """Judge a measurement at its node, and add its factor to the graphs if it may enter."""
