@@ -137,7 +137,7 @@ def test_the_example_passes_mypy_strict_outside_of_the_repository(tmp_path):
 
 @pytest.mark.slow
 def test_the_example_runs():
-    done = subprocess.run([sys.executable, EXAMPLE, "60"], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, EXAMPLE, "30"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "batch  against" in done.stdout
 

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.slow
 CLOCKS = ("gnss", "gnss_right", "heading", "lidar")
 
 
-def rows(scenario, seed, duration_s=45.0):
+def rows(scenario, seed, duration_s=30.0):
     found, truth = run(scenario, seed, duration_s, calibrate)
     return found, {
         (one.what, str(one.path[-1])): (one, truth[one.what, str(one.path[-1])])
@@ -57,6 +57,6 @@ def test_the_zero_of_the_encoder_and_the_drift_of_the_lidar_are_found_on_rough_g
 
 @pytest.mark.parametrize("scenario", ["wrong-mount", "offset-clocks"])
 def test_what_one_replay_learns_of_mountings_clocks_and_the_encoder_is_true(scenario):
-    found, truth = run(scenario, 15, 60.0, learn)
+    found, truth = run(scenario, 15, 45.0, learn)
     assert {key for _, key in (one.key for one in found)} == {"time_offset_s", "rotation", "zero_offset_deg"}
     assert all(abs(one.value - truth[one.key]) <= 3.0 * one.sigma for one in found)

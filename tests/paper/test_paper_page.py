@@ -13,7 +13,7 @@ from holdfast.evaluation.mapping import Closeness, MapOptions, View
 from holdfast.paper.maps import MapScore, cast_scans, coloured, load_maps, map_task
 from holdfast.paper.page import paper_page, write_report
 from holdfast.paper.results import Growth, Latency, OutageScore, Results, Run
-from holdfast.paper.study import TASKS
+from holdfast.paper.study import QUICK, TASKS
 from holdfast.paper.systems import ENGINE, SYSTEMS
 from holdfast.paper.tables import QUANTITIES
 from holdfast.report.page import Figure, Row, Table, Text, numbers_of, write_page
@@ -294,9 +294,7 @@ def test_scans_for_a_map_are_those_that_would_be_recorded(tmp_path: Path):
 def test_every_system_has_a_map_and_none_is_better_than_that_of_the_true_poses(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    from holdfast.paper import maps as module
-
-    monkeypatch.setitem(module.QUICK, "construction", {"duration_s": 12.0, "faults": []})
+    monkeypatch.setitem(QUICK, "construction", {"duration_s": 12.0, "faults": []})
     map_task("construction", tmp_path, True)
     loaded = load_maps(tmp_path)
     assert loaded is not None

@@ -37,7 +37,7 @@ def paper(output: Path, quick: bool, seeds: int | None, jobs: int) -> None:
 
     Writes results.json, curves.npz, the maps of the sites, outage.png and report.html, which needs no network. What has
     been run is kept in the folder: the same command goes on where it was interrupted, and more --seeds add to those
-    that there are. --quick takes two to five minutes on two idle cores, the whole more than an hour; before it begins
+    that there are. --quick takes one to three minutes on two idle cores, the whole more than an hour; before it begins
     the command tells what is left to do and about how long that takes.
     """
     with needing("the paper's evaluation", "sim"):

@@ -7,7 +7,7 @@ so d <= d_k - r proves d; where it does not, k grows. Distances of points to tri
 Detection", 2005, section 5.1.5. This needs scipy's KD-tree: the extra `sim`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -91,8 +91,9 @@ class SurfaceIndex:
         self.mesh = mesh
         with needing("the distance to a mesh", "sim"):
             from scipy.spatial import cKDTree
-        self._corners = mesh.vertices[mesh.faces]
-        self.samples, self.pieces, self.areas_m2, self.radius_m = _samples(self._corners)
+        corners = mesh.vertices[mesh.faces]
+        self._triangles = _Triangles(corners)
+        self.samples, self.pieces, self.areas_m2, self.radius_m = _samples(corners)
         self._tree = cKDTree(self.samples, balanced_tree=False, compact_nodes=False)
 
     def nearest(self, points: Array) -> tuple[Array, NDArray[np.int64]]:
@@ -117,8 +118,7 @@ class SurfaceIndex:
             count = min(count, len(self.pieces))  # noqa: PLW2901
             reach, near = self._tree.query(points[open_rows], k=count)
             near = near.reshape(len(open_rows), count)
-            corners = self._corners[self.pieces[near]]
-            found = np.sqrt(_squared_distances(points[open_rows][:, None], corners))
+            found = np.sqrt(self._triangles.squared_distances(points[open_rows], self.pieces[near]))
             best = found.argmin(axis=1)  # of the pieces of one triangle the first, whose sample is nearest
             rows = np.arange(len(open_rows))
             distances[open_rows], pieces[open_rows] = found[rows, best], near[rows, best]
@@ -159,20 +159,39 @@ def _middles(count: int) -> Iterator[tuple[float, float, float]]:
                 yield (i + 2 * third) / count, (j + 2 * third) / count, (count - i - j - 4 * third) / count
 
 
-def _squared_distances(p: Array, corners: Array) -> Array:
-    """Return the squared distances (N, K) of points (N, 1, 3) to triangles (N, K, 3, 3)."""
-    a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
-    normal = np.cross(b - a, c - a)
-    area = np.einsum("nkd,nkd->nk", normal, normal)
-    inside = np.ones(area.shape, dtype=np.bool_)
-    nearest = np.full(area.shape, np.inf)
-    for start, end in ((a, b), (b, c), (c, a)):
-        edge, to_point = end - start, p - start
-        inside &= np.einsum("nkd,nkd->nk", np.cross(edge, to_point), normal) >= 0.0
-        length = np.maximum(np.einsum("nkd,nkd->nk", edge, edge), 1e-30)
-        along = np.clip(np.einsum("nkd,nkd->nk", to_point, edge) / length, 0.0, 1.0)
-        offset = to_point - along[..., None] * edge
-        nearest = np.minimum(nearest, np.einsum("nkd,nkd->nk", offset, offset))
-    height = np.einsum("nkd,nkd->nk", p - a, normal)
-    over = inside & (area > 0.0)
-    return np.where(over, height**2 / np.where(area > 0.0, area, 1.0), nearest)
+class _Triangles:
+    """Triangles (F, 3, 3) by what their distance to a point needs, computed once, one array (F,) per axis."""
+
+    def __init__(self, corners: Array) -> None:
+        a, b, c = corners.transpose(1, 0, 2)
+        normals = np.cross(b - a, c - a)
+        areas = np.linalg.norm(normals, axis=1)
+        self._is_flat = areas <= 0.0
+        with np.errstate(invalid="ignore", divide="ignore"):
+            self._normal = np.where(areas > 0.0, normals.T / areas, 0.0)
+        self._edges = []
+        for start, end in ((a, b), (b, c), (c, a)):
+            edge = end - start
+            scaled = edge / np.maximum(np.einsum("fd,fd->f", edge, edge), 1e-30)[:, None]
+            self._edges.append(tuple(part.T.copy() for part in (start, edge, scaled, np.cross(normals, edge))))
+
+    def squared_distances(self, points: Array, which: NDArray[np.int64]) -> Array:
+        """Return the squared distances (N, K) of points (N, 3) to some triangles (N, K)."""
+        p = points.T[:, :, None]
+        inside = ~self._is_flat[which]
+        nearest = np.full(which.shape, np.inf)
+        for start, edge, scaled, inwards in self._edges:
+            to_point = [p[axis] - start[axis][which] for axis in range(3)]
+            inside &= _dot(to_point, inwards, which) >= 0.0
+            along = np.clip(_dot(to_point, scaled, which), 0.0, 1.0)
+            offsets = [to_point[axis] - along * edge[axis][which] for axis in range(3)]
+            np.minimum(nearest, sum(offset * offset for offset in offsets), out=nearest)
+        height = _dot(to_point, self._normal, which)  # from any corner
+        return np.where(inside, height * height, nearest)
+
+
+def _dot(vectors: Sequence[Array], of_triangles: Array, which: NDArray[np.int64]) -> Array:
+    """Return the products (N, K) of vectors, three arrays (N, K), with those of triangles (3, F)."""
+    x, y, z = (vectors[axis] * of_triangles[axis][which] for axis in range(3))
+    total: Array = x + y + z
+    return total

@@ -1,12 +1,15 @@
 """Runs one job in a process of its own: simulate once, run every task on it, and write each result when it is there."""
 
 import json
+from collections.abc import Mapping
+from dataclasses import fields
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from holdfast.config.model import Config
 from holdfast.errors import EstimatorError
@@ -23,14 +26,18 @@ from holdfast.sim.configuration import configuration_data
 from holdfast.sim.recorder import write_recording
 from holdfast.sim.scenario import load_scenario
 from holdfast.sim.simulation import START_NS, Simulation, simulate
+from holdfast.state import Trajectory
 from holdfast.trial.truth import truth
 from holdfast.trial.variations import VARIATIONS, changed
 
-RUNS = "runs"
+RUNS, POSES = "runs", ".poses.npz"
+TRAJECTORY = [field.name for field in fields(Trajectory)]
+Result = tuple[Run, Curves, Trajectory | None]
+"""Of one task; curves and poses only where the job keeps them."""
 
 
 def run_file(output: Path, job: Job, task: Task) -> Path:
-    """Return where the result of a task is kept; its curves lie beside it, as .npz."""
+    """Return where the result of a task is kept; beside it lie its curves, as .npz, and its poses, as .poses.npz."""
     return output / RUNS / job.name / f"{task.name}.json"
 
 
@@ -40,6 +47,19 @@ def is_done(output: Path, job: Job, task: Task) -> bool:
         return not json.loads(run_file(output, job, task).read_text(encoding="utf-8"))["failure"]
     except (OSError, ValueError, KeyError, TypeError):
         return False
+
+
+def kept_poses(output: Path, job: Job, task: Task) -> Trajectory:
+    """Return the poses of I in W of a finished task.
+
+    Raises:
+        EstimatorError: the task has failed, as it says.
+    """
+    path = run_file(output, job, task)
+    if not is_done(output, job, task):
+        raise EstimatorError(json.loads(path.read_text(encoding="utf-8"))["failure"])
+    with np.load(path.with_suffix(POSES)) as archive:
+        return Trajectory(**{name: archive[name] for name in TRAJECTORY})
 
 
 def run_job(job: Job, output: Path, scratch: Path | None = None) -> None:
@@ -65,16 +85,22 @@ def run_job(job: Job, output: Path, scratch: Path | None = None) -> None:
         write_recording(simulation, recording, False, None)
         for task in tasks:
             config = configured(task.system, changed(given, VARIATIONS.get(task.variation, {})))
-            result, found = _run(job, task, config, simulation, recording)
+            result, found, poses = _run(job, task, config, simulation, recording)
             path = run_file(output, job, task)
             if found:
-                packed = BytesIO()
-                np.savez_compressed(packed, **found)  # type: ignore[arg-type]  # names are taken for keywords
-                write_whole(path.with_suffix(".npz"), packed.getvalue())
+                _write_columns(path.with_suffix(".npz"), found)
+            if poses is not None:
+                _write_columns(path.with_suffix(POSES), {name: getattr(poses, name) for name in TRAJECTORY})
             write_whole(path, json.dumps(to_json(result)).encode())
 
 
-def _run(job: Job, task: Task, config: Config, simulation: Simulation, recording: Path) -> tuple[Run, Curves]:
+def _write_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
+    packed = BytesIO()
+    np.savez_compressed(packed, **columns)  # type: ignore[arg-type]  # names are taken for keywords
+    write_whole(path, packed.getvalue())
+
+
+def _run(job: Job, task: Task, config: Config, simulation: Simulation, recording: Path) -> Result:
     """Run one system; a system that fails, in whatever way, has failed and does not stop the others."""
     about: dict[str, Any] = {
         "study": task.study,
@@ -93,12 +119,12 @@ def _run(job: Job, task: Task, config: Config, simulation: Simulation, recording
         with open_recording(recording) as opened:
             messages = disturbed(opened.read(subscriptions(config)), task.disturbance, config)
             recorder.run(log.watch(messages))
-        stamps = recorder.published().world.poses.stamps_ns
-        if not len(stamps):
+        poses = recorder.published().world.poses
+        if not len(poses.stamps_ns):
             raise EstimatorError(f"never started: {recorder.estimator.waiting_for}")
-        true = truth(simulation, config, stamps)
-        found = all_curves(recorder, true, log) if job.keep_curves else {}
-        return Run(**about, **verdict(recorder, true, START_NS)), found
+        true = truth(simulation, config, poses.stamps_ns)
+        run = Run(**about, **verdict(recorder, true, START_NS))
+        return (run, all_curves(recorder, true, log), poses) if job.keep_curves else (run, {}, None)
     except Exception as error:
         kind = "" if isinstance(error, EstimatorError) else f"{type(error).__name__}: "
-        return Run(**about, failure=f"{kind}{error}" or type(error).__name__), {}
+        return Run(**about, failure=f"{kind}{error}" or type(error).__name__), {}, None

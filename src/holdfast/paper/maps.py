@@ -1,7 +1,7 @@
 """Maps of the paper's two tasks (Figs. 1 and 5): scans gathered with the poses of every system, judged by the site.
 
-The scans of seed 0 are ray-cast in memory; every system runs on the same recording, and so do the true poses. Finished
-tasks are kept: a map is a PLY file, a view from above and a row of maps.json.
+The scans of seed 0 are ray-cast in memory and moved by the poses that every system gave in the accuracy study, and by
+the true ones. Finished tasks are kept: a map is a PLY file, a view from above and a row of maps.json.
 """
 
 import json
@@ -15,21 +15,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from holdfast.config.model import Config
-from holdfast.errors import ConfigError, RecordingError
+from holdfast.errors import ConfigError, HoldfastError
 from holdfast.evaluation.mapping import WHOLE, Closeness, MapOptions, MapScan, View, map_quality, write_map
 from holdfast.evaluation.mesh import SurfaceIndex, read_mesh
 from holdfast.messages import Array
+from holdfast.paper.job import kept_poses, run_job
 from holdfast.paper.results import write_whole
-from holdfast.paper.study import QUICK, TASKS
+from holdfast.paper.study import TASKS, accuracy_job
 from holdfast.paper.systems import SYSTEMS, configured
-from holdfast.recording.source import open_recording
-from holdfast.recording.subscriptions import subscriptions
-from holdfast.replay.published import PublishedRecorder
 from holdfast.report.page import Figure
 from holdfast.sim.configuration import configuration_data
 from holdfast.sim.readings import generator
-from holdfast.sim.recorder import write_recording
 from holdfast.sim.scenario import load_scenario
 from holdfast.sim.sensors.scanner import SimulatedScanner
 from holdfast.sim.simulation import START_NS, Simulation, simulate
@@ -160,8 +156,11 @@ def _scanner(simulation: Simulation) -> tuple[str, SimulatedScanner]:
 
 def map_task(scenario_name: str, output: Path, quick: bool, scratch: Path | None = None) -> None:
     """Make all maps of one task; whoever started this process removes the folder `scratch`."""
-    scenario = load_scenario(scenario_name, dict(QUICK[scenario_name]) if quick else {})
-    simulation, options = simulate(scenario, 0), MapOptions()
+    job = accuracy_job(scenario_name, 0, quick)
+    run_job(job, output, scratch)  # what is not done yet
+    tasks = {task.system: task for task in job.tasks}
+    scenario = load_scenario(job.scenario, dict(job.overrides))
+    simulation, options = simulate(scenario, job.seed), MapOptions()
     scans = cast_scans(simulation, QUICK_DECIMATION if quick else 1, options)
     given = configuration_data(scenario, simulation.seed)
     _, scanner = _scanner(simulation)
@@ -169,8 +168,7 @@ def map_task(scenario_name: str, output: Path, quick: bool, scratch: Path | None
     folder.mkdir(parents=True, exist_ok=True)
     rows = []
     with TemporaryDirectory(prefix="holdfast-maps-", dir=scratch) as made:
-        recording, site = Path(made) / "recording.mcap", Path(made) / "site.ply"
-        write_recording(simulation, recording, False, None)
+        site = Path(made) / "site.ply"
         simulation.site.write_ply(site)
         surface = SurfaceIndex(read_mesh(site))
         for system in (TRUE_POSES, *SYSTEMS):
@@ -178,10 +176,10 @@ def map_task(scenario_name: str, output: Path, quick: bool, scratch: Path | None
             T_I_L = config.T_I(scanner.frame)
             about: dict[str, Any] = {"scenario": scenario_name, "system": system, "failure": ""}
             try:
-                poses = _true_poses(simulation) if system == TRUE_POSES else _poses(system, config, recording)
+                poses = _true_poses(simulation) if system == TRUE_POSES else kept_poses(output, job, tasks[system])
                 quality = map_quality(scans, poses, surface, T_I_L, options)
             except Exception as error:  # a system that fails, in whatever way, does not stop the others
-                kind = "" if isinstance(error, RecordingError) else f"{type(error).__name__}: "
+                kind = "" if isinstance(error, HoldfastError) else f"{type(error).__name__}: "
                 about["failure"] = f"{kind}{error}"
                 rows.append(about | {"scans": 0, "left_out": len(scans), "closeness": {}})
                 continue
@@ -196,13 +194,6 @@ def map_task(scenario_name: str, output: Path, quick: bool, scratch: Path | None
             closeness = {region: asdict(near) for region, near in quality.closeness.items()}
             rows.append(about | {"scans": quality.map.scans, "left_out": quality.map.left_out, "closeness": closeness})
     write_whole(folder / SCORES, json.dumps(rows, indent=1).encode())
-
-
-def _poses(system: str, config: Config, recording: Path) -> Trajectory:
-    recorder = PublishedRecorder(config, SYSTEMS[system].make(config))
-    with open_recording(recording) as opened:
-        recorder.run(opened.read(subscriptions(config)))
-    return recorder.published().world.poses
 
 
 def _true_poses(simulation: Simulation) -> Trajectory:

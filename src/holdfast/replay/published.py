@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import accumulate, pairwise
 from time import perf_counter, perf_counter_ns
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,10 @@ from holdfast.evaluation.evidence import Chassis, Published
 from holdfast.evaluation.smoothness import Inertial
 from holdfast.evaluation.states import States
 from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, gravity
+from holdfast.geometry.rotations import quaternions_xyzw
 from holdfast.messages import Array, ImuSample, Message
 from holdfast.replay.runner import Timing
-from holdfast.ros.rows import quaternion_xyzw
+from holdfast.ros.rows import table, turned
 from holdfast.state import BaseState, Estimate, Event, EventKind, OptimisedState, Outcome, Trajectory
 
 PROGRESS_MESSAGES = 1000
@@ -170,48 +171,46 @@ class PublishedRecorder:
     def _published(self, rows: Sequence[int]) -> Published:
         kept = [self._estimates[row] for row in rows]
         stamps = np.array([estimate.stamp_ns for estimate in kept], dtype=np.int64)
-        quaternions = _stack([quaternion_xyzw(e.nav.attitude()) for e in kept], 4)
-        world = Trajectory(stamps, _stack([e.nav.position() for e in kept], 3), quaternions)
-        T_O_I = [e.T_W_O.inverse() * e.nav.pose() for e in kept]
-        odometry = Trajectory(
-            stamps,
-            _stack([T.translation() for T in T_O_I], 3),
-            _stack([quaternion_xyzw(T.rotation()) for T in T_O_I], 4),
-        )
+        columns = table(kept)["estimate"]
+        nav, T_W_O = columns["nav"], columns["T_W_O"]
+        R_O_W = T_W_O["R"].transpose(0, 2, 1)
+        world = Trajectory(stamps, nav["p"].copy(), quaternions_xyzw(nav["R"]))
+        moved = turned(R_O_W, nav["p"] - T_W_O["p"])
+        odometry = Trajectory(stamps, moved, quaternions_xyzw(R_O_W @ nav["R"]))
         return Published(
-            world=States(world, _stack([e.nav.velocity() for e in kept], 3)),
-            odometry=States(odometry, _stack([e.T_W_O.rotation().unrotate(e.nav.velocity()) for e in kept], 3)),
-            covariances=np.array([e.covariance for e in kept]).reshape(-1, 9, 9),
-            inertial=self._inertial(rows, kept),
+            world=States(world, nav["v"].copy()),
+            odometry=States(odometry, turned(R_O_W, nav["v"])),
+            covariances=columns["covariance"].copy(),
+            inertial=self._inertial(rows, kept, columns),
             trusted=np.array([self._trusted[row] for row in rows], dtype=np.bool_),
-            chassis=self._chassis(rows, kept),
+            chassis=self._chassis(rows, stamps, nav),
         )
 
-    def _inertial(self, rows: Sequence[int], kept: list[Estimate]) -> Inertial:
+    def _inertial(self, rows: Sequence[int], kept: list[Estimate], columns: Any) -> Inertial:
         datum = self.estimator.datum
         configured = self.estimator.config.frames.gravity
         fallback = STANDARD_GRAVITY_M_S2 if datum is None else gravity(datum.latitude_deg, datum.altitude_m)
         down = np.array([0.0, 0.0, -(configured or fallback)])
-        forces = [self._forces[row] - e.bias.accelerometer() for row, e in zip(rows, kept, strict=True)]
-        in_world = [e.nav.attitude().rotate(force) + down for e, force in zip(kept, forces, strict=True)]
+        forces = np.array([self._forces[row] for row in rows]).reshape(-1, 3)
+        in_world = turned(columns["nav"]["R"], forces - columns["bias_accel"]) + down
         return Inertial(
-            angular_velocity=_stack([e.angular_velocity for e in kept], 3),
-            acceleration=_stack([e.T_W_O.rotation().unrotate(a) for e, a in zip(kept, in_world, strict=True)], 3),
+            angular_velocity=columns["angular_velocity"].copy(),
+            acceleration=turned(columns["T_W_O"]["R"].transpose(0, 2, 1), in_world),
             received=self._received(rows, kept),
-            gyroscope_bias=_stack([e.bias_gyro for e in kept], 3),
+            gyroscope_bias=columns["bias_gyro"].copy(),
         )
 
-    def _chassis(self, rows: Sequence[int], kept: list[Estimate]) -> Chassis | None:
+    def _chassis(self, rows: Sequence[int], stamps: NDArray[np.int64], nav: Any) -> Chassis | None:
         bases = [self._bases[row] for row in rows]
-        if all(base is None for base in bases):
+        known = np.array([base is not None for base in bases], dtype=np.bool_)
+        if not known.any():
             return None
+        columns = table([base for base in bases if base is not None])["chassis"]
+        R_I_W, T_W_B = nav["R"][known].transpose(0, 2, 1), columns["T_W_B"]
         poses, rates = np.full((len(rows), 7), np.nan), np.full(len(rows), np.nan)
-        for k, (base, estimate) in enumerate(zip(bases, kept, strict=True)):
-            if base is not None:
-                T_I_B = estimate.nav.pose().inverse() * base.T_W_B
-                poses[k, :3], poses[k, 3:] = T_I_B.translation(), quaternion_xyzw(T_I_B.rotation())
-                rates[k] = base.angular_velocity[2]
-        stamps = np.array([estimate.stamp_ns for estimate in kept], dtype=np.int64)
+        poses[known, :3] = turned(R_I_W, T_W_B["p"] - nav["p"][known])
+        poses[known, 3:] = quaternions_xyzw(R_I_W @ T_W_B["R"])
+        rates[known] = columns["angular_velocity"][:, 2]
         return Chassis(Trajectory(stamps, poses[:, :3], poses[:, 3:]), rates)
 
     def _received(self, rows: Sequence[int], kept: list[Estimate]) -> NDArray[np.bool_]:
@@ -231,7 +230,3 @@ def by_sensor(counts: Mapping[tuple[str, Outcome], int]) -> dict[str, dict[str, 
         if count:
             found.setdefault(sensor, {})[str(outcome)] = count
     return found
-
-
-def _stack(vectors: list[Array], length: int) -> Array:
-    return np.array(vectors, dtype=np.float64).reshape(-1, length)

@@ -52,10 +52,10 @@ class Rows(NamedTuple):
     @classmethod
     def of(cls, estimates: Sequence[Estimate], bases: Sequence[BaseState] = ()) -> "Rows":
         """Return the arrays of some estimates; `bases` are as many or none."""
-        rows, chassis = _published(estimates)["estimate"], _published(bases)["chassis"]
+        rows, chassis = table(estimates)["estimate"], table(bases)["chassis"]
         nav, W_O, O_B, W_B = rows["nav"], rows["T_W_O"], chassis["T_O_B"], chassis["T_W_B"]
         R_O_W, R_I_W = W_O["R"].transpose(0, 2, 1), nav["R"].transpose(0, 2, 1)
-        translations = W_O["p"], nav["p"], _turned(R_O_W, nav["p"] - W_O["p"]), O_B["p"], W_B["p"]
+        translations = W_O["p"], nav["p"], turned(R_O_W, nav["p"] - W_O["p"]), O_B["p"], W_B["p"]
         rotations = W_O["R"], nav["R"], R_O_W @ nav["R"], O_B["R"], W_B["R"]
         q, n, m = quaternions_xyzw(np.concatenate(rotations)), len(rows), len(chassis)
         quaternions = q[:n], q[n : 2 * n], q[2 * n : 3 * n], q[3 * n : 3 * n + m], q[3 * n + m :]
@@ -68,21 +68,21 @@ class Rows(NamedTuple):
             T_O_I,
             T_O_B,
             T_W_B,
-            _turned(R_I_W, nav["v"]),
+            turned(R_I_W, nav["v"]),
             rows["angular_velocity"],
             rows["covariance"],
         )
 
 
-def _published(rows: Sequence[Estimate] | Sequence[BaseState]) -> Any:
+def table(rows: Sequence[Estimate] | Sequence[BaseState]) -> Any:
     """Return rows as one array (N,) of `PUBLISHED`."""
     return np.frombuffer(b"".join(bytes(one.row) for one in rows), PUBLISHED)
 
 
-def _turned(R: Array, vectors: Array) -> Array:
+def turned(R: Array, vectors: Array) -> Array:
     """Return vectors (N, 3) turned by rotations (N, 3, 3)."""
-    turned: Array = (R @ vectors[:, :, None])[:, :, 0]
-    return turned
+    found: Array = (R @ vectors[:, :, None])[:, :, 0]
+    return found
 
 
 def quaternion_xyzw(rotation: gtsam.Rot3) -> Array:
