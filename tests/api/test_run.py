@@ -68,8 +68,13 @@ def test_without_an_output_the_files_go_with_the_result(drive):
 def test_a_report_is_written(smoothed, tmp_path):
     pytest.importorskip("plotly")
     assert smoothed.report(tmp_path / "page.html").stat().st_size > 10_000
-    with pytest.raises(holdfast.ConfigError, match=r"must end in \.html"):
-        smoothed.report(tmp_path / "page.pdf")
+    for path, words in (
+        (tmp_path / "page.pdf", r"must end in \.html"),
+        (None, "path: must be a path, not NoneType"),
+        (tmp_path / "nodir" / "page.html", "page.html: cannot be written"),
+    ):
+        with pytest.raises(holdfast.ConfigError, match=words):
+            smoothed.report(path)
 
 
 def test_a_config_may_be_a_path_plain_data_or_a_config(drive):
@@ -89,7 +94,8 @@ def test_a_config_may_be_a_path_plain_data_or_a_config(drive):
     [
         ({"config": 3}, "config: must be a path, a dict or a Config, not int"),
         ({"hold_out": {"gnss": 1}}, r"hold_out\['gnss'\]: must be an integer >= 2, not 1"),
-        ({"hold_out": {"gps": 2}}, "sensor 'gps' is not configured"),
+        ({"hold_out": {"gps": 2}}, r"hold_out\['gps'\]: sensor 'gps' is not configured"),
+        ({"outage": {"gps": (1.0, 2.0)}}, r"outage\['gps'\]: sensor 'gps' is not configured"),
         ({"outage": {"gnss": (20.0, 10.0)}}, r"outage\['gnss'\]: must start at 0 s or later, and end after it starts"),
     ],
 )
@@ -188,7 +194,7 @@ def test_a_sensor_that_the_recording_lacks_is_named_and_strictly_refused(drive):
     (lambda *_: holdfast.simulate("quick", None), "output: must be a path, not NoneType"),
     (lambda *_: holdfast.simulate("quick", "out", seed=1.5), "seed: must be an integer >= 0, got 1.5"),
     (lambda *_: holdfast.simulate("quick", "out", seed=-1), "seed: must be an integer >= 0, got -1"),
-    (lambda *_: holdfast.simulate("quick", "out", duration_s="9"), "duration_s: must be > 1, not '9'"),
+    (lambda *_: holdfast.simulate("quick", "out", duration_s="9"), "duration_s: must be > 1 and <= 36000 .s., got '9'"),
     (lambda _, config: holdfast.Estimator(config), "config: must be a Config, as load_config gives, not .*Path"),
     (lambda *_: holdfast.RealtimeEstimator(None), "config: must be a Config, as load_config gives, not NoneType"),
     (lambda bag, config: holdfast.replay(bag, config, hold_out="gnss=2"), "hold_out: must be a dict by sensor"),

@@ -165,8 +165,8 @@ def test_a_window_that_no_recording_has_is_refused(short, config, tmp_path, opti
     (("--outage", "gnss=9:3"), "must start at 0 s or later, and end after it starts"),
     (("--outage", "gnss=-12:30"), "must start at 0 s or later, and end after it starts"),
     (("--hold-out", "gnss=2", "--hold-out", "gnss=3"), "--hold-out gnss=3: gnss is given twice"),
-    (("--hold-out", "gps=2"), "sensor 'gps' is not configured (allowed: imu, gnss, lidar)"),
-    (("--outage", "gnss_right=1:2"), "sensor 'gnss_right' is not configured (allowed: imu, gnss, lidar)"),
+    (("--hold-out", "gps=2"), "--hold-out gps=2: sensor 'gps' is not configured (allowed: imu, gnss, lidar)"),
+    (("--outage", "gnss_right=1:2"), "--outage gnss_right=1:2: sensor 'gnss_right' is not configured (allowed: imu, "),
 ])  # fmt: skip
 def test_a_bad_hold_out_is_refused_and_earlier_results_are_kept(short, config, tmp_path, option, words):
     kept = tmp_path / "out" / "imu_in_world.tum"

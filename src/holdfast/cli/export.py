@@ -5,10 +5,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from holdfast.cli.writing import check_folder_of, naming_the_output
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
-from holdfast.output_folder import add_results, check_output_file
+from holdfast.output_folder import add_results, check_output_file, naming_the_output
 
 if TYPE_CHECKING:
     from holdfast.export.site_grid import SiteGrid
@@ -55,7 +54,6 @@ def export(  # noqa: PLR0917 (click passes the options by name)
             raise ConfigError(f"-o {file}: is given twice")
         if file.suffix.lower() not in FORMATS:
             raise ConfigError(f"-o {file}: unknown kind of file (allowed: {', '.join(FORMATS)})")
-        check_folder_of(file)
         check_output_file(file, reads)
     if crs is not None and site_grid is not None:
         raise ConfigError("--crs and --site-grid: give one of them")
