@@ -253,6 +253,7 @@ extrinsics:
         (["--replace", "--topic", "/imu"], RecordingError, "is sensor_msgs/msg/Imu (allowed: sensor_msgs/msg/Point"),
         (["--replace", "--topic", "/pionts"], RecordingError, "did you mean '/points'?"),
         (["--output-topic", "/points"], ConfigError, "has a topic '/points' already: give another --output-topic"),
+        (["--output-topic", "bad topic"], ConfigError, "--output-topic: 'bad topic' is no name of a topic (allowed: "),
         (["--replace", "--min-range-m", 500], RecordingError, "0 points lie beyond 500 m"),
         (["--method", "kiss-icp", "-c", "x.yaml"], ConfigError, "kiss-icp takes no IMU"),
     ],

@@ -88,7 +88,9 @@ def lidar_odometry(  # noqa: PLR0917 (click passes the options by name)
     from holdfast.lidar_odometry.runner import Options, choose_topic, guide_of, run
     from holdfast.recording.mcap_writer import McapWriter
     from holdfast.recording.raw import RawBag
+    from holdfast.ros.names import check_topic
 
+    check_topic("--output-topic", output_topic)
     masking = Masking(boxes_of(machine_boxes), learn_machine)
     options = Options(topic, output_topic, method, threads, latency_s, min_range_m, keep_scans, replace, masking)
     if config_path is not None and method != DEFAULT_METHOD:
