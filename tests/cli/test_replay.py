@@ -189,6 +189,15 @@ def test_a_hold_out_that_holds_nothing_back_is_told(short, config, tmp_path, opt
     assert summary(tmp_path / "out")["warnings"] == [words]
 
 
+def test_a_datum_of_another_site_is_told(short, config, tmp_path):
+    config.write_text(config.read_text().replace('"latitude_deg": 47.4', '"latitude_deg": 49.4'))
+    done = holdfast("replay", short, "-c", config, "-o", tmp_path / "out")
+    assert done.code == 0
+    (line,) = done.err.splitlines()
+    assert line.startswith("warning: frames.datum: every fix is 222 km or more from it, the nearest at 47.4000, 8.5000")
+    assert summary(tmp_path / "out")["warnings"] == [line.removeprefix("warning: ")]
+
+
 def test_an_output_that_is_a_file_is_refused_and_kept(short, config, tmp_path):
     file = tmp_path / "out"
     file.write_text("mine")
