@@ -18,7 +18,7 @@ from holdfast.config.model import Config
 from holdfast.config.review import check_possible
 from holdfast.errors import ConfigError
 from holdfast.measured_fields import got, is_number, is_whole
-from holdfast.output_folder import replaced
+from holdfast.output_folder import naming_the_output, replaced
 from holdfast.recording.source import open_recording
 from holdfast.recording.subscriptions import available, subscriptions
 from holdfast.replay.held_out import HoldOut, check_sensors
@@ -136,7 +136,8 @@ def _run(  # noqa: PLR0917 (of the two above)
             on_output=kept.add,
             on_block=kept.add_block,
         )
-        with nullcontext() if temporary is not None else replaced(folder, name, [str(recording)]):
+        of_results = nullcontext() if temporary is not None else replaced(folder, name, [str(recording)])
+        with naming_the_output(folder), of_results:
             done = run(session, opened, shown(opened.start_ns, opened.end_ns, progress))
             done.check_end()
     done.check_start(session)
@@ -170,7 +171,7 @@ def _rules(hold_out: Mapping[str, int], outage: Mapping[str, tuple[float, float]
         rules.append(HoldOut(sensor, every, given=f"hold_out[{sensor!r}]"))
     for sensor, span in outage.items():
         try:
-            start_s, end_s = map(float, span)
+            start_s, end_s = () if isinstance(span, str) else map(float, span)
         except (TypeError, ValueError):
             raise ConfigError(f"outage[{sensor!r}]: must be (start, end) [s], {got(span)}") from None
         if not 0.0 <= start_s < end_s:

@@ -9,6 +9,7 @@ from holdfast.api.trajectory import Trajectory
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
 from holdfast.measured_fields import got, is_number, is_whole
+from holdfast.output_folder import SIMULATE, naming_the_output, replaced
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +36,11 @@ def simulate(
 ) -> Simulated:
     """Simulate a scenario, a shipped one or a YAML file, into a folder; equal seeds give equal bytes.
 
+    The folder is replaced as a whole, and one that holds anything but an earlier simulation is refused.
+
     Raises:
-        ConfigError: there is no such scenario, it holds mistakes, or the simulator's packages are not installed.
+        ConfigError: there is no such scenario, it holds mistakes, the simulator's packages are not installed, or the
+            folder is refused or cannot be written.
     """
     with needing("simulating", "sim"):
         from holdfast.sim.recorder import write_truth
@@ -49,6 +53,7 @@ def simulate(
     if duration_s is not None and not (is_number(duration_s) and SHORTEST_S < duration_s <= LONGEST_S):
         raise ConfigError(f"duration_s: must be > {SHORTEST_S:g} and <= {LONGEST_S:g} [s], {got(duration_s)}")
     loaded = load_scenario(str(scenario), {} if duration_s is None else {"duration_s": duration_s})
-    write_truth(write_simulation(loaded, seed, folder), folder / "truth")
+    with naming_the_output(folder), replaced(folder, SIMULATE, [str(scenario)]):
+        write_truth(write_simulation(loaded, seed, folder), folder / "truth")
     truth = Trajectory.read(folder / "truth" / "imu_in_world.tum")
     return Simulated(folder / RECORDING, folder / CONFIG, truth)

@@ -46,7 +46,10 @@ def export(  # noqa: PLR0917 (click passes the options by name)
     from holdfast.export.formats import FORMATS
     from holdfast.export.target import survey
     from holdfast.geometry.earth import LocalFrame
+    from holdfast.recording.source import LONGEST_S
 
+    if interval_s is not None and not 0.0 < interval_s <= LONGEST_S:
+        raise ConfigError(f"--interval {interval_s:g}: must be > 0 and <= {LONGEST_S:g}")
     files = files or (folder / "trajectory.csv",)
     reads = [folder / f"{track}.tum", *(file for file in (site_grid, geoid) if file is not None)]
     for file in files:
@@ -93,8 +96,6 @@ def _poses(folder: Path, track: str, interval_s: float | None) -> "Trajectory":
     poses = read_tum(folder / f"{track}.tum")
     if interval_s is None:
         return poses
-    if not interval_s > 0.0:
-        raise ConfigError(f"--interval {interval_s:g}: must be > 0")
     steps = (poses.stamps_ns - poses.stamps_ns[0]) // max(1, round(interval_s * 1e9))
     kept = np.flatnonzero(np.diff(steps, prepend=-1))
     return Trajectory(poses.stamps_ns[kept], poses.positions[kept], poses.quaternions[kept])
