@@ -255,3 +255,12 @@ def test_what_was_added_to_a_folder_that_goes_on_may_be_written_again(out):
     check_output_file(out / "report.html")
     with pytest.raises(ConfigError, match="was written by holdfast paper"):
         check_output_file(out / "results.json")
+
+
+@pytest.mark.parametrize(("file", "why"), [
+    ("nowhere/track.csv", "its folder does not"), ("out", "it is a folder"), ("out/a.tum/b.csv", "its folder does not"),
+])  # fmt: skip
+def test_a_file_that_cannot_be_written_is_named_before_the_work(out, file, why):
+    write(out, "a.tum")
+    with pytest.raises(ConfigError, match=rf"{file}: cannot be written \({why}"):
+        check_output_file(out.parent / file)

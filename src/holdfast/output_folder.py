@@ -89,12 +89,38 @@ def continued(folder: str | Path, command: str, reads: Iterable[str | Path] = ()
         yield
 
 
+@contextmanager
+def naming_the_output(output: str | Path) -> Iterator[None]:
+    """Report a full disk and other failures to write in one line.
+
+    Raises:
+        ConfigError: names the file, or the output if the system does not name one.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise ConfigError(f"{error.filename or output}: cannot be written ({error.strerror or error})") from None
+
+
+def check_folder_of(file: str | Path) -> None:
+    """Refuse a file that cannot be written, before long work: a folder, or one in a folder that is not there.
+
+    Raises:
+        ConfigError: names the file.
+    """
+    if not Path(file).absolute().parent.is_dir():
+        raise ConfigError(f"{file}: cannot be written (its folder does not exist)")
+    if Path(file).is_dir():
+        raise ConfigError(f"{file}: cannot be written (it is a folder)")
+
+
 def check_output_file(file: str | Path, reads: Iterable[str | Path] = ()) -> None:
-    """Refuse an output file that would overwrite what is read or what a run wrote, or lie in a recording.
+    """Refuse an output file that cannot be written, would overwrite what is read or what a run wrote, or lie in a bag.
 
     Raises:
         ConfigError: names both.
     """
+    check_folder_of(file)
     place = _real(file)
     _check_reads(place, file, reads)
     folder, mark = _marked(place)

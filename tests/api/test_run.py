@@ -68,8 +68,13 @@ def test_without_an_output_the_files_go_with_the_result(drive):
 def test_a_report_is_written(smoothed, tmp_path):
     pytest.importorskip("plotly")
     assert smoothed.report(tmp_path / "page.html").stat().st_size > 10_000
-    with pytest.raises(holdfast.ConfigError, match=r"must end in \.html"):
-        smoothed.report(tmp_path / "page.pdf")
+    for path, words in (
+        (tmp_path / "page.pdf", r"must end in \.html"),
+        (None, "path: must be a path, not NoneType"),
+        (tmp_path / "nodir" / "page.html", "page.html: cannot be written"),
+    ):
+        with pytest.raises(holdfast.ConfigError, match=words):
+            smoothed.report(path)
 
 
 def test_a_config_may_be_a_path_plain_data_or_a_config(drive):
@@ -88,14 +93,31 @@ def test_a_config_may_be_a_path_plain_data_or_a_config(drive):
     ("options", "text"),
     [
         ({"config": 3}, "config: must be a path, a dict or a Config, not int"),
+        ({"config": {1: 2}}, "config:1 1: unknown key"),
+        ({"config": {"sensors": {3, 4}}}, "config: must hold text, numbers, lists and dicts alone .got {3, 4} .set"),
+        ({"config": {("a", "b"): 2}}, "config: must hold text, numbers, lists and dicts alone .keys must be str"),
+        ({"output": "/dev/null/out"}, "/dev/null.*: cannot be written"),
+        ({"outage": {"gnss": "12"}}, r"outage\['gnss'\]: must be \(start, end\) \[s\], got '12'"),
         ({"hold_out": {"gnss": 1}}, r"hold_out\['gnss'\]: must be an integer >= 2, not 1"),
-        ({"hold_out": {"gps": 2}}, "sensor 'gps' is not configured"),
+        ({"hold_out": {"gps": 2}}, r"hold_out\['gps'\]: sensor 'gps' is not configured"),
+        ({"outage": {"gps": (1.0, 2.0)}}, r"outage\['gps'\]: sensor 'gps' is not configured"),
         ({"outage": {"gnss": (20.0, 10.0)}}, r"outage\['gnss'\]: must start at 0 s or later, and end after it starts"),
     ],
 )
 def test_a_mistaken_argument_is_named(drive, options, text):
     with pytest.raises(holdfast.ConfigError, match=text):
         holdfast.replay(drive[0], **({"config": drive[1]} | options))
+
+
+def test_plain_data_may_hold_arrays(drive):
+    from ruamel.yaml import YAML
+
+    data = YAML(typ="safe").load(Path(drive[1]).read_text())
+    arm = data["extrinsics"][0]["translation_m"]
+    data["extrinsics"][0]["translation_m"] = np.array(arm)
+    data["initialisation"]["heading_deg"] = np.float32(63.0)
+    config = holdfast.replay(drive[0], data, duration_s=8.0).summary
+    assert config["counts"]["gnss"]["used"] > 0
 
 
 def test_a_recording_in_which_nothing_starts_says_why(drive):
@@ -122,6 +144,16 @@ def test_a_simulation_can_be_smoothed_and_judged_by_its_truth(tmp_path):
     assert result.smoothed is not None
     errors = result.smoothed.errors(simulated.truth)
     assert errors.statistics()["horizontal_m"].rms < 0.03
+    notes = tmp_path / "mine" / "notes.txt"
+    notes.parent.mkdir()
+    notes.touch()
+    for output, words in (
+        (notes.parent, "holds what Holdfast did not write"),
+        (notes, "is a file: the output must be a folder"),
+        (notes / "out", "cannot be written"),
+    ):
+        with pytest.raises(holdfast.ConfigError, match=words):
+            holdfast.simulate("quick", output, duration_s=2.0)
     with pytest.raises(holdfast.ConfigError, match="duration_s: must be > 1"):
         holdfast.simulate("quick", tmp_path / "quick", duration_s=0.1)
 
@@ -188,7 +220,7 @@ def test_a_sensor_that_the_recording_lacks_is_named_and_strictly_refused(drive):
     (lambda *_: holdfast.simulate("quick", None), "output: must be a path, not NoneType"),
     (lambda *_: holdfast.simulate("quick", "out", seed=1.5), "seed: must be an integer >= 0, got 1.5"),
     (lambda *_: holdfast.simulate("quick", "out", seed=-1), "seed: must be an integer >= 0, got -1"),
-    (lambda *_: holdfast.simulate("quick", "out", duration_s="9"), "duration_s: must be > 1, not '9'"),
+    (lambda *_: holdfast.simulate("quick", "out", duration_s="9"), "duration_s: must be > 1 and <= 36000 .s., got '9'"),
     (lambda _, config: holdfast.Estimator(config), "config: must be a Config, as load_config gives, not .*Path"),
     (lambda *_: holdfast.RealtimeEstimator(None), "config: must be a Config, as load_config gives, not NoneType"),
     (lambda bag, config: holdfast.replay(bag, config, hold_out="gnss=2"), "hold_out: must be a dict by sensor"),

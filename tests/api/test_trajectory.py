@@ -24,10 +24,24 @@ def test_interpolation_keeps_the_given_poses_and_turns_evenly_between_them():
     assert between.velocities.shape == (1, 3) and between.covariances is None
 
 
-@pytest.mark.parametrize("stamps", [[0.5], [[1, 2]], [5, 4], [-1], [10**12]])
-def test_stamps_that_cannot_be_interpolated_are_named(stamps):
-    with pytest.raises(holdfast.ConfigError, match="stamps_ns: must be"):
-        turning().interpolate(np.array(stamps))
+@pytest.mark.parametrize("stamps", [[-1], [10**12]])
+def test_stamps_beyond_the_ends_cannot_be_interpolated(stamps):
+    with pytest.raises(holdfast.MessageError, match=r"stamps_ns: must be within 0 and 4900000000 \[ns\]"):
+        turning().interpolate(stamps)
+
+
+@pytest.mark.parametrize("stamps", [[0.5], [[1, 2]], [5, 4], [7, 7], None, ["5"], [2**70]])
+def test_stamps_that_are_none_get_one_error_wherever_they_are_given(stamps):
+    """`interpolate` had another than the constructor, and for what is no array that of numpy."""
+    with pytest.raises(holdfast.MessageError) as made:
+        one_pose(stamps_ns=stamps)
+    with pytest.raises(holdfast.MessageError) as interpolated:
+        turning().interpolate(stamps)
+    assert str(made.value) == str(interpolated.value)
+
+
+def test_at_no_stamps_there_are_no_poses():
+    assert len(turning().interpolate([])) == 0
 
 
 def test_errors_are_those_of_the_estimate_minus_the_reference():
@@ -71,6 +85,30 @@ def test_a_trajectory_comes_back_from_its_files(tmp_path):
     again = holdfast.Trajectory.read(tmp_path / "track.tum")
     assert np.allclose(again.positions, turning().positions, atol=1e-9)
     assert again.covariances is not None and np.allclose(again.covariances, covariances)
+
+
+def test_covariances_of_an_earlier_trajectory_do_not_stay_beside_another(tmp_path):
+    """They were read as those of the later one."""
+    turning(covariances=np.tile(np.eye(9), (50, 1, 1))).write(tmp_path / "track.tum")
+    turning().write(tmp_path / "track.tum")
+    assert holdfast.Trajectory.read(tmp_path / "track.tum").covariances is None
+
+
+@pytest.mark.parametrize(("call", "words"), [
+    (lambda _: holdfast.Trajectory.read(None), "path: must be a path, not NoneType"),
+    (lambda _: holdfast.Trajectory.read("a\0b"), "path: must be a path, which holds no NUL"),
+    (lambda track: track.write(3), "path: must be a path, not int"),
+    (lambda track: track.write("nodir/x"), r"nodir/x: cannot be written \(No such file or directory\)"),
+    (lambda track: track.to_dataframe("json"), r"library: must be one of polars, pandas, or None, got 'json' \(str\)"),
+    (lambda track: track.errors(track, max_gap_s="x"), r"max_gap_s: must be a number \[s\], got 'x'"),
+    (lambda track: track.errors(track)["error"], "errors.'error'.: must be one of translation_m, horizontal_m"),
+    (lambda track: track.errors(track)[["up_m"]], r"errors\[\['up_m'\]\]: must be one of translation_m"),
+])  # fmt: skip
+def test_an_argument_that_cannot_be_is_named(call, words, tmp_path, monkeypatch):
+    """A TypeError of pathlib, an OSError, an AttributeError of whichever module had the name."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(holdfast.ConfigError, match=words):
+        call(turning())
 
 
 def test_a_figure_shows_track_and_errors():
@@ -150,7 +188,7 @@ def test_one_pose_is_known_at_its_stamp_and_nowhere_else():
     for name in ("stamps_ns", "positions", "quaternions_xyzw", "velocities", "covariances"):
         np.testing.assert_array_equal(getattr(found, name), getattr(track, name))
     for stamp_ns in (4, 6):
-        with pytest.raises(holdfast.ConfigError, match="stamps_ns: must be within 5 and 5"):
+        with pytest.raises(holdfast.MessageError, match="stamps_ns: must be within 5 and 5"):
             track.interpolate([stamp_ns])
 
 
@@ -158,5 +196,5 @@ def test_a_trajectory_without_poses_is_known_nowhere():
     """It ended in an IndexError."""
     assert len(no_poses().interpolate(np.zeros(0, dtype=np.int64))) == 0
     assert repr(no_poses()) == "Trajectory(0 poses, 0.0 s, 0.0 m)"
-    with pytest.raises(holdfast.ConfigError, match="stamps_ns: must be empty, this trajectory has no poses"):
+    with pytest.raises(holdfast.MessageError, match="stamps_ns: must be empty, this trajectory has no poses"):
         no_poses().interpolate([5])

@@ -3,6 +3,7 @@
 The commands run in this process, where an exception that is not meant for the user fails the test.
 """
 
+import json
 import os
 import shlex
 import shutil
@@ -92,6 +93,18 @@ def later(file, by_ns):
 
 def all_later(seconds):
     return lambda: [later(f"csv/{name}.csv", seconds * 10**9)() for name in ("imu", "gnss", "lidar")]
+
+
+def a_run(*files):
+    """Make a folder of results."""
+
+    def change():
+        Path("out").mkdir()
+        Path("out/.holdfast").write_text(json.dumps({"command": "replay", "files": files}))
+        for file in files:
+            Path("out", file).touch()
+
+    return change
 
 
 def nothing():
@@ -200,10 +213,27 @@ CASES = {
     "a calibration from one recording twice": (
         nothing, "calibrate csv ./csv -c machine.yaml -o out.yaml", 2, "csv: is given twice, and would count twice",
     ),
+    "a view over what a run wrote": (
+        a_run("scene.rrd"), "view drive.mcap -o out/scene.rrd", 2, "out/scene.rrd: was written by holdfast replay",
+    ),
+    "a view into no folder": (nothing, "view drive.mcap -o no/s.rrd", 2, "no/s.rrd: cannot be written (its folder"),
+    "a view into its recording": (nothing, "view bag -o bag/s.rrd", 2, "bag/s.rrd: is in the recording bag"),
+    "a bench over its recording": (
+        nothing, "bench --recording drive.mcap -c machine.yaml --json drive.mcap", 2, "drive.mcap: is or holds drive",
+    ),
+    "a bench over what a run wrote": (
+        a_run("summary.json"), "bench --json out/summary.json", 2, "out/summary.json: was written by holdfast replay",
+    ),
+    "a bench in real time into a folder": (nothing, "bench realtime --json csv", 2, "csv: cannot be written (it is a"),
+    "what was learnt into no folder": (nothing, f"{CSV} --learnt no/l.json", 2, "no/l.json: cannot be written (its"),
+    "a configuration into no folder": (nothing, "config init csv -o no/c.yaml", 2, "no/c.yaml: cannot be written (its"),
     "a view of a text": (nothing, "view a.tum -o out.rrd", 3, "a.tum: "),
     "an upgrade of rubbish": (nothing, "config upgrade drive.mcap", 2, "drive.mcap: is not UTF-8"),
     "a check of a folder": (nothing, "config check csv", 2, "csv: is a folder"),
     "a simulation without end": (nothing, "simulate quick --duration inf -o out", 2, "--duration inf: must be"),
+    "a simulation of 30,000 years": (
+        nothing, "simulate quick --duration 1e12 -o out", 2, "--duration 1e+12: must be > 1 and <= 36000",
+    ),
     # --- trajectories
     "a trajectory with a stamp of 1e999999999": (
         content("b.tum", POSE + "1e999999999 1 2 3 0 0 0 1\n"), "evaluate b.tum a.tum", 3, "b.tum:2: has a number",
@@ -212,15 +242,18 @@ CASES = {
     "a trajectory with NaN": (content("b.tum", "nan 1 2 3 0 0 0 1\n"), "evaluate b.tum a.tum", 3, "b.tum:1: "),
     "an empty trajectory": (content("b.tum", ""), "evaluate b.tum a.tum", 3, "b.tum: holds no poses"),
     "a folder as a trajectory": (folder("b.tum"), "evaluate b.tum a.tum", 2, "b.tum"),
-    "a distance of nothing": (nothing, f"{VERDICT} --rpe-distance 0", 2, "RPE over 0.0 m: must be"),
-    "a distance that is no number": (nothing, f"{VERDICT} --rpe-distance nan", 2, "RPE over nan m: must be"),
-    "a time without end": (nothing, f"{VERDICT} --rpe-time inf", 2, "RPE over inf s: must be"),
+    "a distance of nothing": (nothing, f"{VERDICT} --rpe-distance 0", 2, "--rpe-distance 0: must be > 0 and finite"),
+    "a distance that is no number": (nothing, f"{VERDICT} --rpe-distance nan", 2, "--rpe-distance nan: must be > 0"),
+    "a time without end": (nothing, f"{VERDICT} --rpe-time inf", 2, "--rpe-time inf: must be > 0 and finite"),
     "a gap that is no number": (nothing, f"{VERDICT} --max-gap-s nan", 2, "max_gap_s = nan: must be"),
     "an offset without end": (nothing, f"{VERDICT} --reference-offset-s inf", 2, "offset_s = inf: must be"),
     "an offset beyond all times": (nothing, f"{VERDICT} --reference-offset-s 1e300", 2, "offset_s = 1e+300: must"),
     "a lever arm that is no number": (nothing, f"{VERDICT} --reference-lever-arm nan 0 0", 2, "lever_arm = (nan, "),
-    "an interval at no time": (nothing, f"{VERDICT} --interval a=nan:nan", 2, "interval 'a': its start nan"),
-    "an interval without end": (nothing, f"{VERDICT} --interval a=0:inf", 2, "before its end inf s"),
+    "an interval at no time": (nothing, f"{VERDICT} --interval a=nan:nan", 2, "a=nan:nan: interval 'a': its start nan"),
+    "an interval without end": (
+        nothing, f"{VERDICT} --interval a=0:inf", 2, "--interval a=0:inf: interval 'a': its start 0.0 s must be before",
+    ),
+    "an interval without a name": (nothing, f"{VERDICT} --interval =0:1", 2, "--interval =0:1: interval '': give it"),
     "intervals of rubbish": (
         content("i.yaml", b"\xff\xfe"), f"{VERDICT} --intervals i.yaml", 2, "--intervals i.yaml: ",
     ),

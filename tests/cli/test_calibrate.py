@@ -102,6 +102,14 @@ def test_every_mistake_is_one_line_before_any_work(drive, tmp_path):
     assert there.read_text() == "# mine\n" and not output.exists()
 
 
+def test_a_drive_shorter_than_the_window_tells_nothing_of_an_odometry(drive, tmp_path):
+    """It ended in an IndexError: no node had left the window."""
+    short = write_mcap(tmp_path / "bag", make_rows(seconds=1.6))
+    done = holdfast("calibrate", short, "-c", drive[1], "-o", tmp_path / "out.yaml")
+    assert done.code == 0, done.err
+    assert "too little motion with trusted GNSS: lidar (rotation_sigma_rad)" in done.out
+
+
 def test_a_recording_that_lacks_the_imu_is_named(drive, tmp_path):
     recording, _ = drive
     config = written_by_hand(tmp_path / "other.yaml", imu={"topic": "other"})

@@ -222,7 +222,7 @@ def test_init_overwrites_only_by_force(run: Run, record: Record, tmp_path: Path)
 def test_init_where_nothing_can_be_written_is_a_usage_mistake(run: Run, record: Record, tmp_path: Path) -> None:
     code, _, err = run("init", record("/imu"), "-o", tmp_path / "absent" / "machine.yaml")
     assert code == 2
-    assert "cannot be written (No such file or directory)" in err
+    assert "cannot be written (its folder does not exist)" in err
 
 
 def test_init_of_a_recording_without_an_imu_exits_with_3_and_writes_nothing(

@@ -134,7 +134,7 @@ def test_an_alignment_that_the_tracks_do_not_determine_is_left_out_of_all_with_a
         (["estimate.tum", "reference.tum", "--interval", "a=900:901"], 2, "holds no pose"),
         (["estimate.tum", "reference.tum", "--intervals", "absent.yaml"], 2, "absent.yaml"),
         (["estimate.tum", "reference.tum", "--intervals", "reference.tum"], 2, "name: [start, end]"),
-        (["estimate.tum", "reference.tum", "--rpe-distance", "0"], 2, "positive"),
+        (["estimate.tum", "reference.tum", "--rpe-distance", "0"], 2, "--rpe-distance 0: must be > 0"),
         (["estimate.tum", "reference.tum", "--max-gap-s", "nan"], 2, "finite"),
         (
             ["estimate.tum", "reference.tum", "--max-difference-s", "5"],

@@ -62,6 +62,7 @@ def test_a_site_grid_prints_its_residuals(tmp_path: Path):
         (["--crs", "EPSG:1"], "PROJ knows no such system"),
         (["--track", "cabin"], r"--track cabin: .* \(allowed: imu_in_world\)"),
         (["--interval", "0"], "--interval 0: must be > 0"),
+        (["--interval", "1e300"], r"--interval 1e\+300: must be > 0 and <= 1e\+09"),
         (["-o", "track.shp"], r"unknown kind of file \(allowed: \.csv"),
         (["-o", "none/track.csv"], "its folder does not exist"),
         (["-o", "track.csv", "-o", "track.csv"], "-o track.csv: is given twice"),

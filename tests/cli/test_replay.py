@@ -1,6 +1,5 @@
 """`holdfast replay` on the command line: exit codes, one clear line per mistake, and nothing lost."""
 
-import html
 import json
 import resource
 import shutil
@@ -8,14 +7,14 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 sys.path += [str(Path(__file__).parents[1] / room) for room in ("replay", "recording")]
 
-from bags import HUMBLE, write_bag
+from bags import HUMBLE
+from replay_command import COMMAND, assert_one_error, run_command
 from small_drive import (
     EPOCH_NS,
     FILES,
@@ -24,56 +23,13 @@ from small_drive import (
     config_text,
     events,
     holdfast,
-    make_rows,
     stamp,
     summary,
     write_config,
-    write_csv,
-    write_mcap,
 )
 
 from holdfast.recording.mcap_writer import McapWriter
 from holdfast.recording.tum import read_tum
-
-COMMAND = [sys.executable, "-c", "from holdfast.cli import main; main()", "replay"]
-
-
-def run_command(*arguments):
-    """Run the real command in a process of its own, with its output in a pipe."""
-    return subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, text=True, check=False, timeout=60)
-
-
-@pytest.fixture(scope="session")
-def rows():
-    return make_rows()
-
-
-@pytest.fixture(scope="session")
-def drive(tmp_path_factory, rows):
-    return write_csv(tmp_path_factory.mktemp("drive") / "csv", rows)
-
-
-@pytest.fixture(scope="session")
-def short(tmp_path_factory):
-    """Four seconds in a bag: enough to start."""
-    return write_mcap(tmp_path_factory.mktemp("drive") / "bag", make_rows(seconds=4.0))
-
-
-@pytest.fixture
-def config(tmp_path):
-    return write_config(tmp_path / "config.yaml")
-
-
-def assert_one_error(done, code, *words):
-    """One line on stderr, with the words in it, nothing on stdout, no traceback."""
-    lines = (done.err if hasattr(done, "err") else done.stderr).splitlines()
-    assert len(lines) == 1, lines
-    assert lines[0].startswith("error: ")
-    for word in words:
-        assert str(word) in lines[0]
-    assert (done.code if hasattr(done, "code") else done.returncode) == code
-    assert (done.out if hasattr(done, "out") else done.stdout) == ""
-
 
 # --- 0: done ----------------------------------------------------------------------------------------------------------
 
@@ -165,8 +121,8 @@ def test_a_window_that_no_recording_has_is_refused(short, config, tmp_path, opti
     (("--outage", "gnss=9:3"), "must start at 0 s or later, and end after it starts"),
     (("--outage", "gnss=-12:30"), "must start at 0 s or later, and end after it starts"),
     (("--hold-out", "gnss=2", "--hold-out", "gnss=3"), "--hold-out gnss=3: gnss is given twice"),
-    (("--hold-out", "gps=2"), "sensor 'gps' is not configured (allowed: imu, gnss, lidar)"),
-    (("--outage", "gnss_right=1:2"), "sensor 'gnss_right' is not configured (allowed: imu, gnss, lidar)"),
+    (("--hold-out", "gps=2"), "--hold-out gps=2: sensor 'gps' is not configured (allowed: imu, gnss, lidar)"),
+    (("--outage", "gnss_right=1:2"), "--outage gnss_right=1:2: sensor 'gnss_right' is not configured (allowed: imu, "),
 ])  # fmt: skip
 def test_a_bad_hold_out_is_refused_and_earlier_results_are_kept(short, config, tmp_path, option, words):
     kept = tmp_path / "out" / "imu_in_world.tum"
@@ -187,6 +143,15 @@ def test_a_hold_out_that_holds_nothing_back_is_told(short, config, tmp_path, opt
     assert done.code == 0
     assert done.err == f"warning: {words}\n"
     assert summary(tmp_path / "out")["warnings"] == [words]
+
+
+def test_a_datum_of_another_site_is_told(short, config, tmp_path):
+    config.write_text(config.read_text().replace('"latitude_deg": 47.4', '"latitude_deg": 49.4'))
+    done = holdfast("replay", short, "-c", config, "-o", tmp_path / "out")
+    assert done.code == 0
+    (line,) = done.err.splitlines()
+    assert line.startswith("warning: frames.datum: every fix is 222 km or more from it, the nearest at 47.4000, 8.5000")
+    assert summary(tmp_path / "out")["warnings"] == [line.removeprefix("warning: ")]
 
 
 def test_an_output_that_is_a_file_is_refused_and_kept(short, config, tmp_path):
@@ -243,194 +208,6 @@ def test_a_missing_option_is_named(short, config):
     done = holdfast("replay", short, "-c", config)
     assert done.code == 2
     assert "Missing option '-o'" in done.err
-
-
-# --- 3: unreadable recording ------------------------------------------------------------------------------------------
-
-
-def test_a_missing_recording_is_named(config, tmp_path):
-    done = run_command(tmp_path / "none.mcap", "-c", config, "-o", tmp_path / "out")
-    assert_one_error(done, 3, tmp_path / "none.mcap", "no such file")
-    assert not (tmp_path / "out").exists()
-
-
-def test_an_empty_bag_is_named(config, tmp_path):
-    bag = write_bag(tmp_path / "empty", "mcap", [])
-    assert_one_error(holdfast("replay", bag, "-c", config, "-o", tmp_path / "out"), 3, "no messages")
-
-
-def test_an_empty_file_is_named(config, tmp_path):
-    (tmp_path / "empty.mcap").touch()
-    assert_one_error(holdfast("replay", tmp_path / "empty.mcap", "-c", config, "-o", tmp_path / "o"), 3, "empty.mcap")
-
-
-@pytest.mark.parametrize("suffix", [".mcap", ".bag", ".db3", ".txt"])
-def test_a_text_file_instead_of_a_bag_is_named(config, tmp_path, suffix):
-    text = (tmp_path / "notes").with_suffix(suffix)
-    text.write_text("Dear diary, today I drove the excavator.\n" * 50)
-    assert_one_error(holdfast("replay", text, "-c", config, "-o", tmp_path / "out"), 3, text)
-
-
-def test_a_bag_without_the_imu_lists_the_topics_that_it_has(config, tmp_path):
-    messages = [row for row in bag_messages(make_rows(seconds=1.0)) if row[0] != "imu"]
-    bag = write_bag(tmp_path / "bag", "mcap", messages)
-    done = holdfast("replay", bag, "-c", config, "-o", tmp_path / "out")
-    assert_one_error(done, 3, bag, "has no topic 'imu'", "gnss (sensor_msgs/msg/NavSatFix)")
-    assert not (tmp_path / "out").exists()
-
-
-def without(short, topic, tmp_path):
-    messages = [row for row in bag_messages(make_rows(seconds=4.0)) if row[0] != topic]
-    return write_bag(tmp_path / f"without_{topic}", "mcap", messages)
-
-
-def test_a_sensor_that_is_not_needed_to_start_is_missed_loudly_and_named_everywhere(short, config, tmp_path):
-    bag, out = without(short, "lidar", tmp_path), tmp_path / "out"
-    done = holdfast("replay", bag, "-c", config, "-o", out)
-    assert done.code == 0, done.err
-    reason = "the recording has no topic 'lidar'"
-    assert done.err == f"warning: lidar: {reason}: the estimate does without it (--strict refuses)\n"
-    assert f"  lidar      missing: {reason}" in done.out.splitlines()
-    assert summary(out)["missing"] == {"lidar": reason}
-    assert summary(out)["warnings"] == [f"lidar: {reason}"]
-    assert holdfast("report", out).code == 0
-    assert f"lidar: {html.escape(reason)}" in (out / "report.html").read_text()
-
-
-def test_a_topic_without_a_message_is_missed_as_well(config, tmp_path):
-    drive = write_csv(tmp_path / "csv", replace(make_rows(seconds=4.0), lidar=[]))
-    done = holdfast("replay", drive, "-c", config, "-o", tmp_path / "out")
-    assert done.code == 0
-    assert "warning: lidar: topic 'lidar' holds no message: the estimate does without it" in done.err
-    assert summary(tmp_path / "out")["missing"] == {"lidar": "topic 'lidar' holds no message"}
-
-
-def test_strict_refuses_a_recording_that_lacks_any_topic(short, config, tmp_path):
-    bag = without(short, "lidar", tmp_path)
-    done = holdfast("replay", bag, "-c", config, "-o", tmp_path / "out", "--strict")
-    assert_one_error(done, 3, bag, "has no topic 'lidar'")
-    assert not (tmp_path / "out").exists()
-
-
-def test_the_last_source_of_positions_is_needed(short, config, tmp_path):
-    bag = without(short, "gnss", tmp_path)
-    assert_one_error(holdfast("replay", bag, "-c", config, "-o", tmp_path / "out"), 3, "has no topic 'gnss'")
-    second = {"kind": "gnss", "topic": "gnss", "frame": "lidar"}
-    both = write_config(tmp_path / "both.yaml", gnss={"topic": "gnss_left"}, gnss_right=second)
-    done = holdfast("replay", short, "-c", both, "-o", tmp_path / "out", "--duration", 1)
-    assert "warning: gnss: the recording has no topic 'gnss_left'; did you mean 'gnss'?" in done.err
-
-
-def test_a_topic_of_another_type_is_named_with_both_types(short, tmp_path):
-    config = write_config(tmp_path / "config.yaml", gnss={"topic": "imu"})
-    done = holdfast("replay", short, "-c", config, "-o", tmp_path / "out")
-    assert_one_error(done, 3, "'imu'", "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix")
-
-
-def test_a_start_beyond_the_end_is_refused(short, config, tmp_path):
-    done = holdfast("replay", short, "-c", config, "-o", tmp_path / "out", "--start", 1000)
-    assert_one_error(done, 3, short, "start is 1000.0 s but the recording lasts")
-
-
-def test_what_came_before_a_bad_line_is_kept(drive, config, tmp_path):
-    folder = tmp_path / "csv"
-    folder.mkdir()
-    for file in drive.iterdir():
-        (folder / file.name).write_text(file.read_text())
-    lines = (folder / "imu.csv").read_text().splitlines(keepends=True)
-    lines[1500] = "not,a,line\n"
-    (folder / "imu.csv").write_text("".join(lines))
-    done = holdfast("replay", folder, "-c", config, "-o", tmp_path / "out")
-    assert_one_error(done, 3, f"{folder / 'imu.csv'}:1501", "3 columns")
-    result = summary(tmp_path / "out")
-    assert result["finished"] is False
-    assert result["counts"]["imu"]["used"] == 1499
-    assert read_tum(tmp_path / "out" / "imu_in_world.tum").stamps_ns[-1] == stamp(14.98)
-
-
-# --- 4: never initialised ---------------------------------------------------------------------------------------------
-
-
-def assert_outputs_say_why(folder, *words):
-    assert {file.name for file in folder.iterdir()} == FILES
-    result = summary(folder)
-    assert result["finished"] is True
-    assert result["initialised"] is False
-    for word in words:
-        assert word in result["waiting_for"]
-    assert isinstance(events(folder), list)
-    assert (folder / "imu_in_world.tum").read_bytes() == b""
-
-
-def test_gnss_without_a_fix_throughout_ends_with_the_reason(rows, tmp_path):
-    lost = replace(rows, gnss=[(at, arrival, (*v[:3], -1, *v[4:])) for at, arrival, v in rows.gnss])
-    drive = write_csv(tmp_path / "csv", lost)
-    config = write_config(tmp_path / "config.yaml", datum=False)
-    done = run_command(drive, "-c", config, "-o", tmp_path / "out")
-    assert_one_error(done, 4, drive, "never started", "no usable position")
-    assert_outputs_say_why(tmp_path / "out", "no usable position")
-    assert summary(tmp_path / "out")["counts"]["gnss"] == {"low_status": len(rows.gnss)}
-    assert {event["reason"] for event in events(tmp_path / "out")} == {"low_status"}
-
-
-def test_fixes_that_claim_too_much_end_with_their_number_the_claim_and_the_key(rows, tmp_path):
-    unsure = replace(rows, gnss=[(at, arrival, (*v[:4], 12.3, 9.0, 20.0)) for at, arrival, v in rows.gnss])
-    drive = write_csv(tmp_path / "csv", unsure)
-    config = write_config(tmp_path / "config.yaml", datum=False)
-    done = holdfast("replay", drive, "-c", config, "-o", tmp_path / "out")
-    refused = f"gnss: {len(rows.gnss)} large_covariance (sensors.gnss.max_sigma_m = 1.0)"
-    assert_one_error(done, 4, drive, "never started", "it claims 12.3 m", f"imu: {len(rows.imu)} used", refused)
-    assert_outputs_say_why(tmp_path / "out", "the last of gnss was refused: large_covariance")
-
-
-def test_a_receiver_without_a_covariance_is_weighed_by_its_status_with_one_warning(rows, tmp_path):
-    messages = [
-        (topic, arrival, replace(message, position_covariance_type=0) if topic == "gnss" else message)
-        for topic, arrival, message in bag_messages(rows)
-    ]
-    drive = write_bag(tmp_path / "bag", "mcap", messages)
-    done = holdfast("replay", drive, "-c", write_config(tmp_path / "config.yaml"), "-o", tmp_path / "out")
-    assert done.code == 0, done.err
-    warnings = [line for line in done.err.splitlines() if "covariance" in line]
-    assert len(warnings) == 1
-    assert "sigmas of 0.02, 0.02, 0.04 m are assumed; sensors.gnss.default_sigma_m sets them" in warnings[0]
-    assert warnings[0] == f"warning: {summary(tmp_path / 'out')['warnings'][-1]}"
-    assert [event["sensor"] for event in events(tmp_path / "out") if event["kind"] == "covariance_assumed"] == ["gnss"]
-    assert summary(tmp_path / "out")["counts"]["gnss"]["used"] > 0.8 * len(rows.gnss)
-
-
-@pytest.mark.parametrize("how", ["no fix", "no message"])
-def test_gnss_that_is_absent_is_the_reason_with_a_datum_too(rows, tmp_path, how):
-    bad = [(at, arrival, (*v[:3], -1, *v[4:])) for at, arrival, v in rows.gnss] if how == "no fix" else []
-    drive = write_csv(tmp_path / "csv", replace(rows, gnss=bad))
-    done = holdfast("replay", drive, "-c", write_config(tmp_path / "config.yaml"), "-o", tmp_path / "out")
-    assert_one_error(done, 4, drive, "never started", "no usable position")
-    assert_outputs_say_why(tmp_path / "out", "no usable position")
-
-
-def test_an_accelerometer_in_g_is_guessed(rows, tmp_path):
-    in_g = [(at, arrival, (*v[:3], *(x / 9.81 for x in v[3:]))) for at, arrival, v in rows.imu]
-    drive = write_csv(tmp_path / "csv", replace(rows, imu=in_g))
-    done = holdfast("replay", drive, "-c", write_config(tmp_path / "config.yaml"), "-o", tmp_path / "out")
-    assert_one_error(done, 4, "never started", "is the accelerometer in g?")
-    assert_outputs_say_why(tmp_path / "out", "is the accelerometer in g?")
-
-
-def test_standstill_without_a_heading_says_what_to_give(rows, tmp_path):
-    drive = write_csv(tmp_path / "csv", rows)
-    settings = json.loads(config_text())
-    del settings["initialisation"]
-    (tmp_path / "config.yaml").write_text(json.dumps(settings))
-    done = holdfast("replay", drive, "-c", tmp_path / "config.yaml", "-o", tmp_path / "out", "--duration", 2.5)
-    assert_one_error(done, 4, "never started", "initialisation.heading_deg")
-
-
-def test_where_the_imu_is_missing_too_gnss_is_not_said_to_be_all_that_is_missing(rows, tmp_path):
-    drive = write_csv(tmp_path / "csv", replace(rows, imu=[], gnss=[]))
-    config = write_config(tmp_path / "config.yaml", datum=False)
-    done = holdfast("replay", drive, "-c", config, "-o", tmp_path / "out")
-    words = "no usable IMU sample has come, and no usable position has come. Received: imu: nothing; gnss: nothing"
-    assert_one_error(done, 4, drive, "never started", words)
 
 
 # --- what was learnt --------------------------------------------------------------------------------------------------

@@ -179,7 +179,7 @@ def test_a_mistake_ends_in_one_line_and_exit_code_2(simulated: Path, tmp_path: P
         (("--vary", "graph.lag_s=no"), "graph.lag_s"),
         (("--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"), "--jobs"),
         (("-c", tmp_path / "none.yaml"), "none.yaml"),
-        (("--hold-out", "gps=2"), "sensor 'gps' is not configured"),
+        (("--hold-out", "gps=2"), "--hold-out gps=2: sensor 'gps' is not configured"),
     ):
         result = run(simulated, "-c", simulated / "config.yaml", "-o", tmp_path / "out", *wrong)
         assert result.returncode == 2

@@ -1,28 +1,18 @@
-"""`holdfast lidar-odometry`: bags in, bags out, however it ends."""
+"""`holdfast lidar-odometry`: bags in, bags out."""
 
-import os
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
-from functools import cache
-from pathlib import Path
 
 import gtsam
 import numpy as np
 import pytest
-from bags import HUMBLE, NOETIC, bare, imu, odometry, store_of, write_bag
-from rosbags.highlevel import AnyReader
+from bags import HUMBLE, imu, store_of, write_bag
+from cloud_bags import DELAY_NS, SWEEPS, THING, convert, messages, read, sweeps, turning
 from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
-from rosbags.typesys import get_types_from_msg
-from yard import START_NS, error, message, sweep
+from yard import START_NS, error, message
 
-from holdfast.cli.lidar_odometry import lidar_odometry
 from holdfast.config.load import parse_config
-from holdfast.errors import ConfigError, EstimatorError, RecordingError
+from holdfast.errors import ConfigError, RecordingError
 from holdfast.lidar_odometry import registration, runner
-from holdfast.lidar_odometry.process import ScanProcess
 from holdfast.lidar_odometry.registration import Registered
 from holdfast.lidar_odometry.replayed import ReplayedScans
 from holdfast.recording.bag_file import Channel
@@ -32,55 +22,6 @@ from holdfast.recording.source import Subscription, open_recording
 from holdfast.recording.subscriptions import subscriptions
 
 pytest.importorskip("small_gicp")
-
-COMMAND = """
-import holdfast.cli as cli
-from holdfast.cli.lidar_odometry import lidar_odometry
-cli.holdfast = lidar_odometry
-cli.main()
-"""
-DELAY_NS = 212_000_000
-SWEEPS = 7
-THING = "site_msgs/msg/Thing"
-for store in (HUMBLE, NOETIC):
-    store.register(get_types_from_msg("std_msgs/Header header\nfloat64 load\nstring[] who\n", THING))
-
-
-def turning(t):
-    return 0.1 * np.asarray(t)
-
-
-@cache
-def sweeps():
-    rng = np.random.default_rng(3)
-    return [sweep(k, rng, turning) for k in range(SWEEPS)]
-
-
-def messages(store, more=(), number=SWEEPS):
-    """(topic, arrival, message) of a short recording: clouds, an IMU and something that no standard knows."""
-    rows = list(more)
-    for k in range(number):
-        swept = replace(sweeps()[k % SWEEPS], stamp_ns=START_NS + k * 200_000_000)
-        rows.append(("/points", swept.stamp_ns + DELAY_NS, message(store, swept)))
-    for k in range(number * 20):
-        stamp_ns = START_NS + k * 10_000_000
-        rows.append(("/imu", stamp_ns + 1_000_000, imu(store, stamp_ns, rate=(0.0, 0.0, 0.1))))
-    header = imu(store, START_NS).header
-    rows.append(("/things", START_NS + 500_000_000, store.types[THING](header, 1250.5, ["left", "right"])))
-    return sorted(rows, key=lambda row: row[1])
-
-
-def convert(bag, out, *options):
-    """Run the command in this process."""
-    lidar_odometry.main([str(bag), "-o", str(out), *map(str, options)], standalone_mode=False)
-    return out
-
-
-def read(path, topic=None):
-    """(topic, arrival, message) rows of a bag, in its own order."""
-    with AnyReader([Path(path)]) as reader:
-        connections = [c for c in reader.connections if topic in (None, c.topic)]
-        return [(c.topic, at, reader.deserialize(raw, c.msgtype)) for c, at, raw in reader.messages(connections)]
 
 
 @pytest.fixture(scope="module", params=["bag", "db3", "mcap"])
@@ -155,13 +96,6 @@ def test_a_covariance_is_turned_to_the_axes_of_the_frame():
     raw = runner.encode(Registered(START_NS, T, covariance), OdometryEncoder("a", "b"))
     ros = HUMBLE.deserialize_cdr(raw, "nav_msgs/msg/Odometry").pose.covariance.reshape(6, 6)
     np.testing.assert_allclose(ros.diagonal(), [2e-2, 1e-2, 3e-2, 2e-6, 1e-6, 3e-6])
-
-
-@pytest.fixture(scope="module")
-def bag(tmp_path_factory):
-    """A bare MCAP file whose lidar odometry is there already."""
-    more = [("/lidar/odometry", START_NS + 10, odometry(HUMBLE, START_NS))]
-    return bare(write_bag(tmp_path_factory.mktemp("bag") / "in", "mcap", messages(HUMBLE, more)))
 
 
 @pytest.fixture(scope="module")
@@ -253,6 +187,7 @@ extrinsics:
         (["--replace", "--topic", "/imu"], RecordingError, "is sensor_msgs/msg/Imu (allowed: sensor_msgs/msg/Point"),
         (["--replace", "--topic", "/pionts"], RecordingError, "did you mean '/points'?"),
         (["--output-topic", "/points"], ConfigError, "has a topic '/points' already: give another --output-topic"),
+        (["--output-topic", "bad topic"], ConfigError, "--output-topic: 'bad topic' is no name of a topic (allowed: "),
         (["--replace", "--min-range-m", 500], RecordingError, "0 points lie beyond 500 m"),
         (["--method", "kiss-icp", "-c", "x.yaml"], ConfigError, "kiss-icp takes no IMU"),
     ],
@@ -332,114 +267,3 @@ def test_stamps_may_begin_at_zero(tmp_path, capfd):
     out = convert(write_bag(tmp_path / "in", "mcap", rows), tmp_path / "out.mcap")
     assert len(read(out, "/lidar/odometry")) == 2
     assert capfd.readouterr().err == ""
-
-
-# --- however it ends --------------------------------------------------------------------------------------------------
-
-
-def test_a_killed_process_is_one_line_and_what_was_written_is_kept(bag, tmp_path, monkeypatch):
-    class Doomed(ScanProcess):
-        asked = 0
-
-        def take(self, timeout_s=None):
-            self.asked += 1
-            if self.asked == 4:
-                os.kill(self.pid, signal.SIGKILL)
-                time.sleep(0.2)
-            return super().take(timeout_s)
-
-    monkeypatch.setattr(runner, "ScanProcess", Doomed)
-    with pytest.raises(EstimatorError, match="its process was killed by SIGKILL") as raised:
-        convert(bag, tmp_path / "out.mcap", "--replace")
-    assert "\n" not in str(raised.value)
-    assert len(read(tmp_path / "out.mcap", "/lidar/odometry")) >= 3
-
-
-@pytest.fixture(scope="module")
-def long_bag(tmp_path_factory):
-    """More sweeps than are registered before somebody interrupts."""
-    return bare(write_bag(tmp_path_factory.mktemp("long") / "in", "mcap", messages(HUMBLE, number=150)))
-
-
-def start(bag, out):
-    """The real command in a session of its own, some chunks into its work."""
-    running = subprocess.Popen(
-        [sys.executable, "-c", COMMAND, str(bag), "-o", str(out)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    deadline = time.monotonic() + 30
-    while not (out.exists() and out.stat().st_size > 1000) and time.monotonic() < deadline:
-        assert running.poll() is None, running.communicate()
-        time.sleep(0.02)
-    return running
-
-
-def survivors(session):
-    """Processes of a session."""
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = stat.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if int(fields[3]) == session and fields[0] != "Z":
-            found.append(int(stat.parent.name))
-    return found
-
-
-def assert_nobody_survives(session):
-    deadline = time.monotonic() + 10
-    while survivors(session) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert survivors(session) == []
-
-
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
-def test_ctrl_c_leaves_a_readable_file_and_no_process(long_bag, tmp_path):
-    running = start(long_bag, tmp_path / "out.mcap")
-    os.killpg(running.pid, signal.SIGINT)
-    out, err = running.communicate(timeout=30)
-    assert (running.returncode, out, err.strip()) == (130, "", "interrupted")
-    with open_recording(tmp_path / "out.mcap") as recording:
-        assert recording.warnings == []
-        assert sum(info.count for info in recording.topics) > 10
-    assert_nobody_survives(running.pid)
-
-
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
-def test_no_process_outlives_one_that_was_killed(long_bag, tmp_path):
-    running = start(long_bag, tmp_path / "out.mcap")
-    assert len(survivors(running.pid)) >= 2
-    running.kill()
-    running.communicate(timeout=30)
-    assert_nobody_survives(running.pid)
-
-
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_a_replay_of_scans_that_is_ended_leaves_no_process(long_bag, tmp_path, number):
-    (tmp_path / "config.yaml").write_text(
-        "sensors: {imu: {kind: imu, topic: /imu}, lidar: {kind: scans, topic: /points}}\n"
-        "extrinsics: [{parent: imu, child: lidar, translation_m: [0, 0, 1]}]\n"
-    )
-    arguments = ["replay", str(long_bag), "-c", str(tmp_path / "config.yaml"), "-o", str(tmp_path / "out")]
-    running = subprocess.Popen(
-        [sys.executable, "-c", "from holdfast.cli import main; main()", *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    deadline = time.monotonic() + 60
-    while len(survivors(running.pid)) < 2 and time.monotonic() < deadline:
-        assert running.poll() is None, running.communicate()
-        time.sleep(0.02)
-    time.sleep(1.0)
-    os.killpg(running.pid, number)
-    _, err = running.communicate(timeout=60)
-    assert running.returncode == (130 if number == signal.SIGINT else -signal.SIGKILL)
-    assert "Traceback" not in err
-    assert_nobody_survives(running.pid)

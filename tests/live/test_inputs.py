@@ -46,6 +46,13 @@ def test_a_topic_of_one_type_is_subscribed_at_once_and_one_of_several_when_it_is
     assert inputs.topics == {"/imu": (IMU,), "/pose": (POSE, ODOMETRY, POSE_COVARIANCE)}
 
 
+@pytest.mark.parametrize("topic", ["/imu data", "/~/imu", "/2/imu"])
+def test_a_topic_that_ros_has_not_is_refused(topic):
+    """Nothing would ever have come."""
+    with pytest.raises(ConfigError, match=r"sensors\.imu\.topic: .* is no name of a topic"):
+        Inputs(FakeNetwork(), [Subscription(topic, "imu", "imu")])
+
+
 def test_one_odometry_serves_an_odometry_and_a_twist():
     network = FakeNetwork()
     inputs = Inputs(network, BOTH, reliable=True)

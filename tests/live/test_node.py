@@ -120,6 +120,19 @@ def test_lines_about_a_flapping_topic_and_a_flood_of_commands_are_few_too(monkey
     assert shown[-1] == "/holdfast/reset: reset: 97 more such lines"
 
 
+def test_a_datum_far_from_the_fixes_is_told_once(monkeypatch):
+    node, network, shown, _ = node_of(
+        "  gnss: {kind: gnss, topic: /fix}\nextrinsics: [{parent: imu, child: gnss, translation_m: [0, 0, 1]}]\n"
+        "frames: {datum: {latitude_deg: -33, longitude_deg: 151, altitude_m: 0}}"
+    )
+    monkeypatch.setattr(node, "_statuses", lambda _: [])  # the engine of this test has no health
+    run_once(node, network, samples("/fix", fix, 2))
+    for _ in range(3):
+        node._review(T0)
+    (line,) = (line for line in shown if "datum" in line)
+    assert line.startswith("warning: frames.datum: every fix is ")
+
+
 def test_every_line_on_the_terminal_begins_with_the_time(capsys):
     _show("gnss: late")
     assert re.fullmatch(r"\d\d:\d\d:\d\d\.\d{3} gnss: late\n", capsys.readouterr().err)

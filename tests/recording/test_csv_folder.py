@@ -31,7 +31,7 @@ def test_every_kind_of_file_is_read(tmp_path: Path) -> None:
         tmp_path,
         imu=IMU + "10,0.1,0.2,0.3,1,2,9.8\n",
         gnss="stamp_ns,arrival_ns,latitude_deg,longitude_deg,altitude_m,status,sigma_east_m,sigma_north_m,sigma_up_m\n"
-        "11,13,49.1,8.4,116.5,2,0.1,0.2,0.3\n12,14,49.1,8.4,116.5,7,,,\n",
+        "11,13,49.1,8.4,116.5,2,0.1,0.2,0.3\n12,14,49.1,8.4,116.5,nan,,,\n",
         lidar="x_m,y_m,z_m,qx,qy,qz,qw,stamp_ns\n1,2,3,0,0,0,1,15\n",
         heading="stamp_ns,yaw_rad,sigma_rad\n16,0.5,0.01\n17,0.6,\n",
         joint="stamp_ns,angle_rad\n18,1.5\n",
@@ -182,6 +182,19 @@ def test_a_pose_without_a_rotation_is_skipped_and_counted(tmp_path: Path) -> Non
     messages, (warning,) = read(tmp_path, "lidar", "odometry")
     assert [m.stamp_ns for m in messages] == [2]
     assert "1 message of lidar could not be decoded" in warning
+
+
+@pytest.mark.parametrize("status", ["9", "-3", "1.5", "1e300"])
+def test_a_fix_whose_status_does_not_exist_is_skipped_and_counted(tmp_path: Path, status: str) -> None:
+    """It was taken for a fix of low status."""
+    header = "stamp_ns,latitude_deg,longitude_deg,altitude_m,status\n"
+    folder(tmp_path, gnss=f"{header}1,49,8,0,{status}\n2,49,8,0,2\n")
+    fixes, warnings = read(tmp_path, "gnss", "gnss")
+    assert [fix.status for fix in fixes] == [FixStatus.GBAS]
+    told = f"status is {float(status):g} (allowed: -2 UNKNOWN, -1 NO_FIX, 0 FIX, 1 SBAS, 2 GBAS, or nan)"
+    assert warnings == [
+        f"{tmp_path}: 1 message of gnss could not be decoded and was skipped, the first at 1 ns: {told}"
+    ]
 
 
 def test_rows_that_arrive_before_the_row_above_keep_their_place_with_a_warning(tmp_path: Path) -> None:

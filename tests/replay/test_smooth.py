@@ -99,7 +99,7 @@ def test_a_report_can_be_made_of_it(smoothed, tmp_path):
     [
         ("--window", 1, "error: --window 1: must be from 10 to 36000 s"),
         ("--overlap", 0, "error: --overlap 0: must be from 5 to 3600 s"),
-        ("--hold-out", "gps=2", "error: sensor 'gps' is not configured (allowed: imu, gnss, lidar)"),
+        ("--hold-out", "gps=2", "error: --hold-out gps=2: sensor 'gps' is not configured (allowed: imu, gnss, lidar)"),
     ],
 )
 def test_a_mistaken_option_is_one_line(bag_drive, with_base, tmp_path, mistake):

@@ -7,7 +7,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from holdfast.api.arguments import check_path
+from holdfast.api.arguments import path_of
 from holdfast.api.progress import shown
 from holdfast.calibration.calibrate import Calibration as Found
 from holdfast.calibration.calibrate import calibrated
@@ -18,6 +18,7 @@ from holdfast.config.model import Config
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
 from holdfast.measured_fields import got, is_whole
+from holdfast.output_folder import naming_the_output
 from holdfast.recording.source import Recording
 
 AnyPath = str | PathLike[str]
@@ -46,24 +47,22 @@ class Calibration:
         Raises:
             ConfigError: it cannot be written.
         """
-        file = Path(path)
-        try:
+        file = path_of("path", path)
+        with naming_the_output(file):
             file.write_text(self.text, encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(f"{file}: cannot be written ({error.strerror})") from None
         return file
 
     def report(self, path: AnyPath) -> Path:
         """Write an HTML page about it, which needs no network; return its path.
 
         Raises:
-            ConfigError: plotly is not installed, or the name does not end in .html.
+            ConfigError: plotly is not installed, or the file cannot be written or does not end in .html.
         """
         with needing("a report", "report"):
             from holdfast.calibration.page import calibration_page
         from holdfast.report.page import page_file, write_page
 
-        file = page_file(path)
+        file = page_file(path_of("path", path))
         write_page(calibration_page(self._found, "holdfast.calibrate"), file)
         return file
 
@@ -94,7 +93,7 @@ def calibrate(
         raise ConfigError(f"recordings: must be a path or several, not {type(recordings).__name__}")
     paths = [recordings] if isinstance(recordings, str | PathLike) else list(recordings)
     for path in paths:
-        check_path("recordings", path)
+        path_of("recordings", path)
     if not is_whole(hold_out):
         raise ConfigError(f"hold_out: must be an integer >= 2, {got(hold_out)}")
 

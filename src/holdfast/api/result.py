@@ -7,6 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from holdfast.api.arguments import path_of
 from holdfast.api.trajectory import Trajectory
 from holdfast.extras import needing
 from holdfast.state import Event
@@ -46,14 +47,15 @@ class Result:
         """Write an HTML page about it, which needs no network; return its path.
 
         Raises:
-            ConfigError: plotly is not installed, or the name does not end in .html.
+            ConfigError: plotly is not installed, or the file cannot be written or does not end in .html.
         """
+        given = path_of("path", path)
         with needing("a report", "report"):
             import plotly  # noqa: F401
         from holdfast.replay.results import read_run
         from holdfast.report.page import page_file, write_page
         from holdfast.report.single_run import single_run_page
 
-        file = page_file(path)
+        file = page_file(given)
         write_page(single_run_page(read_run(self.folder, None)), file)
         return file

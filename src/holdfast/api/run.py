@@ -7,7 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from holdfast.api.arguments import check_path
+from holdfast.api.arguments import path_of
 from holdfast.api.kept import Kept
 from holdfast.api.progress import shown
 from holdfast.api.result import Result
@@ -18,7 +18,7 @@ from holdfast.config.model import Config
 from holdfast.config.review import check_possible
 from holdfast.errors import ConfigError
 from holdfast.measured_fields import got, is_number, is_whole
-from holdfast.output_folder import replaced
+from holdfast.output_folder import naming_the_output, replaced
 from holdfast.recording.source import open_recording
 from holdfast.recording.subscriptions import available, subscriptions
 from holdfast.replay.held_out import HoldOut, check_sensors
@@ -108,7 +108,7 @@ def _run(  # noqa: PLR0917 (of the two above)
     paths = {"recording": recording, "output": output, "learnt": learnt}
     for name, path in paths.items():
         if path is not None or name == "recording":
-            check_path(name, path)
+            path_of(name, path)
     for name, seconds in zip(("start_s", "duration_s"), span_s, strict=True):
         if not is_number(seconds) and (name, seconds) != ("duration_s", None):
             raise ConfigError(f"{name}: must be a number [s], {got(seconds)}")
@@ -136,7 +136,8 @@ def _run(  # noqa: PLR0917 (of the two above)
             on_output=kept.add,
             on_block=kept.add_block,
         )
-        with nullcontext() if temporary is not None else replaced(folder, name, [str(recording)]):
+        of_results = nullcontext() if temporary is not None else replaced(folder, name, [str(recording)])
+        with naming_the_output(folder), of_results:
             done = run(session, opened, shown(opened.start_ns, opened.end_ns, progress))
             done.check_end()
     done.check_start(session)
@@ -167,15 +168,15 @@ def _rules(hold_out: Mapping[str, int], outage: Mapping[str, tuple[float, float]
     for sensor, every in hold_out.items():
         if not is_whole(every) or every < 2:
             raise ConfigError(f"hold_out[{sensor!r}]: must be an integer >= 2, not {every!r}")
-        rules.append(HoldOut(sensor, every))
+        rules.append(HoldOut(sensor, every, given=f"hold_out[{sensor!r}]"))
     for sensor, span in outage.items():
         try:
-            start_s, end_s = map(float, span)
+            start_s, end_s = () if isinstance(span, str) else map(float, span)
         except (TypeError, ValueError):
             raise ConfigError(f"outage[{sensor!r}]: must be (start, end) [s], {got(span)}") from None
         if not 0.0 <= start_s < end_s:
             raise ConfigError(f"outage[{sensor!r}]: must start at 0 s or later, and end after it starts, not {span!r}")
-        rules.append(HoldOut(sensor, None, start_s, end_s))
+        rules.append(HoldOut(sensor, None, start_s, end_s, f"outage[{sensor!r}]"))
     check_sensors(rules, config)
     return rules
 

@@ -4,11 +4,12 @@ from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
-from holdfast.api.arguments import check_path
+from holdfast.api.arguments import path_of
 from holdfast.api.trajectory import Trajectory
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
 from holdfast.measured_fields import got, is_number, is_whole
+from holdfast.output_folder import SIMULATE, naming_the_output, replaced
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,21 +36,24 @@ def simulate(
 ) -> Simulated:
     """Simulate a scenario, a shipped one or a YAML file, into a folder; equal seeds give equal bytes.
 
+    The folder is replaced as a whole, and one that holds anything but an earlier simulation is refused.
+
     Raises:
-        ConfigError: there is no such scenario, it holds mistakes, or the simulator's packages are not installed.
+        ConfigError: there is no such scenario, it holds mistakes, the simulator's packages are not installed, or the
+            folder is refused or cannot be written.
     """
     with needing("simulating", "sim"):
         from holdfast.sim.recorder import write_truth
-        from holdfast.sim.scenario import load_scenario
+        from holdfast.sim.scenario import LONGEST_S, SHORTEST_S, load_scenario
         from holdfast.trial.run import CONFIG, RECORDING, write_simulation
-    check_path("scenario", scenario)
-    check_path("output", output)
+    path_of("scenario", scenario)
+    folder = path_of("output", output)
     if not is_whole(seed) or seed < 0:
         raise ConfigError(f"seed: must be an integer >= 0, {got(seed)}")
-    if duration_s is not None and not (is_number(duration_s) and duration_s > 1.0):
-        raise ConfigError(f"duration_s: must be > 1, not {duration_s!r}")
+    if duration_s is not None and not (is_number(duration_s) and SHORTEST_S < duration_s <= LONGEST_S):
+        raise ConfigError(f"duration_s: must be > {SHORTEST_S:g} and <= {LONGEST_S:g} [s], {got(duration_s)}")
     loaded = load_scenario(str(scenario), {} if duration_s is None else {"duration_s": duration_s})
-    folder = Path(output)
-    write_truth(write_simulation(loaded, seed, folder), folder / "truth")
+    with naming_the_output(folder), replaced(folder, SIMULATE, [str(scenario)]):
+        write_truth(write_simulation(loaded, seed, folder), folder / "truth")
     truth = Trajectory.read(folder / "truth" / "imu_in_world.tum")
     return Simulated(folder / RECORDING, folder / CONFIG, truth)

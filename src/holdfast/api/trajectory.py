@@ -4,13 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from holdfast import state
+from holdfast.api.arguments import path_of
 from holdfast.covariances import Covariances
 from holdfast.errors import ConfigError, MessageError
 from holdfast.evaluation import quaternions
@@ -18,8 +18,9 @@ from holdfast.evaluation.absolute import Statistics, ape, summarise
 from holdfast.evaluation.alignment import AlignmentName, align
 from holdfast.evaluation.association import Association, associate
 from holdfast.extras import needing
-from holdfast.measured_fields import LIMIT_NS, array_of, got
+from holdfast.measured_fields import LIMIT_NS, array_of, got, is_number
 from holdfast.messages import Array
+from holdfast.output_folder import naming_the_output
 from holdfast.recording.covariance_csv import CovarianceWriter, beside, read_covariances
 from holdfast.recording.tum import read_tum, write_tum
 
@@ -34,6 +35,7 @@ COLUMNS: Mapping[str, tuple[tuple[int, ...], str]] = {  # shape of each row, uni
     "covariances": ((9, 9), "rad, m, m/s squared"),
 }
 NEEDED = ("positions", "quaternions_xyzw")
+LIBRARIES = ("polars", "pandas")  # of data frames
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +52,13 @@ class Errors:
     values: Mapping[str, Array]
 
     def __getitem__(self, name: str) -> Array:
-        """Return one of the errors (M,)."""
+        """Return one of the errors (M,).
+
+        Raises:
+            ConfigError: there is none of this name.
+        """
+        if name not in [*self.values]:
+            raise ConfigError(f"errors[{name!r}]: must be one of {', '.join(self.values)}")
         return self.values[name]
 
     def statistics(self) -> dict[str, Statistics]:
@@ -93,18 +101,27 @@ class Trajectory:
         """Read a TUM file, and the covariances beside it if there are any.
 
         Raises:
+            ConfigError: it is no path.
             RecordingError: names file and line.
         """
-        poses, file = read_tum(Path(path)), beside(Path(path))
+        track = path_of("path", path)
+        poses, file = read_tum(track), beside(track)
         covariances = read_covariances(file).at(poses.stamps_ns) if file.exists() else None
         return cls(poses.stamps_ns, poses.positions, poses.quaternions, None, covariances)
 
     def write(self, path: str | PathLike[str]) -> None:
-        """Write a TUM file, and the covariances beside it if they are known."""
-        write_tum(Path(path), self.poses)
-        if self.covariances is not None:
-            with CovarianceWriter(beside(Path(path))) as writer:
-                writer.extend(Covariances(self.stamps_ns, self.covariances))
+        """Write a TUM file, and the covariances beside it if they are known; those of an earlier one are removed.
+
+        Raises:
+            ConfigError: it is no path, or cannot be written.
+        """
+        track = path_of("path", path)
+        with naming_the_output(track):
+            write_tum(track, self.poses)
+            beside(track).unlink(missing_ok=True)
+            if self.covariances is not None:
+                with CovarianceWriter(beside(track)) as writer:
+                    writer.extend(Covariances(self.stamps_ns, self.covariances))
 
     def __len__(self) -> int:
         """Return the number of stamps."""
@@ -146,18 +163,13 @@ class Trajectory:
         """Return it at other stamps (M,): linear in position, velocity and covariance, slerp in rotation.
 
         Raises:
-            ConfigError: the stamps are no increasing integers, or beyond the ends.
+            MessageError: the stamps are no increasing integers, or beyond the ends.
         """
-        stamps = np.asarray(stamps_ns)
-        if stamps.ndim != 1 or stamps.dtype.kind not in "iu" or (stamps[1:] <= stamps[:-1]).any():
-            raise ConfigError(
-                f"stamps_ns: must be increasing integers of shape (M,) [ns], not {stamps.dtype} {stamps.shape}"
-            )
+        stamps = _increasing(stamps_ns)
         if len(stamps) and not len(self):
-            raise ConfigError("stamps_ns: must be empty, this trajectory has no poses")
+            raise MessageError("stamps_ns: must be empty, this trajectory has no poses")
         if len(stamps) and not self.stamps_ns[0] <= stamps[0] <= stamps[-1] <= self.stamps_ns[-1]:
-            raise ConfigError(f"stamps_ns: must be within {self.stamps_ns[0]} and {self.stamps_ns[-1]}")
-        stamps = stamps.astype(np.int64)
+            raise MessageError(f"stamps_ns: must be within {self.stamps_ns[0]} and {self.stamps_ns[-1]} [ns]")
         after = np.minimum(np.searchsorted(self.stamps_ns, stamps, side="right"), len(self) - 1)
         before = np.maximum(after - 1, 0)  # of one pose it is that pose, too
         length = np.maximum(self.stamps_ns[after] - self.stamps_ns[before], 1)
@@ -185,10 +197,12 @@ class Trajectory:
 
         Raises:
             RecordingError: the two do not overlap in time, or cannot be aligned.
-            ConfigError: the reference is no trajectory, or the alignment is none of these.
+            ConfigError: the reference is no trajectory, the alignment is none of these, or the gap is no time.
         """
         _check(reference)
         _check_alignment(alignment)
+        if not is_number(max_gap_s):
+            raise ConfigError(f"max_gap_s: must be a number [s], {got(max_gap_s)}")
         pairs = associate(self.poses, reference.poses, Association(max_gap_s=max_gap_s))
         pairs = align(pairs, alignment).apply(pairs)
         return Errors(pairs.reference.stamps_ns, ape(pairs))
@@ -197,8 +211,10 @@ class Trajectory:
         """Return a data frame with a row per stamp: of polars if that is installed, else of pandas.
 
         Raises:
-            ConfigError: neither is installed, or not the one that is asked for.
+            ConfigError: neither is installed, or not the one that is asked for; or it is none of these.
         """
+        if library not in (None, *LIBRARIES):
+            raise ConfigError(f"library: must be one of {', '.join(LIBRARIES)}, or None, {got(library)}")
         columns: dict[str, Any] = {"stamp_ns": self.stamps_ns}
         columns |= {f"p_{axis}_m": self.positions[:, k] for k, axis in enumerate("xyz")}
         columns |= {f"q_{axis}": self.quaternions_xyzw[:, k] for k, axis in enumerate("xyzw")}
@@ -206,7 +222,7 @@ class Trajectory:
             columns |= {f"v_{axis}_m_s": self.velocities[:, k] for k, axis in enumerate("xyz")}
         if self.covariances is not None:
             columns |= {f"sigma_{axis}_m": self.sigmas_m()[:, k] for k, axis in enumerate("xyz")}
-        for name in ("polars", "pandas") if library is None else (library,):
+        for name in LIBRARIES if library is None else (library,):
             try:
                 return import_module(name).DataFrame(columns)
             except ModuleNotFoundError:

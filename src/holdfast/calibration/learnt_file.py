@@ -106,14 +106,14 @@ def save_learnt(path: str | Path, learnt: LearntSnapshot, config: Config) -> Non
 
 
 def check_learnt_file(path: str | Path, folder: str | Path, reads: Collection[str]) -> None:
-    """Refuse a file that lies in a recording, is one that is read, or in the folder of the results.
+    """Refuse a file in the folder of the results or in a recording, one that is read, or one that cannot be written.
 
     Raises:
         ConfigError: names both.
     """
-    check_output_file(path, reads)
     if Path(folder).resolve() in Path(path).resolve().parents:
         raise ConfigError(f"{path}: is in {folder}, which is replaced by each run: give a file outside of it")
+    check_output_file(path, reads)
 
 
 def _configured(config: Config) -> dict[str, dict[str, Any]]:

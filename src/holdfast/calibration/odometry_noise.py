@@ -143,7 +143,7 @@ def _moments(values: Array, weights: Array) -> tuple[float, float]:
 def _differences(run: Evidence, name: str, section: DriftingConfig, kind: int) -> list[Differences]:
     """Return differences between successive poses, and over spans."""
     track = run.tracks.get(name, [])
-    if len(track) < 3:
+    if len(track) < 3 or len(run.nodes.times_ns) < 2:  # shorter than the window: nothing has left it
         return []
     against = _rotations(run, track) if kind == ROTATION else _positions(run, track)
     spans = [_over(against, section, kind, span_s) for span_s in SPANS_S]

@@ -11,10 +11,9 @@ import click
 
 from holdfast.cli.columns import aligned
 from holdfast.cli.progress import count_bar
-from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
-from holdfast.output_folder import replaced
+from holdfast.output_folder import naming_the_output, replaced
 from holdfast.trial.variations import VARIATIONS
 
 if TYPE_CHECKING:

@@ -10,9 +10,8 @@ import click
 
 from holdfast.cli.replay import check_window
 from holdfast.cli.terminal import guarded_console
-from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError, HoldfastError
-from holdfast.output_folder import continued
+from holdfast.output_folder import continued, naming_the_output
 
 if TYPE_CHECKING:
     from rich.table import Table

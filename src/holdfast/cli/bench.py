@@ -11,8 +11,9 @@ from holdfast.cli.bench_realtime import realtime
 from holdfast.cli.progress import progress_bar
 from holdfast.cli.replay import check_window
 from holdfast.cli.terminal import guarded_console
-from holdfast.cli.writing import check_folder_of, write_json
+from holdfast.cli.writing import write_json
 from holdfast.errors import ConfigError, HoldfastError
+from holdfast.output_folder import check_output_file
 
 if TYPE_CHECKING:
     from holdfast.config.model import Config
@@ -58,7 +59,7 @@ def bench(  # noqa: PLR0917 (click passes the options by name)
     baseline = read_baseline(gate) if gate and not update_baseline else None
     for path in (json_path, (gate or BASELINE) if update_baseline else None):
         if path is not None:
-            check_folder_of(path)
+            check_output_file(path, [recording] if config_path is None else [recording, config_path])
     with open_recording(recording) as opened:
         runs = dict(_run_all(opened, recording, config, nodes or config.graph.nodes, duration_s))
     result = {"recording": recording, "duration_s": duration_s, "machine": describe_machine(), "runs": runs}

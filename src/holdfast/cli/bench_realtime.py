@@ -11,9 +11,10 @@ from holdfast.cli.finite import FiniteRange
 from holdfast.cli.progress import progress_bar
 from holdfast.cli.replay import check_window
 from holdfast.cli.terminal import guarded_console
-from holdfast.cli.writing import check_folder_of, write_json
+from holdfast.cli.writing import write_json
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
+from holdfast.output_folder import check_output_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -67,7 +68,7 @@ def realtime(  # noqa: PLR0917 (click passes the options by name)
     if recording is not None and imu_hz is not None:
         raise ConfigError("--imu-hz: a recording has its own rate (leave one of --recording and --imu-hz out)")
     if json_path is not None:
-        check_folder_of(json_path)
+        check_output_file(json_path, [path for path in (recording, config_path) if path is not None])
     with _material(recording, config_path, duration_s, nodes, imu_hz) as (config, messages):
         pace: Pace = "spin" if spin else "sleep"
         half = messages[: len(messages) // 2]

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 import click
 
 from holdfast.cli.progress import reading_bar
-from holdfast.cli.writing import check_folder_of, naming_the_output
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
-from holdfast.output_folder import check_output_file
+from holdfast.output_folder import check_output_file, naming_the_output
 
 if TYPE_CHECKING:
     from holdfast.calibration.calibrate import Calibration
@@ -76,7 +75,6 @@ def _check(output: Path, page: Path | None, reads: tuple[str, ...], every: int, 
     if output.suffix.lower() not in (".yaml", ".yml"):
         raise ConfigError(f"--output {output}: the name must end in .yaml")
     for file in (output, *([page, page.with_suffix(".json")] if page else [])):
-        check_folder_of(file)
         check_output_file(file, reads)
         if file.exists() and not force:
             raise ConfigError(f"{file}: exists already: give another name, or --force to overwrite it")

@@ -41,10 +41,10 @@ def compare(first: Path, second: Path, reference: Path | None, output: Path | No
     from holdfast.report.page import page_file, write_page
 
     file = page_file(second / "compare.html" if output is None else output, "--output ")
-    for written in (file, file.with_suffix(".json")):
-        check_output_file(written, [] if reference is None else [reference])
     one, other = names_of(first, second) if first.resolve() != second.resolve() else (str(first), str(second))
     comparison = read_comparison((first, second), (one, other), reference, command_line())
+    for written in (file, file.with_suffix(".json")):
+        check_output_file(written, [] if reference is None else [reference])
     write_page(comparison_page(comparison), file)
     add_results(file, file.with_suffix(".json"))
     for line in table_of(comparison):

@@ -4,9 +4,8 @@ from pathlib import Path
 
 import click
 
-from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
-from holdfast.output_folder import check_output_file
+from holdfast.output_folder import check_folder_of, check_output_file, naming_the_output
 
 
 @click.group()
@@ -65,7 +64,7 @@ def init(recording: Path, output: Path | None, minimal: bool, force: bool) -> No
     from holdfast.recording.source import open_recording
 
     _check_output(output, force)
-    if output is not None and output.exists():
+    if output is not None and output.exists():  # a new one may lie in the recording's folder
         check_output_file(output, [recording])
     with open_recording(recording) as opened, reading_bar("reading", opened, 0.0, LOOKED_AT_S) as progress:
         proposal = first_proposal(opened, progress)
@@ -107,7 +106,10 @@ def upgrade(file: Path, output: Path | None, in_place: bool, force: bool) -> Non
 
 
 def _check_output(output: Path | None, force: bool) -> None:
-    if output is not None and output.exists() and not force:
+    if output is None:
+        return
+    check_folder_of(output)
+    if output.exists() and not force:
         raise ConfigError(f"{output}: exists already: give another name, or --force to overwrite it")
 
 

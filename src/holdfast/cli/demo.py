@@ -8,9 +8,8 @@ import click
 
 from holdfast.cli.columns import aligned
 from holdfast.cli.progress import progress_bar
-from holdfast.cli.writing import naming_the_output
 from holdfast.errors import HoldfastError
-from holdfast.output_folder import replaced
+from holdfast.output_folder import naming_the_output, replaced
 
 if TYPE_CHECKING:
     from holdfast.replay.runner import Replay

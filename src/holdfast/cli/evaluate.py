@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -11,9 +12,8 @@ from click.core import ParameterSource
 
 from holdfast.cli.claimed import as_json, claimed_consistency, print_consistency
 from holdfast.cli.terminal import guarded_console
-from holdfast.cli.writing import check_folder_of, naming_the_output
 from holdfast.errors import ConfigError, RecordingError
-from holdfast.output_folder import add_results, check_output_file
+from holdfast.output_folder import add_results, check_output_file, naming_the_output
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -95,7 +95,6 @@ def evaluate(
     metrics = _metrics(**options)
     written = [file for file in (json_file, plot_file) if file is not None]
     for file in written:
-        check_folder_of(file)
         check_output_file(file, trajectories)
     if plot_file is not None:
         check_plot(plot_file)
@@ -201,6 +200,10 @@ def _metrics(
     from holdfast.evaluation.accuracy import Metrics
     from holdfast.evaluation.association import Association
 
+    for option, lengths in (("--rpe-distance", rpe_distance), ("--rpe-time", rpe_time)):
+        for length in lengths:
+            if not 0.0 < length < inf:
+                raise ConfigError(f"{option} {length:g}: must be > 0 and finite")
     named = [_interval(text) for text in intervals]
     if intervals_file is not None:
         named += _intervals_of(intervals_file)
@@ -230,6 +233,8 @@ def _interval(text: str) -> "Interval":
         return Interval(name, float(start), float(end))
     except ValueError:
         raise ConfigError(f"--interval {text}: expected NAME=START:END in seconds, such as tunnel=120:150") from None
+    except ConfigError as error:
+        raise ConfigError(f"--interval {text}: {error}") from None
 
 
 def _intervals_of(path: Path) -> "list[Interval]":

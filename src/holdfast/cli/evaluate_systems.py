@@ -6,8 +6,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError, RecordingError
+from holdfast.output_folder import naming_the_output
 
 if TYPE_CHECKING:
     from rich.console import Console

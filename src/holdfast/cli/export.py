@@ -5,10 +5,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from holdfast.cli.writing import check_folder_of, naming_the_output
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
-from holdfast.output_folder import add_results, check_output_file
+from holdfast.output_folder import add_results, check_output_file, naming_the_output
 
 if TYPE_CHECKING:
     from holdfast.export.site_grid import SiteGrid
@@ -47,7 +46,10 @@ def export(  # noqa: PLR0917 (click passes the options by name)
     from holdfast.export.formats import FORMATS
     from holdfast.export.target import survey
     from holdfast.geometry.earth import LocalFrame
+    from holdfast.recording.source import LONGEST_S
 
+    if interval_s is not None and not 0.0 < interval_s <= LONGEST_S:
+        raise ConfigError(f"--interval {interval_s:g}: must be > 0 and <= {LONGEST_S:g}")
     files = files or (folder / "trajectory.csv",)
     reads = [folder / f"{track}.tum", *(file for file in (site_grid, geoid) if file is not None)]
     for file in files:
@@ -55,7 +57,6 @@ def export(  # noqa: PLR0917 (click passes the options by name)
             raise ConfigError(f"-o {file}: is given twice")
         if file.suffix.lower() not in FORMATS:
             raise ConfigError(f"-o {file}: unknown kind of file (allowed: {', '.join(FORMATS)})")
-        check_folder_of(file)
         check_output_file(file, reads)
     if crs is not None and site_grid is not None:
         raise ConfigError("--crs and --site-grid: give one of them")
@@ -95,8 +96,6 @@ def _poses(folder: Path, track: str, interval_s: float | None) -> "Trajectory":
     poses = read_tum(folder / f"{track}.tum")
     if interval_s is None:
         return poses
-    if not interval_s > 0.0:
-        raise ConfigError(f"--interval {interval_s:g}: must be > 0")
     steps = (poses.stamps_ns - poses.stamps_ns[0]) // max(1, round(interval_s * 1e9))
     kept = np.flatnonzero(np.diff(steps, prepend=-1))
     return Trajectory(poses.stamps_ns[kept], poses.positions[kept], poses.quaternions[kept])

@@ -7,9 +7,8 @@ import click
 
 from holdfast.cli.finite import FiniteRange
 from holdfast.cli.progress import progress_bar
-from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
-from holdfast.output_folder import add_results, check_output_file
+from holdfast.output_folder import add_results, check_output_file, naming_the_output
 
 
 @click.command("lidar-odometry")
@@ -89,7 +88,9 @@ def lidar_odometry(  # noqa: PLR0917 (click passes the options by name)
     from holdfast.lidar_odometry.runner import Options, choose_topic, guide_of, run
     from holdfast.recording.mcap_writer import McapWriter
     from holdfast.recording.raw import RawBag
+    from holdfast.ros.names import check_topic
 
+    check_topic("--output-topic", output_topic)
     masking = Masking(boxes_of(machine_boxes), learn_machine)
     options = Options(topic, output_topic, method, threads, latency_s, min_range_m, keep_scans, replace, masking)
     if config_path is not None and method != DEFAULT_METHOD:
@@ -103,7 +104,6 @@ def lidar_odometry(  # noqa: PLR0917 (click passes the options by name)
         guide = None if config is None else guide_of(config, opened, options)
         begin_ns, end_ns = opened.recording.start_ns, opened.recording.end_ns
         with naming_the_output(output):
-            output.parent.mkdir(parents=True, exist_ok=True)
             with McapWriter(output) as writer, progress_bar("registering", begin_ns, end_ns) as progress:
                 summary = run(opened, chosen, writer, options, guide, progress)
             add_results(output)
@@ -121,6 +121,8 @@ def lidar_odometry(  # noqa: PLR0917 (click passes the options by name)
 def _check_output(output: Path, bag: Path, config_path: str | None, force: bool) -> None:
     if output.suffix != ".mcap":
         raise ConfigError(f"{output}: must end in .mcap")
+    with naming_the_output(output):
+        output.parent.mkdir(parents=True, exist_ok=True)
     check_output_file(output, [bag] if config_path is None else [bag, config_path])
     if output.exists() and not force:
         raise ConfigError(f"{output}: exists already: --force overwrites it")

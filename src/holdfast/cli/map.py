@@ -10,11 +10,11 @@ import click
 
 from holdfast.cli.finite import FiniteRange
 from holdfast.cli.progress import progress_bar
-from holdfast.cli.writing import check_folder_of, naming_the_output, write_json
+from holdfast.cli.writing import write_json
 from holdfast.errors import ConfigError, HoldfastError, RecordingError
 from holdfast.extras import needing
 from holdfast.mapping.options import SiteMapOptions
-from holdfast.output_folder import add_results, check_output_file
+from holdfast.output_folder import add_results, check_output_file, naming_the_output
 
 if TYPE_CHECKING:
     from holdfast.mapping.las import Grid
@@ -124,7 +124,6 @@ def check_files(files: Iterable[Path], reads: Iterable[Path]) -> None:
         if suffix not in SUFFIXES:
             raise ConfigError(f"-o {file}: unknown kind of file (allowed: {', '.join(SUFFIXES)})")
         check_output_file(file, reads)
-        check_folder_of(file)
         if suffix in LAS:
             with needing(f"{file.name}", "map"):
                 import laspy  # noqa: F401

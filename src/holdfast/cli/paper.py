@@ -9,10 +9,9 @@ import click
 
 from holdfast.cli.columns import aligned
 from holdfast.cli.progress import count_bar, duration
-from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
 from holdfast.extras import how_to_install, needing
-from holdfast.output_folder import continued
+from holdfast.output_folder import continued, naming_the_output
 
 if TYPE_CHECKING:
     from holdfast.paper.effort import Effort

@@ -9,9 +9,8 @@ import click
 
 from holdfast.cli.learnt import learnt_option
 from holdfast.cli.progress import reading_bar
-from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError
-from holdfast.output_folder import replaced
+from holdfast.output_folder import naming_the_output, replaced
 from holdfast.parent import end_with_parent
 
 if TYPE_CHECKING:

@@ -30,8 +30,9 @@ def report(folder: Path, reference: Path | None, output: Path | None) -> None:
     from holdfast.report.single_run import single_run_page
 
     file = page_file(folder / "report.html" if output is None else output, "--output ")
+    run = read_run(folder, reference)
     for written in (file, file.with_suffix(".json")):
         check_output_file(written, [] if reference is None else [reference])
-    write_page(single_run_page(read_run(folder, reference)), file)
+    write_page(single_run_page(run), file)
     add_results(file, file.with_suffix(".json"))
     click.echo(f"written to {file} and {file.with_suffix('.json').name}")

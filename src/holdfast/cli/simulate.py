@@ -1,15 +1,13 @@
 """`holdfast simulate`: a recording whose truth is known."""
 
-from math import inf
 from pathlib import Path
 
 import click
 
 from holdfast.cli.progress import progress_bar
-from holdfast.cli.writing import naming_the_output
 from holdfast.errors import ConfigError, HoldfastError
 from holdfast.extras import needing
-from holdfast.output_folder import SIMULATE, replaced
+from holdfast.output_folder import SIMULATE, naming_the_output, replaced
 
 
 @click.command()
@@ -37,10 +35,10 @@ def simulate(scenario: str, output: Path, seed: int, scans: bool, duration_s: fl
     from holdfast.config.load import resolved_yaml
     from holdfast.sim.account import account
     from holdfast.sim.configuration import configuration
-    from holdfast.sim.scenario import load_scenario
+    from holdfast.sim.scenario import LONGEST_S, SHORTEST_S, load_scenario
 
-    if duration_s is not None and not 1 < duration_s < inf:
-        raise ConfigError(f"--duration {duration_s:g}: must be > 1 and finite")
+    if duration_s is not None and not SHORTEST_S < duration_s <= LONGEST_S:
+        raise ConfigError(f"--duration {duration_s:g}: must be > {SHORTEST_S:g} and <= {LONGEST_S:g}")
     loaded = load_scenario(scenario, {} if duration_s is None else {"duration_s": duration_s})
     name = Path(scenario).stem
     asked = ("" if duration_s is None else f" --duration {duration_s:g}") + " --scans" * scans

@@ -7,8 +7,7 @@ import click
 
 from holdfast.cli.progress import reading_bar
 from holdfast.cli.replay import check_window, print_summary, rules_of, wanted_of
-from holdfast.cli.writing import naming_the_output
-from holdfast.output_folder import replaced
+from holdfast.output_folder import naming_the_output, replaced
 
 if TYPE_CHECKING:
     from holdfast.replay.runner import Replay

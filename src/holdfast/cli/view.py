@@ -8,7 +8,7 @@ import click
 from holdfast.cli.progress import progress_bar
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
-from holdfast.output_folder import add_results
+from holdfast.output_folder import add_results, check_output_file
 
 
 @click.command()
@@ -27,14 +27,17 @@ def view(recording: str, output: str | None, connect: str | None) -> None:
         raise ConfigError(f"--output {output}: must be a file *.rrd")
     if connect is not None:
         check_target("--connect", connect)
-    show = drawing("holdfast view")
-    from holdfast.recording.source import open_recording
-
     path = Path(recording)
     if (path / "causal" / "estimates.mcap").is_file():
         path /= "causal"
         click.echo("note: the causal run is drawn, not the optimum over the recording", err=True)
-    source = path / "estimates.mcap" if (path / "estimates.mcap").is_file() else path
+    is_replay = (path / "estimates.mcap").is_file()
+    if output is not None:
+        check_output_file(output, [] if is_replay else [recording])
+    show = drawing("holdfast view")
+    from holdfast.recording.source import open_recording
+
+    source = path / "estimates.mcap" if is_replay else path
     with open_recording(source) as opened:  # fails in one line if there is nothing to see
         begin_ns, end_ns = opened.start_ns, opened.end_ns
     target = output or connect or "window"
@@ -51,10 +54,12 @@ def check_target(option: str, target: str) -> None:
     """Refuse what no scene can be drawn to.
 
     Raises:
-        ConfigError: names the option.
+        ConfigError: names the option or the file.
     """
     if target != "window" and not target.endswith(".rrd") and not target.startswith("rerun+http"):
         raise ConfigError(f"{option} {target}: must be `window`, a file *.rrd or rerun+http://HOST:PORT/proxy")
+    if target.endswith(".rrd"):
+        check_output_file(target)
 
 
 def drawing(command: str) -> ModuleType:

@@ -18,6 +18,7 @@ from holdfast.config.presets import with_preset
 from holdfast.config.schema import Place, is_optional
 from holdfast.config.units import conversion
 from holdfast.errors import ConfigError
+from holdfast.measured_fields import got
 from holdfast.printable import quoted
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -49,15 +50,28 @@ def parse_config(text: str, name: str = "config") -> Config:
 
 
 def config_of(data: dict[str, Any], name: str) -> Config:
-    """Return the configuration that plain data make; `name` stands for the file in the messages.
+    """Return the configuration that plain data make, NumPy's numbers and arrays among them.
+
+    Args:
+        data: as a file holds them.
+        name: stands for the file in the messages.
 
     Raises:
         ConfigError: the data hold mistakes, one line each.
     """
-    document = Document(name, data)
+    try:
+        document = Document(name, json.loads(json.dumps(data, default=_plain)))
+    except (TypeError, ValueError, RecursionError) as error:  # a value or a key of another type, a dict in itself
+        raise ConfigError(f"{name}: must hold text, numbers, lists and dicts alone ({error})") from None
     _modernise(document)
     document.data = with_preset(document.data)
     return validate(document, Config)
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(got(value))
 
 
 def _modernise(document: Document) -> str:

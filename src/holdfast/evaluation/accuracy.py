@@ -39,10 +39,10 @@ class Interval:
         """Check the order of the ends."""
         if not -inf < self.start_s < self.end_s < inf:
             raise ConfigError(
-                f"interval {self.name!r}: its start {self.start_s} s must be before its end {self.end_s} s"
+                f"interval {self.name!r}: its start {self.start_s} s must be before its end {self.end_s} s, both finite"
             )
         if self.name in ("", WHOLE):
-            raise ConfigError(f"interval {self.name!r}: give it a name other than {WHOLE!r}")
+            raise ConfigError(f"interval {self.name!r}: give it a name, and another than {WHOLE!r}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from holdfast.evaluation import quaternions
 from holdfast.evaluation.association import check_trajectory
 from holdfast.evaluation.mesh import SurfaceIndex
 from holdfast.messages import Array
+from holdfast.output_folder import naming_the_output
 from holdfast.state import Trajectory
 
 MERGE_POINTS = 2_000_000  # so many are kept before they are merged into voxels
@@ -240,10 +241,8 @@ def write_map(quality: MapQuality, path: Path) -> None:
     records["distance"] = quality.distances
     header = "ply\nformat binary_little_endian 1.0\ncomment W: east, north, up [m]; distance to the surface [m]\n"
     header += f"element vertex {len(records)}\n" + "".join(f"property float {name}\n" for name in names)
-    try:
+    with naming_the_output(path):
         path.write_bytes(f"{header}end_header\n".encode() + records.tobytes())
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from None
 
 
 class Moved(NamedTuple):

@@ -10,6 +10,7 @@ from holdfast.errors import ConfigError
 from holdfast.evaluation.accuracy import WHOLE, Accuracy
 from holdfast.extras import needing
 from holdfast.messages import Array
+from holdfast.output_folder import naming_the_output
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,10 +68,8 @@ def plot_accuracy(accuracy: Accuracy, path: Path, title: str) -> None:
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(12.0, 7.0), dpi=130, layout="constrained")
         _draw(figure, accuracy, title)
-        try:
+        with naming_the_output(path):
             figure.savefig(path, metadata={"Date": None} if path.suffix.lower() == ".svg" else None)
-        except OSError as error:
-            raise ConfigError(f"cannot write {path}: {error.strerror}") from error
 
 
 def _draw(figure: "Figure", accuracy: Accuracy, title: str) -> None:

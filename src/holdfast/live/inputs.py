@@ -12,6 +12,7 @@ from holdfast.recording.decode import Decoder
 from holdfast.recording.kinds import KINDS
 from holdfast.recording.kinds.scans import POINT_CLOUD
 from holdfast.recording.source import Subscription
+from holdfast.ros.names import check_topic
 
 SCANS_DEPTH = 4
 """Scans that wait in the network while the node is held up: each may be of 6 MB, and only the newest is wanted."""
@@ -28,7 +29,8 @@ class Inputs:
         reliable: ask for lost samples again.
 
     Raises:
-        ConfigError: no message type can serve all the sensors that name one topic, or serve a sensor at all.
+        ConfigError: ROS has no such topic, or no message type can serve all the sensors that name one, or serve a
+            sensor at all.
     """
 
     def __init__(self, network: Network, subscriptions: Sequence[Subscription], *, reliable: bool = False) -> None:
@@ -42,6 +44,7 @@ class Inputs:
         self.sensors: dict[str, list[str]] = {}
         self.shed: Counter[str] = Counter()
         for subscription in subscriptions:
+            check_topic(f"sensors.{subscription.sensor}.topic", subscription.topic)
             allowed = KINDS[subscription.kind].decoders
             known = self.topics.get(subscription.topic)
             types = tuple(allowed) if known is None else tuple(name for name in known if name in allowed)

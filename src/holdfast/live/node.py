@@ -21,6 +21,7 @@ from holdfast.point_cloud import PointCloud
 from holdfast.printable import one_line
 from holdfast.realtime.engine import RealtimeEstimator
 from holdfast.recording.source import Subscription
+from holdfast.replay.datum_check import DatumCheck
 from holdfast.ros.messages import OK, WARN, Status, estimator_status
 from holdfast.state import Event, EventKind
 
@@ -91,6 +92,7 @@ class LiveNode:
         self._complaints: dict[str, str] = {}
         self._limit = LineLimit()
         self._datum: Geodetic | None = None
+        self._datum_check, self._is_far_told = DatumCheck(config), False
         self.has_started = False
 
     def run(self, keep_on: Callable[[], bool]) -> None:
@@ -148,6 +150,7 @@ class LiveNode:
             if message.sensor == self._imu and isinstance(message, ImuSample):
                 for scans in self._scans.values():
                     scans.add_sample(message)
+            self._datum_check.add(message)
             output = self._engine.process(message)
             if output.estimate is not None:
                 self.has_started = True
@@ -210,6 +213,9 @@ class LiveNode:
             if self._findings[topic].kind != MALFORMED:
                 self._report((topic, "is well again"), Level.INFO, f"{topic}: is well again", now_ns)
         self._findings = findings
+        if (far := self._datum_check.warning) is not None and not self._is_far_told:
+            self._is_far_told = True
+            self._report(("world", "far datum"), Level.WARN, far, now_ns)
         for (source, kind), number in self._limit.end(now_ns):
             self._log(Level.INFO, f"{source or 'estimator'}: {kind}: {number} more such lines", now_ns)
         for feed in self._feeds:

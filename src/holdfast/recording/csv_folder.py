@@ -5,6 +5,8 @@ The format is documented in docs/recordings.md; the header of EuRoC's IMU files 
 
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from itertools import islice
 from math import nan
 from pathlib import Path
 
@@ -18,9 +20,11 @@ from holdfast.recording.kinds import KINDS
 from holdfast.recording.merge import SkippedMessages
 from holdfast.recording.plain_numbers import check_plain
 from holdfast.recording.source import TopicInfo
+from holdfast.recording.stamp_units import Stamps, check_units
 from holdfast.recording.tracks import TrackRecording, last_line
 
 STAMP, ARRIVAL = "stamp_ns", "arrival_ns"
+FEWEST_LINES, MOST_LINES = 20, 1000  # of the beginning of a file, by which its pace is known
 ABSENT = -1
 """Index of an optional column that a file has not: behind the cells of every line stands `nan`."""
 EUROC = {
@@ -34,7 +38,8 @@ def open_files(path: Path, files: Sequence[Path]) -> TrackRecording:
     """Open a folder of CSV files; those without any column that is known are left out with a warning.
 
     Raises:
-        RecordingError: a header or the first line of a file cannot be read, or no file has a line.
+        RecordingError: a header or the first line of a file cannot be read, no file has a line, or stamps are in
+            another unit.
     """
     tracks: list[CsvTrack] = []
     foreign: list[_ForeignFileError] = []
@@ -45,6 +50,7 @@ def open_files(path: Path, files: Sequence[Path]) -> TrackRecording:
             foreign.append(error)
     if not tracks:
         raise foreign[0]
+    check_units([stamps for track in tracks for stamps in track.stamps()])
     recording = TrackRecording(path, tracks)
     recording.warnings += [f"{error}; the file is left out" for error in foreign]
     return recording
@@ -71,7 +77,8 @@ class CsvTrack:
         self._stamp = self._names.index(STAMP)
         self._arrival = self._names.index(ARRIVAL) if ARRIVAL in self._names else self._stamp
         self.start_ns = next((self._times(cells, line)[1] for line, cells, _ in self._lines()), None)
-        self.end_ns = None if self.start_ns is None else self._last_arrival()
+        last = None if self.start_ns is None else self._last_times()
+        self.end_ns = None if last is None else last[1]
         self.info = TopicInfo(one_line(file.stem), KINDS[self.kinds[0]].csv_type, 0 if self.start_ns is None else None)
 
     def messages(self, kind: str, sensor: str, skipped: SkippedMessages, warnings: list[str]) -> Iterator[Message]:
@@ -91,6 +98,30 @@ class CsvTrack:
                 yield columns.build(stamp_ns, arrival_ns, sensor, values)
             except UndecodableError as error:
                 skipped.add(self.info.topic, arrival_ns, error)
+
+    def stamps(self) -> list[Stamps]:
+        """Return what its columns of times hold; nothing of a file without lines."""
+        head = list(self._first_times())
+        if not head:
+            return []
+        (stamps, arrivals), (stamp_ns, arrival_ns) = zip(*head, strict=True), self._last_times() or head[-1]
+        pace = (stamps[-1] - stamps[0]) / (len(head) - 1) if len(head) >= FEWEST_LINES else None
+        found = [Stamps(str(self.file), STAMP, stamps[0], stamp_ns, pace)]
+        if ARRIVAL in self._names:  # which may come in bursts
+            found.append(Stamps(str(self.file), ARRIVAL, arrivals[0], arrival_ns, None))
+        return found
+
+    def _first_times(self) -> Iterator[tuple[int, int]]:
+        """Yield the times of the first lines, as far as they can be read."""
+        with suppress(RecordingError):  # whoever reads the file names the line
+            for line, cells, _ in islice(self._lines(), MOST_LINES):
+                yield self._times(cells, line)
+
+    def _last_times(self) -> tuple[int, int] | None:
+        try:
+            return self._times(last_line(self.file).split(","), 0)
+        except RecordingError:  # it was cut off
+            return None
 
     def _lines(self) -> Iterator[tuple[int, list[str], bool]]:
         """Yield the line's number, its cells, and whether it ends as a line should."""
@@ -138,12 +169,6 @@ class CsvTrack:
                 f"{self.file}:{line}: column {name} is {quoted(text)!r} (allowed: a number"
                 + (" or nothing)" if may_be_empty else ", nan if it is unknown)")
             ) from None
-
-    def _last_arrival(self) -> int | None:
-        try:
-            return self._times(last_line(self.file).split(","), 0)[1]
-        except RecordingError:
-            return None
 
 
 def _fitting_columns(header: Sequence[str], place: str) -> dict[str, Columns]:

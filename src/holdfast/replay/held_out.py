@@ -8,7 +8,7 @@ a track that is right at the stamps of the IMU is not wrong because the receiver
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol, cast
 
 import gtsam
@@ -32,12 +32,16 @@ UNKNOWN = np.full((9, 9), np.nan)
 
 @dataclass(frozen=True, slots=True)
 class HoldOut:
-    """What to hold back: every n-th usable message of a sensor, or all of them in [start, end) of the recording."""
+    """What to hold back: every n-th usable message of a sensor, or all of them in [start, end) of the recording.
+
+    `given` is the option or the argument that asked for it, for errors.
+    """
 
     sensor: str
     every: int | None = None
     start_s: float = 0.0
     end_s: float = 0.0
+    given: str = field(default="hold-out", compare=False)
 
     @classmethod
     def parse_every(cls, text: str) -> "HoldOut":
@@ -49,7 +53,7 @@ class HoldOut:
         sensor, _, every = text.partition("=")
         if not sensor or not every.isdecimal() or int(every) < 2:
             raise ConfigError(f"--hold-out {text}: must be SENSOR=N with N >= 2, such as gnss=2")
-        return cls(sensor, int(every))
+        return cls(sensor, int(every), given=f"--hold-out {text}")
 
     @classmethod
     def parse_outage(cls, text: str) -> "HoldOut":
@@ -65,7 +69,7 @@ class HoldOut:
             raise ConfigError(f"--outage {text}: must be SENSOR=START:END in seconds, such as gnss=120:180") from None
         if not 0.0 <= start < end:
             raise ConfigError(f"--outage {text}: must start at 0 s or later, and end after it starts")
-        return cls(sensor, None, start, end)
+        return cls(sensor, None, start, end, f"--outage {text}")
 
     def told(self) -> str:
         """Return which messages are held back, in words."""
@@ -78,14 +82,15 @@ def check_sensors(rules: Iterable[HoldOut], config: Config) -> None:
     """Refuse rules for sensors that the configuration has not, and two that hold back every n-th message of one.
 
     Raises:
-        ConfigError: names the sensor and those that are allowed.
+        ConfigError: names the option, the sensor and those that are allowed.
     """
     parted: set[str] = set()
     for rule in rules:
         if rule.sensor not in config.sensors:
-            raise ConfigError(f"sensor {rule.sensor!r} is not configured (allowed: {', '.join(config.sensors)})")
+            allowed = ", ".join(config.sensors)
+            raise ConfigError(f"{rule.given}: sensor {rule.sensor!r} is not configured (allowed: {allowed})")
         if rule.every is not None and rule.sensor in parted:
-            raise ConfigError(f"--hold-out {rule.sensor}={rule.every}: {rule.sensor} is given twice")
+            raise ConfigError(f"{rule.given}: {rule.sensor} is given twice")
         if rule.every is not None:
             parted.add(rule.sensor)
 

@@ -15,6 +15,7 @@ from holdfast.estimator.estimator import Estimator
 from holdfast.event_log import MeasurementRecord
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.messages import Message
+from holdfast.replay.datum_check import DatumCheck
 from holdfast.replay.held_out import HeldOutJudge, HoldOut, HoldOutFilter, Judgement
 from holdfast.replay.interrupts import Uninterrupted
 from holdfast.replay.measurements import HELD_OUT
@@ -86,6 +87,7 @@ class Replay:
         self.smoothed = HeldOutJudge(config, self.estimator)
         self.batch = HeldOutJudge(config, self.estimator)
         self._filter = HoldOutFilter(hold_out, config)
+        self._datum_check = DatumCheck(config)
         self._outputs = outputs
         self._judged = 0  # held-out positions that were written
         self._imu_name = config.imu_name
@@ -114,11 +116,14 @@ class Replay:
                     ahead_s = recorded_ns * 1e-9 / rate - (perf_counter() - began)
                     if ahead_s > 0.0:
                         sleep(ahead_s)
+                self._datum_check.add(message)
                 with uninterrupted:
                     self._process(message)
                 if progress is not None and count % 500 == 0:
                     progress(last_ns)
             self.warnings += self._filter.warnings()
+            if (far := self._datum_check.warning) is not None:
+                self.warnings.append(far)
         finally:
             uninterrupted.stop()
             self._end_batch()

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
+from holdfast.output_folder import naming_the_output
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure as Plot
@@ -171,10 +172,8 @@ def write_page(page: Page, path: Path) -> None:
     """
     html, numbers = render(page), json.dumps(numbers_of(page), indent=1, allow_nan=False)
     for file, text in ((path, html), (path.with_suffix(".json"), numbers + "\n")):
-        try:
+        with naming_the_output(file):
             file.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(f"{file}: cannot be written ({error.strerror})") from None
 
 
 def render(page: Page) -> str:

@@ -25,6 +25,7 @@ from holdfast.sim.movers import Arm, Mover, Part
 from holdfast.sim.sensors import KINDS, AnySheet, names_sensors
 from holdfast.sim.sensors.imu import SimulatedImu
 
+SHORTEST_S, LONGEST_S = 1.0, 36_000.0  # of a recording: longer than the one, at most the other
 Point = tuple[float, float]
 Kind = TypeVar("Kind", bound=Sheet)
 
@@ -168,7 +169,7 @@ class Scenario(Section):
     description: str = ""
     machine: str = Field(description="a shipped machine, or a YAML file beside the scenario")
     site: str = Field(description="a shipped site, or a YAML file beside the scenario")
-    duration_s: float = quantity("s", gt=1, le=36000, doc="length of the recording")
+    duration_s: float = quantity("s", gt=SHORTEST_S, le=LONGEST_S, doc="length of the recording")
     start: Start = Start()
     activities: tuple[Activity, ...] = Field((), description="one after the other; then the machine stands")
     faults: tuple[Fault, ...] = ()

@@ -13,7 +13,7 @@ from holdfast.config.assignment import Measured, Rule
 from holdfast.config.sensors import GnssConfig
 from holdfast.messages import Array, FixStatus, GnssFix
 from holdfast.recording.columns import Columns, diagonal
-from holdfast.recording.decode import STAMP, Decoder, FieldDecoder, known_covariance
+from holdfast.recording.decode import STAMP, Decoder, FieldDecoder, UndecodableError, known_covariance
 from holdfast.recording.kinds import DERIVED, Kind, register
 from holdfast.recording.source import Subscription
 
@@ -25,6 +25,7 @@ LEFT = ("left", "main", "master", "primary", "front", "l")
 RIGHT = ("right", "aux", "slave", "secondary", "rover", "rear", "r")
 LARGEST_SIGMA_M = 10.0  # a receiver that usually claims more is not believed
 STATUSES = {int(status): status for status in FixStatus}
+ALLOWED = ", ".join(f"{status.value} {status.name}" for status in FixStatus)
 
 
 def _status(number: float) -> FixStatus:
@@ -45,6 +46,8 @@ def fix_decoder(subscription: Subscription) -> Decoder:
 
 
 def _of_line(stamp_ns: int, arrival_ns: int, sensor: str, v: list[float]) -> GnssFix:
+    if isfinite(v[3]) and v[3] not in STATUSES:
+        raise UndecodableError(f"status is {v[3]:g} (allowed: {ALLOWED}, or nan)")
     return GnssFix(stamp_ns, arrival_ns, sensor, v[0], v[1], v[2], diagonal(v[4:]), _status(v[3]))
 
 
