@@ -134,6 +134,15 @@ class Initialising:
             check.review(*self._both_tracks())
         return check.lying
 
+    def is_confirmed(self, sensors: Collection[str], since_ns: int, estimate: gtsam.NavState) -> bool:
+        """Whether velocities of some sensors lead from just before a time to the newest position, not to an estimate."""
+        velocities, track = self._both_tracks()
+        track = [one for one in track if one.stamp_ns >= since_ns - PIECE_NS]
+        if not track:
+            return False
+        there = estimate.pose().transformFrom(self._points[track[-1].sensor].p_I_P)
+        return self._velocity_check.confirms([one for one in velocities if one.sensor in sensors], track, there)
+
     def _both_tracks(self) -> tuple[list[Velocity], list[Position]]:
         """Return the velocities, and the positions of one receiver."""
         track = sorted(self._of_first_receiver(), key=lambda one: one.stamp_ns)

@@ -17,6 +17,7 @@ from holdfast.sensors.sensor import Measurement
 from holdfast.state import OptimisedState
 
 AGAIN_NS = 60_000_000_000
+FASTER, MOST_DOUBTS = 10, 4  # the biases walk for each time that what has begun is contradicted within a minute
 FITS = 4.0  # squared residuals over what is claimed
 COURSE_S = 3.0  # over which positions and velocities are averaged
 DOUBT_RAD = radians(60.0)  # of a heading that is kept
@@ -42,6 +43,12 @@ class Successor:
         self.start = start
         self._is_in_doubt = is_in_doubt
         self._begun_ns = NEVER_NS
+        self._doubts, self._doubted_ns = 0, NEVER_NS
+
+    @property
+    def walk_scale(self) -> float:
+        """How many times faster than configured the biases of the IMU may walk."""
+        return float(FASTER**self._doubts)
 
     def add(self, measurement: Measurement) -> None:
         """Take in a checked measurement."""
@@ -61,6 +68,8 @@ class Successor:
                 turned the mount, or what has begun within a minute is contradicted again, only that counts.
         """
         is_wrong_again = current.stamp_ns - self._begun_ns < AGAIN_NS
+        if is_wrong_again:
+            self._doubts, self._doubted_ns = min(self._doubts + 1, MOST_DOUBTS), current.stamp_ns
         self.start.check_velocities()
         state = None if is_wrong_again else self.start.attempt()
         if state is None or self.start.misfit > FITS:
@@ -77,6 +86,11 @@ class Successor:
             return None
         self._begun_ns = current.stamp_ns
         return Beginning(moved, "position and velocity of the fixes, the heading in doubt")
+
+    def calm(self, now_ns: int) -> None:
+        """Doubt the IMU less if nothing has contradicted it for a while."""
+        if self._doubts and now_ns - self._doubted_ns > AGAIN_NS:
+            self._doubts, self._doubted_ns = self._doubts - 1, now_ns
 
     def settle_doubt(self) -> Beginning | None:
         """Return a state to begin from once more, as soon as the motion tells the heading that was kept in doubt."""

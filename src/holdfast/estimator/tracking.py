@@ -25,7 +25,7 @@ from holdfast.integrity.lever_arms import LeverArms
 from holdfast.integrity.noise_review import NoiseReview
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.odometries import Odometries
-from holdfast.integrity.positions import Positions
+from holdfast.integrity.positions import Contradiction, Positions
 from holdfast.integrity.recovery import Recovery
 from holdfast.integrity.states import JointAt, States
 from holdfast.integrity.yaw_learning import Witness
@@ -134,6 +134,7 @@ class Tracking:
         self.queue = MeasurementQueue()
         known = carried_priors(carried.constants, self._priors, self._machine_constants)
         self.graph = DualGraph(config, buffer, gravity, self._odometries.new_tracks(), state, carried=known)
+        self.graph.main.imu_noise.walk_scale = successor.walk_scale
 
     @property
     def is_due(self) -> bool:
@@ -256,8 +257,10 @@ class Tracking:
         self._odometries.review(now_ns)
         self._calibration.review(self.graph.main, now_ns)
         self._noise_review.review(self._odometries, self._positions.learnt_accelerometer(), now_ns)
+        self.successor.calm(now_ns)
         published = self.graph.published
-        contradiction = None if self._odometries.has_agreed() else self._positions.contradiction()
+        published.imu_noise.walk_scale = self.successor.walk_scale
+        contradiction = None if self._odometries.has_agreed() else self._contradiction()
         beginning = self.successor.settle_doubt()
         if beginning is None and contradiction is not None:
             beginning = self.successor.begin(published.newest, contradiction.since_ns)
@@ -269,6 +272,18 @@ class Tracking:
         if is_recovery:
             self._monitor.recovered(now_ns)
         return Update(published.newest, published.settled(), is_recovery, standing=standing)
+
+    def _contradiction(self) -> Contradiction | None:
+        """Return which positions contradict the estimate; velocities that say the same make fewer of them enough."""
+        found = self._positions.contradiction()
+        witnesses = self._states.contradicting(Role.VELOCITY)
+        if found is not None or not witnesses:
+            return found
+        early = self._positions.contradiction(has_witness=True)
+        if early is None:
+            return None
+        nav = self.graph.published.newest.nav
+        return early if self.successor.start.is_confirmed(witnesses, early.since_ns, nav) else None
 
     def drop_samples(self) -> None:
         """Drop the samples that no window needs any more."""

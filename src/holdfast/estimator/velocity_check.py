@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from holdfast.estimator.course import UNKNOWN_VARIANCE
+from holdfast.messages import Array
 from holdfast.sensors.sensor import Position, Velocity
 
 # of the way, and of the noise of two positions: in 316 pieces of five drives good receivers missed half of it at most
@@ -52,6 +53,12 @@ class VelocityCheck:
             proven -= {name for name, one in led.items() if one.elsewhere}
         self.lying -= proven
         self.find_mistaken(velocities, positions)
+
+    def confirms(self, velocities: Sequence[Velocity], positions: Sequence[Position], estimate: Array) -> bool:
+        """Whether a sensor that is believed leads from the first position to the last, and not to the estimate (3,)."""
+        led = {name: one for name, one in _led(velocities, positions).items() if name not in self.lying}
+        off_m = float(np.linalg.norm(positions[-1].p_W_P - estimate))
+        return any(not one.elsewhere and off_m > one.tolerance_m for one in led.values())
 
     def credible(
         self, velocities: Sequence[Velocity], positions: Sequence[Position]

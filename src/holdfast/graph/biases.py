@@ -20,6 +20,7 @@ from holdfast.messages import Array
 from holdfast.sensors.coloured import NAV_SIZE
 from holdfast.sensors.constants import priors_of_imu
 from holdfast.sensors.imu import NOT_TURNED, Turning
+from holdfast.sensors.preintegration import ImuNoise
 
 EPOCH_NS = 250_000_000
 RATE_TOLERANCE = 1e-3  # of the mean angular velocity of an epoch [rad/s], below which a scale changes nothing
@@ -53,14 +54,15 @@ class Biases:
     Args:
         config: of the estimator.
         parameters: of the smoother, the scale factors among them.
+        noise: of the IMU, as has been learnt.
     """
 
-    def __init__(self, config: Config, parameters: Parameters) -> None:
+    def __init__(self, config: Config, parameters: Parameters, noise: ImuNoise) -> None:
         imu = config.imu
         self._name = config.imu_name
         self._prior = priors_of_imu(config).get(self._name)
         self._walk = np.repeat([imu.accelerometer_random_walk, imu.gyroscope_random_walk], 3)
-        self._parameters = parameters
+        self._parameters, self._noise = parameters, noise
         self._epochs: list[Epoch] = []
         self._begun_ns = 0
         self._stale: set[int] = set()  # numbers of epochs whose walk may know another turning than there was
@@ -173,7 +175,7 @@ class Biases:
 
     def _join(self, solver: Solver, before: Epoch, epoch: Epoch) -> None:
         """Let an epoch walk on from the one before."""
-        sigmas = self._walk * np.sqrt((epoch.number - before.number) * EPOCH_NS * 1e-9)
+        sigmas = self._noise.walk_scale * self._walk * np.sqrt((epoch.number - before.number) * EPOCH_NS * 1e-9)
         zero = gtsam.imuBias.ConstantBias()
         epoch.change = epoch.turning.rate - before.turning.rate
         if epoch.scale_key is None:

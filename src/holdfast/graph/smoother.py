@@ -84,7 +84,7 @@ class Smoother:
         self._greatest_bias = np.repeat([imu.accelerometer_range, imu.gyroscope_range], 3)
         self._new_solver = new_solver or (lambda: Window(self._relinearize_thresholds()))
         self._parameters = Parameters(max(REFRESHED_NS, self._lag_ns // 3), carried)
-        self._biases = Biases(config, self._parameters)
+        self._biases = Biases(config, self._parameters, self.imu_noise)
         self._slow_sizes = sizes_of(config)
         self._frames_made = 0
         self._begin(state)

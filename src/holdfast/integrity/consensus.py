@@ -74,6 +74,11 @@ class Consensus:
             return False
         return sum(is_refused for _, is_refused in run) >= REFUSED_FRACTION * len(run)
 
+    def is_suspicious(self) -> bool:
+        """Whether the estimate refused the newest of the run, more than one: too few on their own."""
+        refused = [is_refused for _, is_refused in self._since_first_refused()]
+        return len(refused) > 1 and all(refused)
+
     @property
     def since_ns(self) -> int:
         """Stamp of the first position of the run that the estimate refused; it must be against it."""

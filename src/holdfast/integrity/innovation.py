@@ -93,6 +93,11 @@ class InnovationGate:
             return Change.REGAINED
         return Change.NONE
 
+    @property
+    def contradicts(self) -> bool:
+        """Whether the newest were refused, more than one: the state is wrong, or the sensor."""
+        return self._refused_in_a_row > 1
+
     def take_quarantined(self) -> list[Measurement]:
         """Return what has waited."""
         waiting, self._quarantine = self._quarantine, []

@@ -201,9 +201,13 @@ class Positions:
                 self._consensus[worst.sensor].contradict(worst)
                 self.take_out(smoother, worst, Outcome.CONTRADICTED)
 
-    def contradiction(self) -> Contradiction | None:
-        """Return whose positions agree among themselves, not with the estimate; None if another receiver is trusted."""
-        against = {name: run.since_ns for name, run in self._consensus.items() if run.is_against()}
+    def contradiction(self, *, has_witness: bool = False) -> Contradiction | None:
+        """Return whose positions agree among themselves, not with the estimate; None if another receiver is trusted.
+
+        Fewer are enough where there is a witness.
+        """
+        runs = self._consensus.items()
+        against = {n: run.since_ns for n, run in runs if run.is_against() or (has_witness and run.is_suspicious())}
         others = (gate for name, gate in self.gates.items() if name not in against)
         if not against or any(gate.trust is not Trust.LOST for gate in others):
             return None

@@ -35,7 +35,7 @@ class JudgedSensor:
 
     def __init__(self, sensor: StateSensor, scale: NoiseScale, joint_at: JointAt, log: EventLog) -> None:
         self.gate = InnovationGate(sensor.settings, can_fall_silent=not isinstance(sensor, ConstraintSensor))
-        self._sensor = sensor
+        self._sensor, self.role = sensor, sensor.role
         self._joint_at = joint_at
         self._log = log
         self._used_ns = NEVER_NS
@@ -191,6 +191,10 @@ class States:
     def lost(self) -> list[str]:
         """Return the sensors that are not trusted."""
         return [name for name, judged in self._judged.items() if judged.gate.is_lost]
+
+    def contradicting(self, role: Role) -> set[str]:
+        """Return the sensors of a role that have contradicted the state several times in a row."""
+        return {name for name, one in self._judged.items() if one.role is role and one.gate.contradicts}
 
     def hold(self, wrong: Collection[str], reason: str, now_ns: int) -> None:
         """Keep these sensors, and no others, out of the graphs whatever their measurements look like."""

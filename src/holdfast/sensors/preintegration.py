@@ -61,6 +61,7 @@ class ImuNoise:
         self.density = Density(config.accelerometer_noise_density, config.gyroscope_noise_density)
         self.force_scale = 1.0  # how many times larger the accelerometer's error in proportion is, as has been learnt
         self.yaw_scale = 1.0  # how many times larger the gyroscope's noise is about the vertical, as has been learnt
+        self.walk_scale = 1.0  # how many times faster the biases walk, as contradictions have shown
         self._rate_error = config.gyroscope_error_ratio * sqrt(MOTION_CORRELATION_S)
 
     def params(
