@@ -135,7 +135,7 @@ class Initialising:
         return check.lying
 
     def is_confirmed(self, sensors: Collection[str], since_ns: int, estimate: gtsam.NavState) -> bool:
-        """Whether velocities of some sensors lead from just before a time to the newest position, not to an estimate."""
+        """Whether velocities of some sensors lead from before a time to the newest position, not to an estimate."""
         velocities, track = self._both_tracks()
         track = [one for one in track if one.stamp_ns >= since_ns - PIECE_NS]
         if not track:

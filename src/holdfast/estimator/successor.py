@@ -44,6 +44,8 @@ class Successor:
         self._is_in_doubt = is_in_doubt
         self._begun_ns = NEVER_NS
         self._doubts, self._doubted_ns = 0, NEVER_NS
+        self._lying: set[str] = set()  # as of the last contradiction
+        self._told: set[str] = set()
 
     @property
     def walk_scale(self) -> float:
@@ -67,10 +69,12 @@ class Successor:
             since_ns: stamp from which on it is. If what was measured before does not fit to it, as after a knock that
                 turned the mount, or what has begun within a minute is contradicted again, only that counts.
         """
-        is_wrong_again = current.stamp_ns - self._begun_ns < AGAIN_NS
-        if is_wrong_again:
-            self._doubts, self._doubted_ns = min(self._doubts + 1, MOST_DOUBTS), current.stamp_ns
         self.start.check_velocities()
+        before, self._lying = self._lying, set(self.start.lying())
+        is_explained = bool(self._lying - before)  # by velocities that have led astray
+        is_wrong_again = current.stamp_ns - self._begun_ns < AGAIN_NS and not is_explained
+        if is_wrong_again and not self._is_in_doubt:
+            self._doubts, self._doubted_ns = min(self._doubts + 1, MOST_DOUBTS), current.stamp_ns
         state = None if is_wrong_again else self.start.attempt()
         if state is None or self.start.misfit > FITS:
             self.start.forget_before(since_ns)
@@ -86,6 +90,11 @@ class Successor:
             return None
         self._begun_ns = current.stamp_ns
         return Beginning(moved, "position and velocity of the fixes, the heading in doubt")
+
+    def newly_lying(self) -> set[str]:
+        """Return the sensors of velocity that have been found to lead elsewhere since this was asked last."""
+        before, self._told = self._told, set(self.start.lying())
+        return self._told - before
 
     def calm(self, now_ns: int) -> None:
         """Doubt the IMU less if nothing has contradicted it for a while."""

@@ -50,11 +50,9 @@ class InnovationGate:
             self._period_s = (measurement.stamp_ns - self._last_ns) * 1e-9
         self._last_ns, self._received_ns = measurement.stamp_ns, now_ns
 
-    def hold(self, *, is_wrong: bool) -> bool:
-        """Lose the sensor while it is known to be wrong, whatever the state says; return whether that is new."""
-        is_new = is_wrong and not self._is_held
+    def hold(self, *, is_wrong: bool) -> None:
+        """Lose the sensor while it is known to be wrong, whatever the state says."""
         self._is_held, self.is_lost = is_wrong, self.is_lost or is_wrong
-        return is_new
 
     def judge(self, measurement: Measurement, nis: float | Outcome, now_ns: int) -> Outcome:
         """Say what a measurement is worth: USED where it may enter, QUARANTINED where it waits, else what is wrong.

@@ -185,7 +185,6 @@ class States:
     def __init__(
         self, sensors: dict[str, StateSensor], scales: Mapping[str, NoiseScale], joint_at: JointAt, log: EventLog
     ) -> None:
-        self._log = log
         self._judged = {name: JudgedSensor(sensor, scales[name], joint_at, log) for name, sensor in sensors.items()}
 
     def lost(self) -> list[str]:
@@ -196,11 +195,10 @@ class States:
         """Return the sensors of a role that have contradicted the state several times in a row."""
         return {name for name, one in self._judged.items() if one.role is role and one.gate.contradicts}
 
-    def hold(self, wrong: Collection[str], reason: str, now_ns: int) -> None:
+    def hold(self, wrong: Collection[str]) -> None:
         """Keep these sensors, and no others, out of the graphs whatever their measurements look like."""
         for name, judged in self._judged.items():
-            if judged.gate.hold(is_wrong=name in wrong):
-                self._log.report(EventKind.SENSOR_LOST, now_ns, name, reason)
+            judged.gate.hold(is_wrong=name in wrong)
 
     def add(self, graph: DualGraph, measurement: Measurement, now_ns: int) -> Outcome:
         """Judge a measurement at its node, and add its factor to the graphs if it may enter."""
