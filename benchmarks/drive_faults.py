@@ -59,6 +59,32 @@ def late(messages: list[Message]) -> list[Message]:
     return [replace(one, velocity=before(one.stamp_ns)) if isinstance(one, GnssVelocity) else one for one in messages]
 
 
+def follows_speed(messages: list[Message]) -> list[Message]:
+    """An accelerometer whose bias follows the speed, as where vibration is rectified: 0.5 m/s^2 at 10 m/s."""
+    velocities = [one for one in messages if isinstance(one, GnssVelocity)]
+    if not velocities:
+        return messages
+    zero_ns = velocities[0].stamp_ns
+    at, speeds = [one.stamp_ns - zero_ns for one in velocities], [np.linalg.norm(one.velocity) for one in velocities]
+
+    def change(one: ImuSample) -> ImuSample:
+        speed = min(15.0, float(np.interp(one.stamp_ns - zero_ns, at, speeds)))
+        return replace(one, specific_force=one.specific_force + 0.05 * speed * AXIS)
+
+    return of_imu(change)(messages)
+
+
+def drifts(messages: list[Message]) -> list[Message]:
+    """A gyroscope whose bias drifts by 1 deg/s in five minutes, as one that warms up."""
+    middle_ns = (messages[0].stamp_ns + messages[-1].stamp_ns) // 2
+
+    def change(one: ImuSample) -> ImuSample:
+        since = (one.stamp_ns - middle_ns) * 1e-9 / 300.0
+        return replace(one, angular_velocity=one.angular_velocity + np.radians(1.0) * since * AXIS)
+
+    return of_imu(change)(messages)
+
+
 def turned(sample: ImuSample) -> ImuSample:
     """Return a sample of an IMU that has been knocked."""
     rate, force = KNOCKED @ sample.angular_velocity, KNOCKED @ sample.specific_force
@@ -73,9 +99,12 @@ FAULTS: dict[str, Fault] = {
     "gyroscope's bias jumps by 3 deg/s": of_imu(
         lambda one: replace(one, angular_velocity=one.angular_velocity + np.radians(3.0) * AXIS)
     ),
+    "gyroscope's bias drifts by 1 deg/s in 5 min": drifts,
+    "gyroscope reads zero": of_imu(lambda one: replace(one, angular_velocity=np.zeros(3))),
     "accelerometer's bias jumps by 0.5 m/s^2": of_imu(
         lambda one: replace(one, specific_force=one.specific_force + 0.5 * AXIS)
     ),
+    "accelerometer's bias follows the speed": follows_speed,
     "IMU knocked by 60 deg between two samples": of_imu(turned),
     "Doppler of the other sign": of_velocity(lambda velocity: -velocity),
     "Doppler north, east, down": of_velocity(lambda velocity: velocity[[1, 0, 2]] * [1.0, 1.0, -1.0]),

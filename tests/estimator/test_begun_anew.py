@@ -4,6 +4,7 @@
 import itertools
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 import pytest
 from motion import (
@@ -170,6 +171,34 @@ def far(fix, offset_m):
     """The same fix, some metres beside."""
     t = seconds(fix.stamp_ns)
     return fix_at(ROAD, t, np.array([0.0, offset_m, 0.0]), RTK)
+
+
+def knocked(sent, at_s):
+    """An IMU that is turned by 60 deg from one sample to the next, which its gyroscope does not see."""
+    R = gtsam.Rot3.Rodrigues(*np.radians([36.0, -30.0, 37.0])).matrix()
+
+    def turned(one):
+        return replace(one, angular_velocity=R @ one.angular_velocity, specific_force=R @ one.specific_force)
+
+    return [turned(one) if one.stamp_ns > ns(at_s) else one for one in sent]
+
+
+def test_velocities_that_say_what_the_fixes_say_make_two_of_these_enough():
+    """Gravity pushes by 8 m/s^2: within the five seconds that five fixes take it was 112 m off."""
+    sent = streams(CONSUMER, 1.0, True, 60.0)
+    sent["imu"] = knocked(sent["imu"], 30.0)
+    estimator, outputs = run(machine(lidar=False, more=DOPPLER), in_order(*sent.values()))
+    assert beginnings_s(estimator)[0] < 30.0 + 3.5
+    assert max(errors_m(outputs, 30.0)) < 0.5 * 9.81 * 3.5**2
+    assert max(errors_m(outputs, 45.0)) < 5.0 * np.hypot(*CONSUMER[:2])
+
+
+def test_a_jump_of_the_fixes_that_the_velocities_do_not_confirm_is_no_contradiction_of_two():
+    sent = streams(CONSUMER, 1.0, True, 40.0)
+    sent["gnss"] = [far(one, 40.0) if ns(30.0) < one.stamp_ns < ns(33.5) else one for one in sent["gnss"]]
+    estimator, outputs = run(machine(lidar=False, more=DOPPLER), in_order(*sent.values()))
+    assert not beginnings_s(estimator)
+    assert max(errors_m(outputs, 30.0)) < 5.0 * np.hypot(*CONSUMER[:2])
 
 
 def driven(lidar, liar, from_s, end_s, **gate):

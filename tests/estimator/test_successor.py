@@ -8,7 +8,7 @@ from motion import ARM, Drive, G, machine, ns
 from rig import NO_BIAS, buffered, position
 
 from holdfast.estimator.initialisation import Initialising
-from holdfast.estimator.successor import DOUBT_RAD, Successor
+from holdfast.estimator.successor import DOUBT_RAD, FASTER, Successor
 from holdfast.sensors.odometry import TrackPose
 from holdfast.sensors.registry import sensors_of
 from holdfast.sensors.sensor import Velocity
@@ -132,3 +132,23 @@ def test_an_attempt_over_half_a_minute_is_cheap():
     began_s = process_time()
     successor.begin(astray(30.0), ns(0.0))
     assert process_time() - began_s < 0.2
+
+
+def test_the_biases_walk_faster_for_a_while_if_what_has_begun_with_a_heading_is_contradicted_again():
+    successor = drive(begun())
+    assert successor.begin(astray(), ns(0.0)) and successor.walk_scale == 1.0
+    successor.begin(astray(END_S), ns(0.0))
+    assert successor.walk_scale == FASTER
+    successor.calm(ns(END_S + 30.0))
+    assert successor.walk_scale == FASTER
+    successor.calm(ns(END_S + 61.0))
+    assert successor.walk_scale == 1.0
+
+
+def test_what_led_astray_because_of_velocities_is_no_reason_to_doubt_the_imu():
+    successor = drive(begun(more={"doppler": {"kind": "gnss_velocity", "frame": "gnss"}}))
+    assert successor.begin(astray(), ns(0.0))
+    for t in np.arange(6.0, END_S, 0.2):  # backwards
+        successor.add(Velocity(ns(t), "doppler", -ROAD.nav(t).velocity(), np.eye(3) * 0.01))
+    assert successor.begin(astray(END_S), ns(0.0))
+    assert successor.walk_scale == 1.0 and successor.newly_lying() == {"doppler"}

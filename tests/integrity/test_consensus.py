@@ -111,3 +111,15 @@ def test_cleared_it_begins_anew():
     assert not run.is_against()
     assert not drive(run, np.arange(2.0, 2.5, 0.1)).is_against()
     assert drive(run, np.arange(2.5, 3.2, 0.1)).is_against()
+
+
+def test_two_that_were_refused_in_a_row_are_suspicious_and_one_that_was_accepted_ends_that():
+    run = begun()
+    drive(run, [0.0, 1.0], refused=lambda _: False)
+    assert not run.is_suspicious()
+    drive(run, [2.0])
+    assert not run.is_suspicious()
+    drive(run, [3.0])
+    assert run.is_suspicious() and not run.is_against()
+    drive(run, [4.0], refused=lambda _: False)
+    assert not run.is_suspicious()

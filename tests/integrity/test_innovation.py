@@ -124,3 +124,17 @@ def test_what_is_held_back_elsewhere_is_noted_so_that_it_is_not_silent():
     judge(gate, 0.0)
     gate.note(Measured(5 * SECOND_NS), 5 * SECOND_NS)
     assert review(gate, 5.5) is Change.NONE
+
+
+def test_a_sensor_that_is_held_stays_out_however_well_it_fits_and_is_regained_when_it_is_not():
+    gate = InnovationGate(SETTINGS)
+    gate.hold(is_wrong=True)
+    for k in range(20):
+        assert judge(gate, k) is Outcome.CONTRADICTED
+        assert review(gate, k) is Change.NONE and gate.is_lost
+    gate.hold(is_wrong=False)
+    changes = []
+    for k in range(20, 40):
+        judge(gate, k)
+        changes.append(review(gate, k))
+    assert Change.REGAINED in changes and not gate.is_lost

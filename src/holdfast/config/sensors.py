@@ -47,7 +47,7 @@ class InertialConfig(MountedConfig):
     accelerometer_noise_density: float = quantity("m/s^2/sqrt(Hz)", 2e-3, gt=0, le=1, doc="white noise")
     gyroscope_noise_density: float = quantity("rad/s/sqrt(Hz)", 2e-4, gt=0, le=1, doc="white noise")
     accelerometer_random_walk: float = quantity("m/s^3/sqrt(Hz)", 1e-4, gt=0, le=1, doc="drift of the bias")
-    gyroscope_random_walk: float = quantity("rad/s^2/sqrt(Hz)", 1e-5, gt=0, le=1, doc="drift of the bias")
+    gyroscope_random_walk: float = quantity("rad/s^2/sqrt(Hz)", 3e-5, gt=0, le=1, doc="drift of the bias")
     accelerometer_error_ratio: float = quantity(
         "1", 0.005, ge=0, le=0.2, doc="error in proportion to the acceleration: scale, misalignment, missed vibration"
     )

@@ -17,7 +17,7 @@ from holdfast.sensors.sensor import Measurement
 from holdfast.state import OptimisedState
 
 AGAIN_NS = 60_000_000_000
-FASTER, MOST_DOUBTS = 10, 4  # the biases walk for each time that what has begun is contradicted within a minute
+FASTER, MOST_DOUBTS = 10, 3  # the biases walk for each time that what has begun is contradicted within a minute
 FITS = 4.0  # squared residuals over what is claimed
 COURSE_S = 3.0  # over which positions and velocities are averaged
 DOUBT_RAD = radians(60.0)  # of a heading that is kept
