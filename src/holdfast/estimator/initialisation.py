@@ -19,16 +19,15 @@ from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig
 from holdfast.estimator.course import Course, course_of
 from holdfast.estimator.first_heading import Antennas, baseline_heading, pose_heading
-from holdfast.estimator.velocity_check import PIECE_NS, VelocityCheck
+from holdfast.estimator.pose_as_point import PoseAsPoint, as_position
+from holdfast.estimator.velocity_check import VelocityCheck
 from holdfast.graph.alignment import BatchAligner, BiasPrior, Evidence, level_attitude, thin
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array, Message
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.sensors.noise import UNBOUNDED
 from holdfast.sensors.odometry import OdometryNoise
-from holdfast.sensors.position import position_factor
 from holdfast.sensors.preintegration import ImuNoise
-from holdfast.sensors.sensor import Measurement, Parameter, Position, Role, Sensor, State, Velocity, of_role
+from holdfast.sensors.sensor import Measurement, Position, Role, Sensor, Velocity, of_role
 from holdfast.sensors.standstill import (
     ENGINE,
     fixes_stand,
@@ -42,7 +41,6 @@ from holdfast.state import OptimisedState, Outcome
 PLAUSIBLE_FORCE_M_S2 = (7.0, 13.0)  # mean specific force of a machine on the ground
 MIN_TRAVEL_M, MIN_TRAVEL_SIGMAS = 2.0, 5.0
 RETRY_NS = 1_000_000_000
-POSE_CORRELATION_S = 1.0
 MIN_POSITIONS = 3
 SAME_BIAS_RAD_S = 5e-3  # two standstills differ by no more
 BIAS_DRIFT_RAD_S = 1e-3  # from a standstill to the motion after it, with temperature and vibration
@@ -74,7 +72,7 @@ class Initialising:
         self._poses = {name: one for name, one in poses.items() if not self._points or one.parameter is None}
         self._headings, self._odometries = of_role(sensors, Role.HEADING), of_role(sensors, Role.ODOMETRY)
         if not self._points:  # W is where the poses are given
-            self._points = {name: _PoseAsPoint(name) for name in self._poses}
+            self._points = {name: PoseAsPoint(name) for name in self._poses}
         antennas = [self._points[name] for name in config.sensors_of(GnssConfig)][:2]
         are_sure = len(antennas) == 2 and all(one.parameter is None for one in antennas)
         self._antennas: Antennas | None = (antennas[0], antennas[1]) if are_sure else None
@@ -87,8 +85,8 @@ class Initialising:
         self._at_power_on = np.repeat([imu.accelerometer_bias_sigma, imu.gyroscope_bias_sigma], 3)
         self._bias_sigmas = self._at_power_on
         self.misfit = inf  # of the last attempt: squared residuals over what is claimed
-        self._velocity_check = VelocityCheck()
-        self._last_try_ns = self._newest_ns = self._reviewed_ns = NEVER_NS
+        self._velocity_check = VelocityCheck(self._points, of_role(sensors, Role.VELOCITY))
+        self._last_try_ns = self._newest_ns = NEVER_NS
         self._window_ns = round(config.initialisation.window_s * 1e9)
         noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
         self._aligner = BatchAligner(buffer, noise, self._points, of_role(sensors, Role.VELOCITY))
@@ -112,7 +110,7 @@ class Initialising:
         elif role is not Role.STATE:
             self._others.setdefault(measurement.sensor, deque()).append(measurement)
         if role is Role.POSE and measurement.sensor in self._points:
-            self._positions.append(_as_position(measurement))
+            self._positions.append(as_position(measurement))
         self._newest_ns = max(self._newest_ns, measurement.stamp_ns)
         self._forget_before(self._newest_ns - self._window_ns)
         return role in self._triggers or not self._triggers
@@ -124,29 +122,17 @@ class Initialising:
 
     def check_velocities(self) -> None:
         """Leave out sensors of velocity from now on that lead elsewhere than the positions."""
-        self._velocity_check.look_back(*self._both_tracks())
+        self._velocity_check.look_back(self._velocities, self._positions)
 
     def lying(self) -> Collection[str]:
-        """Return the sensors of velocity that lead elsewhere than the positions: looked at every few seconds."""
-        check = self._velocity_check
-        if self._velocities and self._newest_ns - self._reviewed_ns > PIECE_NS:
-            self._reviewed_ns = self._newest_ns
-            check.review(*self._both_tracks())
-        return check.lying
+        """Return the sensors of velocity that lead elsewhere than the positions."""
+        self._velocity_check.review(self._velocities, self._positions, self._newest_ns)
+        return self._velocity_check.lying
 
     def is_confirmed(self, sensors: Collection[str], since_ns: int, estimate: gtsam.NavState) -> bool:
         """Whether velocities of some sensors lead from before a time to the newest position, not to an estimate."""
-        velocities, track = self._both_tracks()
-        track = [one for one in track if one.stamp_ns >= since_ns - PIECE_NS]
-        if not track:
-            return False
-        there = estimate.pose().transformFrom(self._points[track[-1].sensor].p_I_P)
-        return self._velocity_check.confirms([one for one in velocities if one.sensor in sensors], track, there)
-
-    def _both_tracks(self) -> tuple[list[Velocity], list[Position]]:
-        """Return the velocities, and the positions of one receiver."""
-        track = sorted(self._of_first_receiver(), key=lambda one: one.stamp_ns)
-        return _between(self._velocities, NEVER_NS, self._newest_ns), track
+        witnesses = [one for one in self._velocities if one.sensor in sensors]
+        return self._velocity_check.confirms(witnesses, self._positions, since_ns, estimate)
 
     def forget_before(self, stamp_ns: int) -> None:
         """Forget what was measured before a time."""
@@ -345,8 +331,9 @@ class Initialising:
         """Return velocities since the first of some positions, and the sensors that are left out."""
         if not fixes:
             return [], []
-        track = [fix for fix in fixes if fix.sensor == fixes[-1].sensor]
-        return self._velocity_check.credible(_between(self._velocities, fixes[0].stamp_ns, end_ns), track)
+        velocities = _between(self._velocities, fixes[0].stamp_ns, end_ns)
+        erring = self._velocity_check.erring(velocities, fixes)
+        return [one for one in velocities if one.sensor not in erring], erring
 
     def _by_any_clock(self, state: OptimisedState, fix: Position) -> OptimisedState:
         """Return a state in motion that is as uncertain as the clock of the positions that it was found from."""
@@ -376,27 +363,6 @@ class Initialising:
                     keys = gtsam.symbol("x", k), gtsam.symbol("x", k + 1)
                     factors.append(noise.relative_factor(*keys, before.between(after)))
         return factors
-
-
-class _PoseAsPoint:
-    """An absolute pose as what the batch takes: the position of the IMU itself."""
-
-    p_I_P = np.zeros(3)
-    parameter: Parameter | None = None
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def factor(
-        self, keys: Sequence[int], position: Position, inflation: float, _state: State | None = None
-    ) -> gtsam.NonlinearFactor:
-        return position_factor(keys[0], position, self.p_I_P, UNBOUNDED, inflation)
-
-
-def _as_position(pose: Any) -> Position:
-    R = pose.T_F_I.rotation().matrix()
-    covariance = R @ pose.covariance[3:, 3:] @ R.T
-    return Position(pose.stamp_ns, pose.sensor, pose.T_F_I.translation(), covariance, POSE_CORRELATION_S)
 
 
 def _track_at(track: deque[Any], stamp_ns: int) -> gtsam.Pose3 | None:

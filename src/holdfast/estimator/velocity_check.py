@@ -3,19 +3,22 @@
 A receiver whose velocities are in other axes, late, of another sign or always zero claims no less than a good one.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import sqrt
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
+import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
 from holdfast.estimator.course import UNKNOWN_VARIANCE
+from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.sensor import Position, Velocity
 
 # of the way, and of the noise of two positions: in 316 pieces of five drives good receivers missed half of it at most
 ELSEWHERE, ELSEWHERE_SIGMA = 0.1, 3.0
+BESIDE_M = 0.5  # so near are a receiver and a sensor of velocity that go the same way
 PIECE_NS = 5_000_000_000  # in which the past is looked at
 LATE_S = 1.0  # a piece in which velocities so late would lead elsewhere is a proof where they do not
 LAGS_S = np.linspace(-1.5, 1.5, 13)
@@ -25,54 +28,87 @@ HARMLESS_S, STEP_S, MIN_STEPS = 0.4, 0.9, 8
 WORSE, MIN_MISSED_M = 9.0, 0.3
 
 
+class Mounted(Protocol):
+    """A sensor at a point of the machine, (3,) [m] in the frame of the IMU."""
+
+    p_I_P: Array
+
+
 class VelocityCheck:
     """Knows the sensors of velocity that lead elsewhere than the positions.
 
+    Both are given as they were collected. Velocities are compared with the positions of receivers at the same point of
+    the machine: opposite antennas of a cabin that slews go opposite ways.
+
+    Args:
+        receivers: of positions, by name.
+        sensors: of velocities, by name.
+
     Attributes:
-        lying: their names.
+        lying: names of the sensors.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, receivers: Mapping[str, Mounted], sensors: Mapping[str, Mounted]) -> None:
         self.lying: set[str] = set()
+        self._beside = {
+            name: {one for one, sensor in sensors.items() if np.linalg.norm(sensor.p_I_P - at.p_I_P) < BESIDE_M}
+            for name, at in receivers.items()
+        }
+        self._receivers = receivers
+        self._reviewed_ns = NEVER_NS
 
-    def look_back(self, velocities: Sequence[Velocity], positions: Sequence[Position]) -> None:
-        """Leave out what leads elsewhere than the positions of one receiver in a piece of the past."""
-        for led in _pieces(velocities, positions):
-            self.lying |= {name for name, one in led.items() if one.elsewhere}
-        self.find_mistaken(velocities, positions)
+    def look_back(self, velocities: Iterable[Velocity], positions: Iterable[Position]) -> None:
+        """Leave out what leads elsewhere than the positions of a receiver in a piece of the past, or errs otherwise."""
+        for series, track in self._pairs(velocities, positions):
+            for led in _pieces(series, track):
+                self.lying |= {name for name, one in led.items() if one.elsewhere}
+            self.lying |= _mistaken(series, track)
 
-    def find_mistaken(self, velocities: Sequence[Velocity], positions: Sequence[Position]) -> None:
-        """Leave out what fits to the positions of one receiver much better at another time or in other axes."""
-        self.lying |= {name for name, series in _by_sensor(velocities).items() if _is_mistaken(series, positions)}
+    def review(self, velocities: Iterable[Velocity], positions: Iterable[Position], now_ns: int) -> None:
+        """Every few seconds believe again what has since led where the positions do; leave out what errs."""
+        if now_ns - self._reviewed_ns <= PIECE_NS:
+            return
+        self._reviewed_ns = now_ns
+        for series, track in self._pairs(velocities, positions):
+            proven: set[str] = set()
+            for led in _pieces(series, track):
+                proven |= {name for name, one in led.items() if one.is_proof}
+                proven -= {name for name, one in led.items() if one.elsewhere}
+            self.lying -= proven
+            self.lying |= _mistaken(series, track)
 
-    def review(self, velocities: Sequence[Velocity], positions: Sequence[Position]) -> None:
-        """Believe again what has since led where the positions do, where a late one would not; leave out what errs."""
-        proven: set[str] = set()
-        for led in _pieces(velocities, positions):
-            proven |= {name for name, one in led.items() if one.is_proof}
-            proven -= {name for name, one in led.items() if one.elsewhere}
-        self.lying -= proven
-        self.find_mistaken(velocities, positions)
+    def confirms(
+        self, witnesses: Iterable[Velocity], positions: Iterable[Position], since_ns: int, estimate: gtsam.NavState
+    ) -> bool:
+        """Whether velocities that are believed lead from before a time to the newest position, not to an estimate."""
+        believed = [one for one in witnesses if one.sensor not in self.lying]
+        for series, track in self._pairs(believed, positions, since_ns - PIECE_NS):
+            there = estimate.pose().transformFrom(self._receivers[track[-1].sensor].p_I_P)
+            off_m = float(np.linalg.norm(track[-1].p_W_P - there))
+            if any(not one.elsewhere and off_m > one.tolerance_m for one in _led(series, track).values()):
+                return True
+        return False
 
-    def confirms(self, velocities: Sequence[Velocity], positions: Sequence[Position], estimate: Array) -> bool:
-        """Whether a sensor that is believed leads from the first position to the last, and not to the estimate (3,)."""
-        led = {name: one for name, one in _led(velocities, positions).items() if name not in self.lying}
-        off_m = float(np.linalg.norm(positions[-1].p_W_P - estimate))
-        return any(not one.elsewhere and off_m > one.tolerance_m for one in led.values())
+    def erring(self, velocities: Sequence[Velocity], positions: Sequence[Position]) -> list[str]:
+        """Return the sensors whose velocities err, these or earlier ones."""
+        found = set(self.lying)
+        for series, track in self._pairs(velocities, positions):
+            found |= {name for name, one in _led(series, track).items() if one.elsewhere} | _mistaken(series, track)
+        return sorted(found & {one.sensor for one in velocities})
 
-    def credible(
-        self, velocities: Sequence[Velocity], positions: Sequence[Position]
-    ) -> tuple[list[Velocity], list[str]]:
-        """Return velocities, and the sensors whose velocities are left out: they lead elsewhere, now or in the past.
+    def _pairs(
+        self, velocities: Iterable[Velocity], positions: Iterable[Position], since_ns: int = NEVER_NS
+    ) -> Iterator[tuple[list[Velocity], list[Position]]]:
+        """Yield the velocities beside each receiver and its positions, by stamp."""
+        for name, beside in self._beside.items():
+            series = sorted((v for v in velocities if v.sensor in beside and v.stamp_ns >= since_ns), key=_stamp_ns)
+            track = sorted((p for p in positions if p.sensor == name and p.stamp_ns >= since_ns), key=_stamp_ns)
+            if series and track:
+                yield series, track
 
-        Args:
-            velocities: sorted by stamp.
-            positions: of one receiver, sorted by stamp.
-        """
-        elsewhere = {name for name, one in _led(velocities, positions).items() if one.elsewhere}
-        mistaken = {name for name, series in _by_sensor(velocities).items() if _is_mistaken(series, positions)}
-        lying = {one.sensor for one in velocities} & (self.lying | elsewhere | mistaken)
-        return [one for one in velocities if one.sensor not in lying], sorted(lying)
+
+def _stamp_ns(one: Velocity | Position) -> int:
+    return one.stamp_ns
 
 
 class _Led(NamedTuple):
@@ -139,6 +175,11 @@ def _where(velocities: Sequence[Velocity], positions: Sequence[Position]) -> _Le
     way_m = max(np.linalg.norm(moved), np.trapezoid(np.linalg.norm(speeds, axis=1), t))
     change_m_s = float(np.linalg.norm(speeds[-1] - speeds[0])) - _sigmas(velocities)
     return _Led(float(np.linalg.norm(moved - led)), noise_m + ELSEWHERE * float(way_m), change_m_s)
+
+
+def _mistaken(velocities: Sequence[Velocity], positions: Sequence[Position]) -> set[str]:
+    """Return the sensors whose velocities fit to the positions much better at another time or in other axes."""
+    return {name for name, series in _by_sensor(velocities).items() if _is_mistaken(series, positions)}
 
 
 def _sigmas(series: Sequence[Position] | Sequence[Velocity]) -> float:
