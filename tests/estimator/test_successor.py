@@ -151,4 +151,4 @@ def test_what_led_astray_because_of_velocities_is_no_reason_to_doubt_the_imu():
     for t in np.arange(6.0, END_S, 0.2):  # backwards
         successor.add(Velocity(ns(t), "doppler", -ROAD.nav(t).velocity(), np.eye(3) * 0.01))
     assert successor.begin(astray(END_S), ns(0.0))
-    assert successor.walk_scale == 1.0 and successor.newly_lying() == {"doppler"}
+    assert successor.walk_scale == 1.0 and successor.start.lying == {"doppler"}

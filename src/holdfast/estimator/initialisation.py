@@ -124,10 +124,15 @@ class Initialising:
         """Leave out sensors of velocity from now on that lead elsewhere than the positions."""
         self._velocity_check.look_back(self._velocities, self._positions)
 
-    def lying(self) -> Collection[str]:
-        """Return the sensors of velocity that lead elsewhere than the positions."""
+    @property
+    def lying(self) -> frozenset[str]:
+        """The sensors of velocity that are left out of a start."""
+        return frozenset(self._velocity_check.lying)
+
+    def mistaken(self) -> Collection[str]:
+        """Return the sensors of velocity that are late, of another sign or in other axes."""
         self._velocity_check.review(self._velocities, self._positions, self._newest_ns)
-        return self._velocity_check.lying
+        return self._velocity_check.mistaken
 
     def is_confirmed(self, sensors: Collection[str], since_ns: int, estimate: gtsam.NavState) -> bool:
         """Whether velocities of some sensors lead from before a time to the newest position, not to an estimate."""
@@ -322,7 +327,6 @@ class Initialising:
         limit_rad = radians(self._config.initialisation.max_heading_sigma_deg)
         alignment = self._aligner.solve(evidence, self.biases, limit_rad)
         self.misfit = alignment.misfit
-        self._velocity_check.lying.update(lying)
         without = f", without {', '.join(lying)}, which leads elsewhere than the positions" if lying else ""
         self.reason = f"{alignment.reason}{without}"
         return None if alignment.state is None else self._by_any_clock(alignment.state, fixes[-1])

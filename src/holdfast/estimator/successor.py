@@ -44,7 +44,7 @@ class Successor:
         self._is_in_doubt = is_in_doubt
         self._begun_ns = NEVER_NS
         self._doubts, self._doubted_ns = 0, NEVER_NS
-        self._lying: set[str] = set()  # as of the last contradiction
+        self._lying: frozenset[str] = frozenset()  # as of the last contradiction
         self._told: set[str] = set()
 
     @property
@@ -70,7 +70,7 @@ class Successor:
                 turned the mount, or what has begun within a minute is contradicted again, only that counts.
         """
         self.start.check_velocities()
-        before, self._lying = self._lying, set(self.start.lying())
+        before, self._lying = self._lying, self.start.lying
         is_explained = bool(self._lying - before)  # by velocities that have led astray
         is_wrong_again = current.stamp_ns - self._begun_ns < AGAIN_NS and not is_explained
         if is_wrong_again and not self._is_in_doubt:
@@ -91,9 +91,9 @@ class Successor:
         self._begun_ns = current.stamp_ns
         return Beginning(moved, "position and velocity of the fixes, the heading in doubt")
 
-    def newly_lying(self) -> set[str]:
-        """Return the sensors of velocity that have been found to lead elsewhere since this was asked last."""
-        before, self._told = self._told, set(self.start.lying())
+    def newly_mistaken(self) -> set[str]:
+        """Return the sensors of velocity that have been found mistaken since this was asked last."""
+        before, self._told = self._told, set(self.start.mistaken())
         return self._told - before
 
     def calm(self, now_ns: int) -> None:

@@ -40,6 +40,7 @@ Channel = Callable[[DualGraph, Any, int], Outcome]
 """Takes the graphs, a measurement and the time that the IMU has reached; says what became of the measurement."""
 
 
+MISTAKEN = "it is late, of another sign or in other axes, as the positions show"
 WITNESSES = Role.POSITION, Role.VELOCITY  # of motion, where the machine was believed to stand
 
 
@@ -135,7 +136,7 @@ class Tracking:
         known = carried_priors(carried.constants, self._priors, self._machine_constants)
         self.graph = DualGraph(config, buffer, gravity, self._odometries.new_tracks(), state, carried=known)
         self.graph.main.imu_noise.walk_scale = successor.walk_scale
-        self._hold_lying(state.stamp_ns)
+        self._hold_mistaken(state.stamp_ns)
 
     @property
     def is_due(self) -> bool:
@@ -254,7 +255,7 @@ class Tracking:
         is_recovery = self._recovery.review(self.graph, now_ns)
         for channel in self._headings, self._states:
             channel.review(self.graph, now_ns)
-        self._hold_lying(now_ns)
+        self._hold_mistaken(now_ns)
         self._odometries.review(now_ns)
         self._calibration.review(self.graph.main, now_ns)
         self._noise_review.review(self._odometries, self._positions.learnt_accelerometer(), now_ns)
@@ -274,11 +275,11 @@ class Tracking:
             self._monitor.recovered(now_ns)
         return Update(published.newest, published.settled(), is_recovery, standing=standing)
 
-    def _hold_lying(self, now_ns: int) -> None:
-        """Keep velocities out that are known to lead elsewhere than the positions."""
-        self._states.hold(self.successor.start.lying())
-        for name in self.successor.newly_lying():
-            self._log.report(EventKind.SENSOR_LOST, now_ns, name, "it leads elsewhere than the positions")
+    def _hold_mistaken(self, now_ns: int) -> None:
+        """Keep velocities out that are late, of another sign or in other axes."""
+        self._states.hold(self.successor.start.mistaken())
+        for name in sorted(self.successor.newly_mistaken()):
+            self._log.report(EventKind.SENSOR_LOST, now_ns, name, MISTAKEN)
 
     def _contradiction(self) -> Contradiction | None:
         """Return which positions contradict the estimate; velocities that say the same make fewer of them enough."""
