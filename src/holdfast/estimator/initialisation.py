@@ -139,6 +139,11 @@ class Initialising:
         witnesses = [one for one in self._velocities if one.sensor in sensors]
         return self._velocity_check.confirms(witnesses, self._positions, since_ns, estimate)
 
+    def is_refuted(self, sensors: Collection[str], since_ns: int) -> bool:
+        """Whether velocities of some sensors, proven before, lead elsewhere than the positions do since a time."""
+        witnesses = [one for one in self._velocities if one.sensor in sensors]
+        return self._velocity_check.refutes(witnesses, self._positions, since_ns)
+
     def forget_before(self, stamp_ns: int) -> None:
         """Forget what was measured before a time."""
         self._forget_before(stamp_ns)

@@ -4,6 +4,7 @@ A receiver whose velocities are in other axes, late, of another sign or always z
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from enum import Enum
 from math import sqrt
 from typing import NamedTuple, Protocol
 
@@ -20,7 +21,6 @@ from holdfast.sensors.sensor import Position, Velocity
 ELSEWHERE, ELSEWHERE_SIGMA = 0.1, 3.0
 BESIDE_M = 0.5  # so near are a receiver and a sensor of velocity that go the same way
 PIECE_NS = 5_000_000_000  # in which the past is looked at
-LATE_S = 1.0  # a piece in which velocities so late would lead elsewhere is a proof where they do not
 LAGS_S = np.linspace(-1.5, 1.5, 13)
 OTHERWISE = np.array([[[-1.0, 0.0], [0.0, -1.0]], [[0.0, 1.0], [1.0, 0.0]]])  # of the other sign; north, east
 HARMLESS_S, STEP_S, MIN_STEPS = 0.4, 0.9, 8
@@ -47,11 +47,13 @@ class VelocityCheck:
     Attributes:
         lying: names of the sensors; those that disagree with positions may be right, and are left out of starts alone.
         mistaken: those of them that are late, of another sign or in other axes, which no error of positions explains.
+        proven: names of those that have led where the positions do, and otherwise would not have.
     """
 
     def __init__(self, receivers: Mapping[str, Mounted], sensors: Mapping[str, Mounted]) -> None:
         self.lying: set[str] = set()
         self.mistaken: set[str] = set()
+        self.proven: set[str] = set()
         self._beside = {
             name: {one for one, sensor in sensors.items() if np.linalg.norm(sensor.p_I_P - at.p_I_P) < BESIDE_M}
             for name, at in receivers.items()
@@ -64,25 +66,27 @@ class VelocityCheck:
         for series, track in self._pairs(velocities, positions):
             for led in _pieces(series, track):
                 self.lying |= {name for name, one in led.items() if one.elsewhere}
-            self._accuse(_mistaken(series, track))
+            self._compare(series, track)
 
     def review(self, velocities: Iterable[Velocity], positions: Iterable[Position], now_ns: int) -> None:
-        """Every few seconds believe again what has since led where the positions do; leave out what errs."""
+        """Every few seconds believe what leads where the positions do; leave out what errs."""
         if now_ns - self._reviewed_ns <= PIECE_NS:
             return
         self._reviewed_ns = now_ns
         for series, track in self._pairs(velocities, positions):
-            proven: set[str] = set()
-            for led in _pieces(series, track):
-                proven |= {name for name, one in led.items() if one.is_proof}
-                proven -= {name for name, one in led.items() if one.elsewhere}
-            self.lying -= proven
-            self.mistaken -= proven
-            self._accuse(_mistaken(series, track))
+            self._compare(series, track)
 
-    def _accuse(self, mistaken: set[str]) -> None:
-        self.lying |= mistaken
-        self.mistaken |= mistaken
+    def _compare(self, velocities: Sequence[Velocity], positions: Sequence[Position]) -> None:
+        """Accuse what fits much better otherwise, and believe what fits much worse."""
+        for name, fit in _fits(velocities, positions).items():
+            if fit is Fit.OTHERWISE:
+                self.lying.add(name)
+                self.mistaken.add(name)
+                self.proven.discard(name)
+            elif fit is Fit.AS_IT_IS:
+                self.lying.discard(name)
+                self.mistaken.discard(name)
+                self.proven.add(name)
 
     def confirms(
         self, witnesses: Iterable[Velocity], positions: Iterable[Position], since_ns: int, estimate: gtsam.NavState
@@ -96,11 +100,18 @@ class VelocityCheck:
                 return True
         return False
 
+    def refutes(self, witnesses: Iterable[Velocity], positions: Iterable[Position], since_ns: int) -> bool:
+        """Whether velocities that have been proven lead elsewhere than the positions from before a time on."""
+        proven = [one for one in witnesses if one.sensor in self.proven]
+        pairs = self._pairs(proven, positions, since_ns - PIECE_NS)
+        return any(one.elsewhere for pair in pairs for one in _led(*pair).values())
+
     def erring(self, velocities: Sequence[Velocity], positions: Sequence[Position]) -> list[str]:
         """Return the sensors whose velocities err, these or earlier ones."""
         found = set(self.lying)
         for series, track in self._pairs(velocities, positions):
-            found |= {name for name, one in _led(series, track).items() if one.elsewhere} | _mistaken(series, track)
+            found |= {name for name, one in _led(series, track).items() if one.elsewhere}
+            found |= {name for name, fit in _fits(series, track).items() if fit is Fit.OTHERWISE}
         return sorted(found & {one.sensor for one in velocities})
 
     def _pairs(
@@ -124,22 +135,15 @@ class _Led(NamedTuple):
     Attributes:
         missed_m: how far from the position at the end.
         tolerance_m: by how much a good one may miss it.
-        change_m_s: of the velocity from begin to end, beyond its noise.
     """
 
     missed_m: float
     tolerance_m: float
-    change_m_s: float
 
     @property
     def elsewhere(self) -> bool:
         """Whether they led elsewhere."""
         return self.missed_m > self.tolerance_m
-
-    @property
-    def is_proof(self) -> bool:
-        """Whether velocities that were late would have been found."""
-        return not self.elsewhere and self.change_m_s * LATE_S > self.tolerance_m
 
 
 def _pieces(velocities: Sequence[Velocity], positions: Sequence[Position]) -> Iterator[dict[str, _Led]]:
@@ -178,29 +182,30 @@ def _where(velocities: Sequence[Velocity], positions: Sequence[Position]) -> _Le
     speeds = np.array([one.v_W_P for one in velocities])[inside][:, known]
     ends = np.column_stack([np.interp(t[[0, -1]], (at_ns - at_ns[0]) * 1e-9, axis) for axis in track.T])
     moved, led = (ends[1] - ends[0])[known], np.trapezoid(speeds, t, axis=0)
-    noise_m = _sigmas(positions)
+    noise_m = ELSEWHERE_SIGMA * sqrt(sum(float(np.trace(one.covariance)) for one in (positions[0], positions[-1])))
     way_m = max(np.linalg.norm(moved), np.trapezoid(np.linalg.norm(speeds, axis=1), t))
-    change_m_s = float(np.linalg.norm(speeds[-1] - speeds[0])) - _sigmas(velocities)
-    return _Led(float(np.linalg.norm(moved - led)), noise_m + ELSEWHERE * float(way_m), change_m_s)
+    return _Led(float(np.linalg.norm(moved - led)), noise_m + ELSEWHERE * float(way_m))
 
 
-def _mistaken(velocities: Sequence[Velocity], positions: Sequence[Position]) -> set[str]:
-    """Return the sensors whose velocities fit to the positions much better at another time or in other axes."""
-    return {name for name, series in _by_sensor(velocities).items() if _is_mistaken(series, positions)}
+class Fit(Enum):
+    """How velocities fit to the steps of positions."""
+
+    UNKNOWN = "nothing tells"
+    AS_IT_IS = "much better than they would otherwise"
+    OTHERWISE = "much better at another time or in other axes"
 
 
-def _sigmas(series: Sequence[Position] | Sequence[Velocity]) -> float:
-    """Return by how much the noise of the first and the last may change a difference of the two [m or m/s]."""
-    return ELSEWHERE_SIGMA * sqrt(sum(float(np.trace(one.covariance)) for one in (series[0], series[-1])))
+def _fits(velocities: Sequence[Velocity], positions: Sequence[Position]) -> dict[str, Fit]:
+    return {name: _fit(series, positions) for name, series in _by_sensor(velocities).items()}
 
 
-def _is_mistaken(velocities: Sequence[Velocity], positions: Sequence[Position]) -> bool:
-    """Whether the velocities of one sensor fit to steps of the positions of one receiver much better otherwise.
+def _fit(velocities: Sequence[Velocity], positions: Sequence[Position]) -> Fit:
+    """Return how the velocities of one sensor fit to steps of the positions of one receiver.
 
     Whatever positions and velocities are worth: their noise is left in any case.
     """
     if len(velocities) < MIN_STEPS or len(positions) <= MIN_STEPS:
-        return False
+        return Fit.UNKNOWN
     zero_ns = positions[0].stamp_ns
     at_s, t = (np.array([(one.stamp_ns - zero_ns) * 1e-9 for one in series]) for series in (positions, velocities))
     inside = [k for k, s in enumerate(at_s) if t[0] - LAGS_S[0] <= s <= t[-1] - LAGS_S[-1]]
@@ -209,7 +214,7 @@ def _is_mistaken(velocities: Sequence[Velocity], positions: Sequence[Position]) 
         if not steps or at_s[k] - at_s[steps[-1]] >= STEP_S:
             steps.append(k)
     if len(steps) <= MIN_STEPS:
-        return False
+        return Fit.UNKNOWN
     speeds = np.array([one.v_W_P[:2] for one in velocities])
     way = np.vstack([np.zeros(2), np.cumsum(0.5 * (speeds[1:] + speeds[:-1]) * np.diff(t)[:, None], axis=0)])
     moved = np.diff(np.array([positions[k].p_W_P[:2] for k in steps]), axis=0)
@@ -221,4 +226,6 @@ def _is_mistaken(velocities: Sequence[Velocity], positions: Sequence[Position]) 
 
     now, *otherwise = left(0.0)
     best = min(*otherwise, *(left(lag_s)[0] for lag_s in LAGS_S if abs(lag_s) > HARMLESS_S))
-    return bool(now > max(WORSE * best, MIN_MISSED_M**2))
+    if now > max(WORSE * best, MIN_MISSED_M**2):
+        return Fit.OTHERWISE
+    return Fit.AS_IT_IS if best > max(WORSE * now, MIN_MISSED_M**2) else Fit.UNKNOWN

@@ -191,6 +191,11 @@ class States:
         """Return the sensors that are not trusted."""
         return [name for name, judged in self._judged.items() if judged.gate.is_lost]
 
+    def agreeing(self, role: Role) -> set[str]:
+        """Return the sensors of a role that are trusted and do not contradict the state."""
+        judged = ((name, one.gate) for name, one in self._judged.items() if one.role is role)
+        return {name for name, gate in judged if not gate.is_lost and not gate.contradicts}
+
     def contradicting(self, role: Role) -> set[str]:
         """Return the sensors of a role that have contradicted the state several times in a row."""
         return {name for name, one in self._judged.items() if one.role is role and one.gate.contradicts}
