@@ -1,5 +1,6 @@
 """Which velocities are left out: those that lead elsewhere than the positions, or fit to them much better otherwise."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import gtsam
@@ -91,3 +92,15 @@ def test_velocities_confirm_positions_against_an_estimate_that_is_elsewhere():
     assert not begun().confirms(*sent, ns(33.0), there)
     backwards = velocities(25.0, 35.0, axes=-np.eye(3))
     assert not begun().confirms(backwards, sent[1], ns(33.0), off)
+
+
+def test_velocities_that_have_proven_right_stand_against_fixes_that_wander():
+    rng, check = np.random.default_rng(3), begun()
+    fixes = positions(5.0, 45.0, 0.1, 0.5)
+    wander = np.cumsum(rng.normal(0.0, 4.0, (len(fixes), 3)), axis=0)
+    astray = [replace(one, p_W_P=one.p_W_P + off) for one, off in zip(fixes, wander, strict=True)]
+    assert not check.refutes(velocities(5.0, 45.0), astray, ns(35.0))  # nothing has proven them
+    check.review(velocities(5.0, 35.0), positions(5.0, 35.0, 0.1, 0.5), ns(35.0))
+    assert check.proven == {"doppler"}
+    assert check.refutes(velocities(5.0, 45.0), astray, ns(35.0))
+    assert not check.refutes(velocities(5.0, 45.0), fixes, ns(35.0))
