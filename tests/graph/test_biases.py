@@ -10,6 +10,7 @@ from holdfast.graph.biases import EPOCH_NS, Biases
 from holdfast.graph.parameters import Parameters
 from holdfast.graph.window import Window
 from holdfast.sensors.imu import NOT_TURNED, Turning
+from holdfast.sensors.preintegration import ImuNoise
 
 CONFIG = machine(imu_={"gyroscope_error_ratio": 0.003})
 SECOND_NS = 1_000_000_000
@@ -32,7 +33,7 @@ class Begun:
 
     def __init__(self, config=CONFIG):
         self.window, self.parameters = empty(), Parameters()
-        self.biases = Biases(config, self.parameters)
+        self.biases = Biases(config, self.parameters, ImuNoise(config.imu, 1e-3, 9.81))
         self.biases.begin(self.window, 0, NO_BIAS)
         self.window.add(prior(self.biases.newest_key, np.zeros(3), 1e-6))
 
