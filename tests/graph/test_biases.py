@@ -12,7 +12,7 @@ from holdfast.graph.window import Window
 from holdfast.sensors.imu import NOT_TURNED, Turning
 from holdfast.sensors.preintegration import ImuNoise
 
-CONFIG = machine(imu_={"gyroscope_error_ratio": 0.003})
+CONFIG = machine(imu_={"gyroscope_error_ratio": 0.003, "gyroscope_random_walk": 1e-5})
 SECOND_NS = 1_000_000_000
 
 
