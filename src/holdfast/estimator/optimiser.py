@@ -361,7 +361,10 @@ class Optimiser:
         self._learnt = self.learnt().without_constants()
         if before.is_lost:
             self._log.report(EventKind.GNSS_REGAINED, now_ns, "", reason)
-        for name in (one for one in before.lost() if one not in successor.start.mistaken()):
+        mistaken = successor.start.mistaken()
+        for name in before.lost():
+            if name in mistaken:
+                continue
             is_receiver = self._sensors[name].role is Role.POSITION
             kind = EventKind.RECEIVER_REGAINED if is_receiver else EventKind.SENSOR_REGAINED
             self._log.report(kind, now_ns, name, reason)

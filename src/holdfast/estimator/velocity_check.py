@@ -3,7 +3,7 @@
 A receiver whose velocities are in other axes, late, of another sign or always zero claims no less than a good one.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from enum import Enum
 from math import sqrt
 from typing import NamedTuple, Protocol
@@ -55,75 +55,77 @@ class VelocityCheck:
         self.lying: set[str] = set()
         self.mistaken: set[str] = set()
         self.proven: set[str] = set()
-        self._beside = {
-            name: {one for one, sensor in sensors.items() if np.linalg.norm(sensor.p_I_P - at.p_I_P) < BESIDE_M}
-            for name, at in receivers.items()
-        }
         self._receivers = receivers
+        self._beside = [
+            (name, receiver)
+            for name, sensor in sensors.items()
+            for receiver, at in receivers.items()
+            if np.linalg.norm(sensor.p_I_P - at.p_I_P) < BESIDE_M
+        ]
         self._reviewed_ns = NEVER_NS
 
-    def look_back(self, velocities: Iterable[Velocity], positions: Iterable[Position]) -> None:
+    def look_back(self, velocities: Collection[Velocity], positions: Collection[Position]) -> None:
         """Leave out what leads elsewhere than the positions of a receiver in a piece of the past, or errs otherwise."""
-        for series, track in self._pairs(velocities, positions):
-            for led in _pieces(series, track):
-                self.lying |= {name for name, one in led.items() if one.elsewhere}
-            self._compare(series, track)
+        for name, series, track in self._pairs(velocities, positions):
+            if any(_leads_elsewhere(inside, piece) for inside, piece in _pieces(series, track)):
+                self.lying.add(name)
+            self._compare(name, series, track)
 
-    def review(self, velocities: Iterable[Velocity], positions: Iterable[Position], now_ns: int) -> None:
+    def review(self, velocities: Collection[Velocity], positions: Collection[Position], now_ns: int) -> None:
         """Every few seconds believe what leads where the positions do; leave out what errs."""
         if now_ns - self._reviewed_ns <= PIECE_NS:
             return
         self._reviewed_ns = now_ns
-        for series, track in self._pairs(velocities, positions):
-            self._compare(series, track)
+        for name, series, track in self._pairs(velocities, positions):
+            self._compare(name, series, track)
 
-    def _compare(self, velocities: Sequence[Velocity], positions: Sequence[Position]) -> None:
-        """Accuse what fits much better otherwise, and believe what fits much worse."""
-        for name, fit in _fits(velocities, positions).items():
-            if fit is Fit.OTHERWISE:
-                self.lying.add(name)
-                self.mistaken.add(name)
-                self.proven.discard(name)
-            elif fit is Fit.AS_IT_IS:
-                self.lying.discard(name)
-                self.mistaken.discard(name)
-                self.proven.add(name)
+    def _compare(self, name: str, velocities: Sequence[Velocity], positions: Sequence[Position]) -> None:
+        """Accuse a sensor that fits much better otherwise, and believe one that fits much worse."""
+        fit = _fit(velocities, positions)
+        if fit is Fit.OTHERWISE:
+            self.lying.add(name)
+            self.mistaken.add(name)
+            self.proven.discard(name)
+        elif fit is Fit.AS_IT_IS:
+            self.lying.discard(name)
+            self.mistaken.discard(name)
+            self.proven.add(name)
 
     def confirms(
-        self, witnesses: Iterable[Velocity], positions: Iterable[Position], since_ns: int, estimate: gtsam.NavState
+        self, witnesses: Iterable[Velocity], positions: Collection[Position], since_ns: int, estimate: gtsam.NavState
     ) -> bool:
         """Whether velocities that are believed lead from before a time to the newest position, not to an estimate."""
         believed = [one for one in witnesses if one.sensor not in self.lying]
-        for series, track in self._pairs(believed, positions, since_ns - PIECE_NS):
+        for _, series, track in self._pairs(believed, positions, since_ns - PIECE_NS):
             there = estimate.pose().transformFrom(self._receivers[track[-1].sensor].p_I_P)
-            off_m = float(np.linalg.norm(track[-1].p_W_P - there))
-            if any(not one.elsewhere and off_m > one.tolerance_m for one in _led(series, track).values()):
+            led, off_m = _where(series, track), float(np.linalg.norm(track[-1].p_W_P - there))
+            if led is not None and not led.elsewhere and off_m > led.tolerance_m:
                 return True
         return False
 
-    def refutes(self, witnesses: Iterable[Velocity], positions: Iterable[Position], since_ns: int) -> bool:
+    def refutes(self, witnesses: Iterable[Velocity], positions: Collection[Position], since_ns: int) -> bool:
         """Whether velocities that have been proven lead elsewhere than the positions from before a time on."""
         proven = [one for one in witnesses if one.sensor in self.proven]
         pairs = self._pairs(proven, positions, since_ns - PIECE_NS)
-        return any(_strays(*pair) for pair in pairs)
+        return any(_strays(series, track) for _, series, track in pairs)
 
-    def erring(self, velocities: Sequence[Velocity], positions: Sequence[Position]) -> list[str]:
+    def erring(self, velocities: Collection[Velocity], positions: Collection[Position]) -> list[str]:
         """Return the sensors whose velocities err, these or earlier ones."""
-        found = set(self.lying)
-        for series, track in self._pairs(velocities, positions):
-            found |= {name for name, one in _led(series, track).items() if one.elsewhere}
-            found |= {name for name, fit in _fits(series, track).items() if fit is Fit.OTHERWISE}
-        return sorted(found & {one.sensor for one in velocities})
+        found = self.lying & {one.sensor for one in velocities}
+        for name, series, track in self._pairs(velocities, positions):
+            if _leads_elsewhere(series, track) or _fit(series, track) is Fit.OTHERWISE:
+                found.add(name)
+        return sorted(found)
 
     def _pairs(
-        self, velocities: Iterable[Velocity], positions: Iterable[Position], since_ns: int = NEVER_NS
-    ) -> Iterator[tuple[list[Velocity], list[Position]]]:
-        """Yield the velocities beside each receiver and its positions, by stamp."""
-        for name, beside in self._beside.items():
-            series = sorted((v for v in velocities if v.sensor in beside and v.stamp_ns >= since_ns), key=_stamp_ns)
-            track = sorted((p for p in positions if p.sensor == name and p.stamp_ns >= since_ns), key=_stamp_ns)
+        self, velocities: Collection[Velocity], positions: Collection[Position], since_ns: int = NEVER_NS
+    ) -> Iterator[tuple[str, list[Velocity], list[Position]]]:
+        """Yield each sensor of velocity, what it measured and the positions of a receiver beside it, by stamp."""
+        for name, receiver in self._beside:
+            series = sorted((v for v in velocities if v.sensor == name and v.stamp_ns >= since_ns), key=_stamp_ns)
+            track = sorted((p for p in positions if p.sensor == receiver and p.stamp_ns >= since_ns), key=_stamp_ns)
             if series and track:
-                yield series, track
+                yield name, series, track
 
 
 def _stamp_ns(one: Velocity | Position) -> int:
@@ -147,25 +149,20 @@ class _Led(NamedTuple):
         return self.missed_m > self.tolerance_m
 
 
-def _pieces(velocities: Sequence[Velocity], positions: Sequence[Position]) -> Iterator[dict[str, _Led]]:
-    """Yield where each sensor led in each piece of the past."""
+def _pieces(
+    velocities: Sequence[Velocity], positions: Sequence[Position]
+) -> Iterator[tuple[list[Velocity], list[Position]]]:
+    """Yield the pieces of the past: what was measured between the first and the last position of each."""
     pieces: dict[int, list[Position]] = {}
     for one in positions:
         pieces.setdefault(one.stamp_ns // PIECE_NS, []).append(one)
     for piece in pieces.values():
-        yield _led([one for one in velocities if piece[0].stamp_ns < one.stamp_ns <= piece[-1].stamp_ns], piece)
+        yield [one for one in velocities if piece[0].stamp_ns < one.stamp_ns <= piece[-1].stamp_ns], piece
 
 
-def _by_sensor(velocities: Sequence[Velocity]) -> dict[str, list[Velocity]]:
-    by_sensor: dict[str, list[Velocity]] = {}
-    for one in velocities:
-        by_sensor.setdefault(one.sensor, []).append(one)
-    return by_sensor
-
-
-def _led(velocities: Sequence[Velocity], positions: Sequence[Position]) -> dict[str, _Led]:
-    found = {name: _where(series, positions) for name, series in _by_sensor(velocities).items()}
-    return {name: one for name, one in found.items() if one is not None}
+def _leads_elsewhere(velocities: Sequence[Velocity], positions: Sequence[Position]) -> bool:
+    led = _where(velocities, positions)
+    return led is not None and led.elsewhere
 
 
 def _where(velocities: Sequence[Velocity], positions: Sequence[Position]) -> _Led | None:
@@ -236,10 +233,6 @@ class Fit(Enum):
     UNKNOWN = "nothing tells"
     AS_IT_IS = "much better than they would otherwise"
     OTHERWISE = "much better at another time or in other axes"
-
-
-def _fits(velocities: Sequence[Velocity], positions: Sequence[Position]) -> dict[str, Fit]:
-    return {name: _fit(series, positions) for name, series in _by_sensor(velocities).items()}
 
 
 def _fit(velocities: Sequence[Velocity], positions: Sequence[Position]) -> Fit:
