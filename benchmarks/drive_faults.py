@@ -1,7 +1,8 @@
-"""Prints what faults of IMU and Doppler velocities cost on the cars of `drives/`: `python benchmarks/drive_faults.py`.
+"""Prints what faults of sensors cost on the cars of `drives/`: `python benchmarks/drive_faults.py`.
 
-Fixes stay as they are. Every second one is held out and judges, as in `drives.py`; the configuration is what `config
-init` writes of the drive without the fault. IMUs fail from the middle of the drive on, velocities in all of it.
+Every second fix is held out and judges, as in `drives.py`; these stay as they are. The configuration is what `config
+init` writes of the drive without the fault. IMUs fail from the middle of the drive on, velocities in all of it, and
+the fixes that are used for 40 s of every 80.
 """
 
 import argparse
@@ -15,8 +16,9 @@ import numpy as np
 from drives import held_out_row, names_of, run_system, starter_config
 
 from holdfast.estimator.estimator import Estimator
+from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.geometry.rotations import exponentials
-from holdfast.messages import GnssVelocity, ImuSample, Message
+from holdfast.messages import GnssFix, GnssVelocity, ImuSample, Message
 from holdfast.recording.source import open_recording
 from holdfast.recording.subscriptions import subscriptions
 from holdfast.replay.held_out import HoldOut
@@ -24,6 +26,7 @@ from holdfast.replay.held_out import HoldOut
 AXIS = np.array([0.6, -0.5, 0.62])  # of what happens to the IMU: no axis of any car
 KNOCKED = exponentials(np.radians(60.0) * AXIS[None] / np.linalg.norm(AXIS))[0].T
 LATE_S = 1.0
+WANDER_S = 10.0  # after which the error of a fix in a narrow street is another one
 
 Fault = Callable[[list[Message]], list[Message]]
 
@@ -74,6 +77,31 @@ def follows_speed(messages: list[Message]) -> list[Message]:
     return of_imu(change)(messages)
 
 
+def wanders(amplitude_m: float) -> Fault:
+    """Fixes that wander as in narrow streets, for 40 s of every 80, and claim a metre; but those that are held out."""
+
+    def fault(messages: list[Message]) -> list[Message]:
+        rng, start_ns = np.random.default_rng(7), messages[0].stamp_ns
+        error, last_ns, is_used, found = rng.normal(0.0, amplitude_m, 3), start_ns, False, list(messages)
+        for k, one in enumerate(messages):
+            if not isinstance(one, GnssFix):
+                continue
+            keep, last_ns, is_used = np.exp((last_ns - one.stamp_ns) * 1e-9 / WANDER_S), one.stamp_ns, not is_used
+            error = keep * error + np.sqrt(1.0 - keep**2) * rng.normal(0.0, amplitude_m, 3)
+            if is_used and (one.stamp_ns - start_ns) * 1e-9 % 80.0 > 40.0:
+                found[k] = moved(one, error)
+        return found
+
+    return fault
+
+
+def moved(fix: GnssFix, by: np.ndarray) -> GnssFix:
+    """Return a fix that is elsewhere by (3,), east, north and up [m], and claims a metre."""
+    there = LocalFrame(Geodetic(fix.latitude_deg, fix.longitude_deg, fix.altitude_m)).to_geodetic(by)
+    names = "latitude_deg", "longitude_deg", "altitude_m"
+    return replace(fix, covariance=np.eye(3), **{name: getattr(there, name) for name in names})
+
+
 def drifts(messages: list[Message]) -> list[Message]:
     """A gyroscope whose bias drifts by 1 deg/s in five minutes, as one that warms up."""
     middle_ns = (messages[0].stamp_ns + messages[-1].stamp_ns) // 2
@@ -110,6 +138,8 @@ FAULTS: dict[str, Fault] = {
     "Doppler north, east, down": of_velocity(lambda velocity: velocity[[1, 0, 2]] * [1.0, 1.0, -1.0]),
     "Doppler always zero": of_velocity(lambda velocity: 0.0 * velocity),
     "Doppler late by 1 s": late,
+    "fixes wander by 10 m and claim 1 m": wanders(10.0),
+    "fixes wander by 20 m and claim 1 m": wanders(20.0),
 }
 
 
@@ -125,6 +155,7 @@ def judge(drive: Path, name: str) -> dict[str, Any]:
 def main() -> None:
     """Run what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", default="", help="faults whose name holds this")
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data" / "drives")
     given = parser.parse_args()
     drives = [drive for drive in sorted(given.data.glob("*")) if (drive / "bag").exists()]
@@ -135,7 +166,7 @@ def main() -> None:
     print(f"| Fault | {' | '.join(drive.name for drive in drives)} | median | largest |")
     print("|---|" + "---:|" * (len(drives) + 2))
     with ProcessPoolExecutor(2) as pool:
-        jobs = {name: [pool.submit(judge, drive, name) for drive in drives] for name in FAULTS}
+        jobs = {name: [pool.submit(judge, drive, name) for drive in drives] for name in FAULTS if given.only in name}
         for name, futures in jobs.items():
             rows = [future.result() for future in futures]
             errors = [row.get("rms", np.nan) for row in rows]

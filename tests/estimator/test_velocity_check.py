@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from motion import Drive, ns
 
-from holdfast.estimator.velocity_check import VelocityCheck
+from holdfast.estimator.velocity_check import Company, VelocityCheck
 from holdfast.sensors.sensor import Position, Velocity
 
 ROAD = Drive(start_s=0.0, ramp_s=4.0, radius_m=30.0, speed=0.25, tilt=0.0, heave_m=0.0)  # 7.5 m/s
@@ -99,8 +99,19 @@ def test_velocities_that_have_proven_right_stand_against_fixes_that_wander():
     fixes = positions(5.0, 45.0, 0.1, 0.5)
     wander = np.cumsum(rng.normal(0.0, 4.0, (len(fixes), 3)), axis=0)
     astray = [replace(one, p_W_P=one.p_W_P + off) for one, off in zip(fixes, wander, strict=True)]
-    assert not check.refutes(velocities(5.0, 45.0), astray, ns(35.0))  # nothing has proven them
+    assert check.company(velocities(5.0, 45.0), astray, ns(35.0)) is Company.UNKNOWN  # nothing has proven them
     check.review(velocities(5.0, 35.0), positions(5.0, 35.0, 0.1, 0.5), ns(35.0))
     assert check.proven == {"doppler"}
-    assert check.refutes(velocities(5.0, 45.0), astray, ns(35.0))
-    assert not check.refutes(velocities(5.0, 45.0), fixes, ns(35.0))
+    assert check.company(velocities(5.0, 45.0), astray, ns(35.0)) is Company.ASTRAY
+    assert check.company(velocities(5.0, 45.0), fixes, ns(35.0)) is Company.BESIDE
+    beside = [replace(one, p_W_P=one.p_W_P + 30.0) for one in fixes]
+    assert check.company(velocities(5.0, 45.0), beside, ns(35.0)) is Company.BESIDE  # a place is no way
+
+
+def test_a_way_that_is_shorter_than_the_noise_of_the_fixes_tells_nothing():
+    check = begun()
+    check.review(velocities(5.0, 35.0), positions(5.0, 35.0, 0.1, 0.5), ns(35.0))
+    standing = velocities(40.0, 55.0, road=STILL), positions(40.0, 55.0, 0.1, 0.5, road=STILL)
+    assert check.company(*standing, ns(45.0)) is Company.UNKNOWN
+    frozen = [replace(one, p_W_P=ROAD.nav(35.0).position()) for one in positions(35.0, 50.0)]
+    assert check.company(velocities(35.0, 50.0), frozen, ns(40.0)) is Company.ASTRAY

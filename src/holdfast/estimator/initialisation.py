@@ -20,7 +20,7 @@ from holdfast.config.sensors import GnssConfig
 from holdfast.estimator.course import Course, course_of
 from holdfast.estimator.first_heading import Antennas, baseline_heading, pose_heading
 from holdfast.estimator.pose_as_point import PoseAsPoint, as_position
-from holdfast.estimator.velocity_check import VelocityCheck
+from holdfast.estimator.velocity_check import Company, VelocityCheck
 from holdfast.graph.alignment import BatchAligner, BiasPrior, Evidence, level_attitude, thin
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array, Message
@@ -139,10 +139,11 @@ class Initialising:
         witnesses = [one for one in self._velocities if one.sensor in sensors]
         return self._velocity_check.confirms(witnesses, self._positions, since_ns, estimate)
 
-    def is_refuted(self, sensors: Collection[str], since_ns: int) -> bool:
-        """Whether velocities of some sensors, proven before, lead elsewhere than the positions do since a time."""
+    def company(self, sensors: Collection[str], receiver: str, since_ns: int) -> Company:
+        """Return how a receiver's positions go beside velocities of some sensors, proven before, since a time."""
         witnesses = [one for one in self._velocities if one.sensor in sensors]
-        return self._velocity_check.refutes(witnesses, self._positions, since_ns)
+        positions = [one for one in self._positions if one.sensor == receiver]
+        return self._velocity_check.company(witnesses, positions, since_ns)
 
     def forget_before(self, stamp_ns: int) -> None:
         """Forget what was measured before a time."""

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import gtsam
 
-from holdfast.config.model import BELIEVE_BESIDE_ODOMETRY_S, Config
+from holdfast.config.model import Config
 from holdfast.estimator.clock import MAX_SILENCE_NS
 from holdfast.estimator.epochs import Epochs
 from holdfast.estimator.health import HealthMonitor
@@ -14,6 +14,7 @@ from holdfast.estimator.learnt_view import LearntView
 from holdfast.estimator.queue import MeasurementQueue
 from holdfast.estimator.standstill import STANDSTILL, StandstillUpdates
 from holdfast.estimator.successor import Successor
+from holdfast.estimator.wandering import Wandering
 from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import OptimiserError, Smoother
@@ -29,7 +30,6 @@ from holdfast.integrity.positions import Contradiction, Positions
 from holdfast.integrity.recovery import Recovery
 from holdfast.integrity.states import JointAt, States
 from holdfast.integrity.yaw_learning import Witness
-from holdfast.measured_fields import NEVER_NS
 from holdfast.sensors.clock import with_estimated_clock
 from holdfast.sensors.constants import Constant, priors_of, priors_of_imu
 from holdfast.sensors.imu import ImuBuffer
@@ -42,7 +42,6 @@ Channel = Callable[[DualGraph, Any, int], Outcome]
 
 
 MISTAKEN = "it is late, of another sign or in other axes, as the positions show"
-WANDERING_NS = round(BELIEVE_BESIDE_ODOMETRY_S * 1e9)  # for so long velocities are believed against positions
 WITNESSES = Role.POSITION, Role.VELOCITY  # of motion, where the machine was believed to stand
 
 
@@ -124,11 +123,11 @@ class Tracking:
             Role.POSE: self._states.add,
         }
         self.successor, self._scales = successor, scales
+        self._wandering = Wandering(successor.start, self._states, self._positions)
         self._standstill = StandstillUpdates(config.standstill, buffer, gravity, successor.start.stands)
         self._node_interval_ns = round(config.graph.max_node_interval_s * 1e9)
         self._due_ns: int | None = None
         self._constrained_ns = state.stamp_ns
-        self._wander_ns = self._wandered_ns = NEVER_NS  # since and until when positions wandered
         self._late: set[str] = set()  # sensors whose last measurement was too late
         self._epochs = Epochs()
         self._calibration = Calibration(sensors, config.imu_name, log)
@@ -256,6 +255,7 @@ class Tracking:
         for smoother in self.graph.smoothers():
             self._optimise(smoother)
         is_recovery = self._recovery.review(self.graph, now_ns)
+        self._wandering.review(now_ns)
         for channel in self._headings, self._states:
             channel.review(self.graph, now_ns)
         self._hold_mistaken(now_ns)
@@ -287,8 +287,6 @@ class Tracking:
     def _contradiction(self) -> Contradiction | None:
         """Return which positions contradict the estimate; velocities that say the same make fewer of them enough."""
         found = self._positions.contradiction()
-        if found is not None and self._wander(found):
-            return None
         witnesses = self._states.contradicting(Role.VELOCITY)
         if found is not None or not witnesses:
             return found
@@ -297,17 +295,6 @@ class Tracking:
             return None
         nav = self.graph.published.newest.nav
         return early if self.successor.start.is_confirmed(witnesses, early.since_ns, nav) else None
-
-    def _wander(self, found: Contradiction) -> bool:
-        """Whether positions contradict velocities that agree with the estimate as well, and not for too long."""
-        agreeing = self._states.agreeing(Role.VELOCITY)
-        if not agreeing or not self.successor.start.is_refuted(agreeing, found.since_ns):
-            return False
-        now_ns = self._buffer.latest_ns
-        if now_ns - self._wandered_ns > WANDERING_NS:
-            self._wander_ns = now_ns
-        self._wandered_ns = now_ns
-        return now_ns - self._wander_ns < WANDERING_NS
 
     def drop_samples(self) -> None:
         """Drop the samples that no window needs any more."""

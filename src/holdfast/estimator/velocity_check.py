@@ -29,6 +29,14 @@ HARMLESS_S, STEP_S, MIN_STEPS = 0.4, 0.9, 8
 WORSE, MIN_MISSED_M = 4.0, 0.3
 
 
+class Company(Enum):
+    """How positions go beside where velocities lead."""
+
+    UNKNOWN = "the way is so short that noise explains it"
+    BESIDE = "there"
+    ASTRAY = "somewhere they are farther from there than their noise explains"
+
+
 class Mounted(Protocol):
     """A sensor at a point of the machine, (3,) [m] in the frame of the IMU."""
 
@@ -48,7 +56,7 @@ class VelocityCheck:
     Attributes:
         lying: names of the sensors; those that disagree with positions may be right, and are left out of starts alone.
         mistaken: those of them that are late, of another sign or in other axes, which no error of positions explains.
-        proven: names of those that have led where the positions do, and otherwise would not have.
+        proven: names of those that have led where the positions do.
     """
 
     def __init__(self, receivers: Mapping[str, Mounted], sensors: Mapping[str, Mounted]) -> None:
@@ -78,6 +86,8 @@ class VelocityCheck:
         self._reviewed_ns = now_ns
         for name, series, track in self._pairs(velocities, positions):
             self._compare(name, series, track)
+            if name not in self.lying and _company(series, track) is Company.BESIDE:
+                self.proven.add(name)
 
     def _compare(self, name: str, velocities: Sequence[Velocity], positions: Sequence[Position]) -> None:
         """Accuse a sensor that fits much better otherwise, and believe one that fits much worse."""
@@ -103,11 +113,11 @@ class VelocityCheck:
                 return True
         return False
 
-    def refutes(self, witnesses: Iterable[Velocity], positions: Collection[Position], since_ns: int) -> bool:
-        """Whether velocities that have been proven lead elsewhere than the positions from before a time on."""
+    def company(self, witnesses: Iterable[Velocity], positions: Collection[Position], since_ns: int) -> Company:
+        """Return how the positions of one receiver go beside velocities that have been proven, from a time on."""
         proven = [one for one in witnesses if one.sensor in self.proven]
-        pairs = self._pairs(proven, positions, since_ns - PIECE_NS)
-        return any(_strays(series, track) for _, series, track in pairs)
+        found = {_company(series, track) for _, series, track in self._pairs(proven, positions, since_ns - PIECE_NS)}
+        return next((one for one in (Company.ASTRAY, Company.BESIDE) if one in found), Company.UNKNOWN)
 
     def erring(self, velocities: Collection[Velocity], positions: Collection[Position]) -> list[str]:
         """Return the sensors whose velocities err, these or earlier ones."""
@@ -212,19 +222,20 @@ class _Way(NamedTuple):
         return np.column_stack([np.interp(at_s, self.t, axis) for axis in self.way.T])
 
 
-def _strays(velocities: Sequence[Velocity], positions: Sequence[Position]) -> bool:
-    """Whether positions are, somewhere, farther from where velocities led than their noise explains."""
+def _company(velocities: Sequence[Velocity], positions: Sequence[Position]) -> Company:
     way = _Way.of(velocities, positions)
     inside = (way.at_s >= way.t[0]) & (way.at_s <= way.t[-1])
     if inside.sum() < 2:
-        return False
+        return Company.UNKNOWN
     at_s, track = way.at_s[inside], np.array([one.p_W_P[:2] for one in positions])[inside]
     beside = track - way.led(at_s)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way.way, axis=0), axis=1))])
-    length = np.interp(at_s, way.t, length)
+    length = np.interp(at_s, way.t, length) - np.interp(at_s[0], way.t, length)
     noise = np.array([np.trace(one.covariance[:2, :2]) for one in positions])[inside]
-    tolerance = ELSEWHERE_SIGMA * np.sqrt(noise + noise[0]) + PROVEN_ELSEWHERE * (length - length[0])
-    return bool((np.linalg.norm(beside - beside[0], axis=1) > tolerance).any())
+    tolerance = ELSEWHERE_SIGMA * np.sqrt(noise + noise[0]) + PROVEN_ELSEWHERE * length
+    if (np.linalg.norm(beside - beside[0], axis=1) > tolerance).any():
+        return Company.ASTRAY
+    return Company.BESIDE if length[-1] > 2.0 * tolerance[-1] else Company.UNKNOWN
 
 
 class Fit(Enum):

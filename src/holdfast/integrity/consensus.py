@@ -76,6 +76,8 @@ class Consensus:
 
     def is_suspicious(self) -> bool:
         """Whether the estimate refused the newest of the run, more than one: too few on their own."""
+        if self._refused < 2:  # as a rule
+            return False
         refused = [is_refused for _, is_refused in self._since_first_refused()]
         return len(refused) > 1 and all(refused)
 

@@ -58,6 +58,10 @@ class NoiseScale:
         """The factor where it is above 1: what is tested is not tested more strictly than it claims."""
         return max(1.0, self.value)
 
+    def raise_to(self, factor: float) -> None:
+        """Believe at least this factor from now on."""
+        self._log = max(self._log, min(log(max(factor, 1.0)), log(HIGHEST)) + DEAD_BAND)
+
     def learn(
         self,
         innovation: Innovation,

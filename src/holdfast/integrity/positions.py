@@ -1,9 +1,11 @@
 """Positions of receivers on their way into the main graph: tested, weighed, and taken out again."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections import deque
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from math import inf
+from statistics import fmean
 from typing import NamedTuple
 
 from holdfast.config.model import GateConfig
@@ -72,6 +74,8 @@ class Positions:
         self._baseline = BaselineTest(lever_arms)
         self._log = log
         self._reviewed_ns = NEVER_NS
+        self._excess = {name: deque([1.0], maxlen=config.regain_after) for name in sensors}  # of the newest refused
+        self.wandering: Collection[str] = ()  # receivers that are wrong, though their positions agree with each other
         self._scales = scales
         self._force = {name: ForceLearning(accelerometer) for name in sensors}
         self._consensus = {
@@ -120,7 +124,10 @@ class Positions:
             if worse in self.used.of(worse.sensor):
                 self.take_out(graph.main, worse, Outcome.BASELINE)
         outcome = gate.judge(position, prediction, now_ns=now_ns, baseline_agrees=worse is not position)
-        self._consensus[name].add(position, is_refused=outcome not in (Outcome.USED, Outcome.QUARANTINED))
+        is_refused = outcome not in (Outcome.USED, Outcome.QUARANTINED)
+        self._consensus[name].add(position, is_refused=is_refused)
+        if is_refused:
+            self._excess[name].append(prediction.excess * above)
         if gate.trust is Trust.TRUSTED and outcome in LEARNT_FROM and len(state.parameter) < ARM_SIZE:
             lowest = LOWEST_SLOW if position.correlation_s >= SLOW_S and found.slow is None else LOWEST
             scale.learn(innovation._replace(R=innovation.R / above), state, position, self._log, lowest)
@@ -201,17 +208,25 @@ class Positions:
                 self._consensus[worst.sensor].contradict(worst)
                 self.take_out(smoother, worst, Outcome.CONTRADICTED)
 
+    def suspects(self) -> dict[str, int]:
+        """Return since when the estimate has refused all positions of receivers, more than one."""
+        return {name: run.since_ns for name, run in self._consensus.items() if run.is_suspicious() or run.is_against()}
+
     def contradiction(self, *, has_witness: bool = False) -> Contradiction | None:
         """Return whose positions agree among themselves, not with the estimate; None if another receiver is trusted.
 
         Fewer are enough where there is a witness.
         """
-        runs = self._consensus.items()
+        runs = [(name, run) for name, run in self._consensus.items() if name not in self.wandering]
         against = {n: run.since_ns for n, run in runs if run.is_against() or (has_witness and run.is_suspicious())}
         others = (gate for name, gate in self.gates.items() if name not in against)
         if not against or any(gate.trust is not Trust.LOST for gate in others):
             return None
         return Contradiction(*next(iter(against.items())))
+
+    def doubt(self, name: str) -> None:
+        """Believe a receiver whose positions wander only as far as their distance from the estimate shows."""
+        self._scales[name].raise_to(fmean(self._excess[name]))
 
     def lose_due(self, smoother: Smoother, now_ns: int) -> None:
         """Lose the receivers that are silent or had too many bad positions in a row."""

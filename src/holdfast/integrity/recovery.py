@@ -132,7 +132,7 @@ class Recovery:
         """
         positions = self._positions
         gate = positions.gates[name]
-        if positions.is_trusted or not gate.contradicts_for(self._believe_after_s):
+        if positions.is_trusted or name in positions.wandering or not gate.contradicts_for(self._believe_after_s):
             return False
         distance = gate.distance_m()
         self._log.report(EventKind.ESTIMATE_SUSPECT, now_ns, name, f"{distance:.2f} m from the positions")
