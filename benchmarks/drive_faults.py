@@ -86,7 +86,8 @@ def wanders(amplitude_m: float) -> Fault:
         for k, one in enumerate(messages):
             if not isinstance(one, GnssFix):
                 continue
-            keep, last_ns, is_used = np.exp((last_ns - one.stamp_ns) * 1e-9 / WANDER_S), one.stamp_ns, not is_used
+            since_s, is_used = max(0.0, (one.stamp_ns - last_ns) * 1e-9), not is_used
+            keep, last_ns = np.exp(-since_s / WANDER_S), max(last_ns, one.stamp_ns)
             error = keep * error + np.sqrt(1.0 - keep**2) * rng.normal(0.0, amplitude_m, 3)
             if is_used and (one.stamp_ns - start_ns) * 1e-9 % 80.0 > 40.0:
                 found[k] = moved(one, error)

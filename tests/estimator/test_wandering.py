@@ -40,9 +40,10 @@ def wander(amplitude_m, tau_s=10.0, seed=5):
     return lambda t: errors[int(t)]
 
 
-def driven(end_s, found):
+def driven(end_s, found, *, has_doppler=True):
     """Return the estimator, and its horizontal errors since the fixes were astray, by time."""
-    estimator, outputs = run(machine(lidar=False, more=DOPPLER), in_order(*sent(end_s), found))
+    streams = sent(end_s) if has_doppler else sent(end_s)[:1]
+    estimator, outputs = run(machine(lidar=False, more=DOPPLER if has_doppler else None), in_order(*streams, found))
     errors = {
         seconds(one.stamp_ns): float(
             np.linalg.norm((one.nav.position() - ROAD.nav(seconds(one.stamp_ns)).position())[:2])
@@ -80,3 +81,10 @@ def test_what_wanders_for_long_is_noisier_than_it_claims():
     assert max(errors.values()) < 10.0  # that of one fix is 14 m
     assert estimator.noise("gnss") > 3.0
     assert any(event.kind is EventKind.RECEIVER_REGAINED for event in estimator.events)
+
+
+def test_without_velocities_what_wanders_is_believed_as_far_as_its_distance_shows():
+    estimator, errors = driven(130.0, astray(110.0, 130.0, wander(20.0)), has_doppler=False)
+    assert not [event for event in estimator.events if event.kind is EventKind.BEGUN_ANEW]
+    assert max(errors.values()) < 30.0  # of the fixes 45
+    assert max(off for t, off in errors.items() if t > 128.0) < 3.0 * np.hypot(*CLAIM[:2])

@@ -1,4 +1,4 @@
-"""Whether velocities lead where positions do, without an estimate: (81), (82) in docs/math.md.
+"""Whether velocities lead where positions do, without an estimate: (81), (82), (83) in docs/math.md.
 
 A receiver whose velocities are in other axes, late, of another sign or always zero claims no less than a good one.
 """

@@ -1,7 +1,7 @@
-"""Positions that wander: they contradict velocities that have proven right, and these agree with the estimate.
+"""Positions that wander, as where streets are narrow: wrong by tens of metres for minutes, while they claim a metre.
 
-Where streets are narrow a receiver can be wrong by tens of metres for minutes, and claim a metre. The estimate stands
-against it for as long as velocities do; what wanders for long is then believed as far as its distance shows.
+Velocities that have proven right and agree with the estimate tell them from an estimate that is wrong; else only that
+they depart from it roughly, for an estimate is left smoothly. They are then believed as far as their distance shows.
 """
 
 from holdfast.estimator.initialisation import Initialising
@@ -12,8 +12,8 @@ from holdfast.measured_fields import NEVER_NS
 from holdfast.sensors.sensor import Role
 
 WINDOW_NS = 10_000_000_000  # in which positions and velocities are compared
-LATCH_NS = 60_000_000_000  # what has wandered does so until a way is seen beside velocities, but no longer
-BOASTING_NS = 30_000_000_000  # what wanders for so long is noisier than it claims
+LATCH_NS = 60_000_000_000  # what was astray is so until a way is seen beside velocities, but no longer
+BOASTING_NS = 30_000_000_000  # what is astray for so long is noisier than it claims
 
 
 class Wandering:
@@ -27,28 +27,30 @@ class Wandering:
 
     def __init__(self, start: Initialising, states: States, positions: Positions) -> None:
         self._start, self._states, self._positions = start, states, positions
-        self._since_ns: dict[str, int] = {}  # by receiver
+        self._since_ns: dict[str, int] = {}  # by receiver: from when until when it was astray
         self._seen_ns: dict[str, int] = {}
 
     def review(self, now_ns: int) -> None:
-        """Compare the receivers that the estimate refuses with the velocities that agree with it."""
+        """Look at the receivers that the estimate refuses."""
         lost, suspects = self._positions.lost(), self._positions.suspects()
         for name, seen_ns in self._seen_ns.items():  # what has wandered is right now and then, too
             if name in lost and now_ns - seen_ns <= LATCH_NS:
                 suspects.setdefault(name, NEVER_NS)
         agreeing = self._states.agreeing(Role.VELOCITY) if suspects else set()
-        found = {name for name, since_ns in suspects.items() if self._is_wandering(name, since_ns, agreeing, now_ns)}
+        if agreeing:
+            found = {name for name, since_ns in suspects.items() if self._is_astray(name, since_ns, agreeing, now_ns)}
+            noisy = {name for name in found if now_ns - self._since_ns[name] > BOASTING_NS}
+        else:
+            found = noisy = {name for name in suspects if self._positions.is_rough(name)}
         self._positions.wandering = found
-        for name in found:
-            if now_ns - self._since_ns[name] > BOASTING_NS:
-                self._positions.doubt(name)
+        for name in noisy:
+            self._positions.doubt(name)
 
-    def _is_wandering(self, name: str, since_ns: int, agreeing: set[str], now_ns: int) -> bool:
+    def _is_astray(self, name: str, since_ns: int, agreeing: set[str], now_ns: int) -> bool:
         company = self._start.company(agreeing, name, max(since_ns, now_ns - WINDOW_NS))
         seen_ns = self._seen_ns.get(name, NEVER_NS)
         if company is Company.ASTRAY:
             if now_ns - seen_ns > LATCH_NS:
                 self._since_ns[name] = now_ns
             self._seen_ns[name] = now_ns
-            return True
-        return company is Company.UNKNOWN and bool(agreeing) and now_ns - seen_ns <= LATCH_NS
+        return company is Company.ASTRAY or (company is Company.UNKNOWN and now_ns - seen_ns <= LATCH_NS)

@@ -29,6 +29,7 @@ class NoiseScale:
 
     def __init__(self, carried: LearntNoiseScale | None = None) -> None:
         self._log = 0.0 if carried is None else carried.log_factor
+        self._raised = 0.0  # log of the factor, while it is raised
         self._last_ns: int | None = None
         self._told = round(self._level)
         self.white = WhiteNoise(carried)
@@ -46,7 +47,16 @@ class NoiseScale:
     @property
     def value(self) -> float:
         """The factor; 1 as long as the evidence is within what chance and correlated errors make."""
-        return exp(max(self._log - DEAD_BAND, min(self._log + DEAD_BAND, 0.0)))
+        return exp(max(self._raised, self._learnt) if self.is_raised else self._learnt)
+
+    @property
+    def _learnt(self) -> float:
+        return max(self._log - DEAD_BAND, min(self._log + DEAD_BAND, 0.0))
+
+    @property
+    def above_learnt(self) -> float:
+        """The factor as it was learnt where it is above 1, whether it is raised or not."""
+        return exp(max(0.0, self._learnt))
 
     @property
     def ratio(self) -> float:
@@ -59,8 +69,17 @@ class NoiseScale:
         return max(1.0, self.value)
 
     def raise_to(self, factor: float) -> None:
-        """Believe at least this factor from now on."""
-        self._log = max(self._log, min(log(max(factor, 1.0)), log(HIGHEST)) + DEAD_BAND)
+        """Believe at least this factor until `lower`, or until innovations show less."""
+        self._raised = max(self._raised, min(log(max(factor, 1.0)), log(HIGHEST)))
+
+    def lower(self) -> None:
+        """Believe what was learnt before the factor was raised."""
+        self._raised = 0.0
+
+    @property
+    def is_raised(self) -> bool:
+        """Whether the factor has been raised."""
+        return self._raised > 0.0
 
     def learn(
         self,
@@ -95,7 +114,10 @@ class NoiseScale:
         # an excess may be the state's; of a slow error the state has as much as the measurement, and it cancels
         weight = share if ratio > 1.0 else 1.0
         step = weight * (ratio - 1.0) * min(since_s, MAX_WEIGHT_S) / MEMORY_S
-        self._log = min(max(self._log + step, log(lowest) - DEAD_BAND), log(HIGHEST) + DEAD_BAND)
+        if self.is_raised:
+            self._raised = min(max(0.0, self._raised + step), log(HIGHEST))
+        else:
+            self._log = min(max(self._log + step, log(lowest) - DEAD_BAND), log(HIGHEST) + DEAD_BAND)
         if abs(self._level - self._told) > NEWS:
             self._told = round(self._level)
             reason = f"its noise is {self.ratio:.1f} times what it claims"

@@ -1,11 +1,9 @@
 """Positions of receivers on their way into the main graph: tested, weighed, and taken out again."""
 
-from collections import deque
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from math import inf
-from statistics import fmean
 from typing import NamedTuple
 
 from holdfast.config.model import GateConfig
@@ -15,6 +13,7 @@ from holdfast.graph.smoother import Smoother
 from holdfast.integrity.antenna_pairs import witness_of
 from holdfast.integrity.baseline import BaselineTest
 from holdfast.integrity.consensus import Consensus
+from holdfast.integrity.departures import Departures
 from holdfast.integrity.force_learning import ForceLearning, least_scale
 from holdfast.integrity.innovation import in_words
 from holdfast.integrity.learnt_snapshot import LearntScale
@@ -24,6 +23,7 @@ from holdfast.integrity.receiver import Held, ReceiverGate, Trust, predict
 from holdfast.integrity.review import UsedPositions
 from holdfast.integrity.yaw_learning import WITNESS_NS, Witness
 from holdfast.measured_fields import NEVER_NS
+from holdfast.messages import Array
 from holdfast.sensors.coloured import NAV_SIZE, Compared, coloured, coloured_factor
 from holdfast.sensors.noise import WHITE, correlation_inflation, shared_inflation
 from holdfast.sensors.sensor import Position, PositionSensor, State
@@ -74,7 +74,7 @@ class Positions:
         self._baseline = BaselineTest(lever_arms)
         self._log = log
         self._reviewed_ns = NEVER_NS
-        self._excess = {name: deque([1.0], maxlen=config.regain_after) for name in sensors}  # of the newest refused
+        self._departures = {name: Departures() for name in sensors}
         self.wandering: Collection[str] = ()  # receivers that are wrong, though their positions agree with each other
         self._scales = scales
         self._force = {name: ForceLearning(accelerometer) for name in sensors}
@@ -126,8 +126,7 @@ class Positions:
         outcome = gate.judge(position, prediction, now_ns=now_ns, baseline_agrees=worse is not position)
         is_refused = outcome not in (Outcome.USED, Outcome.QUARANTINED)
         self._consensus[name].add(position, is_refused=is_refused)
-        if is_refused:
-            self._excess[name].append(prediction.excess * above)
+        self._note_departure(claimed, prediction.innovation, scale, is_refused=is_refused)
         if gate.trust is Trust.TRUSTED and outcome in LEARNT_FROM and len(state.parameter) < ARM_SIZE:
             lowest = LOWEST_SLOW if position.correlation_s >= SLOW_S and found.slow is None else LOWEST
             scale.learn(innovation._replace(R=innovation.R / above), state, position, self._log, lowest)
@@ -146,6 +145,16 @@ class Positions:
         gate_limit = gate.limit_on_nis
         self._log.record(position.stamp_ns, name, outcome, prediction.nis, 3, limit=gate_limit, p_W_P=position.p_W_P)
         return outcome
+
+    def _note_departure(self, claimed: Position, off_W: Array, scale: NoiseScale, *, is_refused: bool) -> None:
+        """Note how far a position is from the estimate; those that depart smoothly again are worth what they claim."""
+        name = claimed.sensor
+        if not (is_refused or scale.is_raised):
+            self._departures[name].clear()
+            return
+        self._departures[name].add(claimed.stamp_ns, off_W, claimed.covariance * scale.above_learnt)
+        if scale.is_raised and self._departures[name].are_smooth():
+            scale.lower()
 
     def learnt_accelerometer(self) -> LearntScale | None:
         """Return what is known of the accelerometer; None where nothing is."""
@@ -212,6 +221,10 @@ class Positions:
         """Return since when the estimate has refused all positions of receivers, more than one."""
         return {name: run.since_ns for name, run in self._consensus.items() if run.is_suspicious() or run.is_against()}
 
+    def is_rough(self, name: str) -> bool:
+        """Whether the positions of a receiver depart from the estimate otherwise than from one that is wrong."""
+        return self._departures[name].are_rough()
+
     def contradiction(self, *, has_witness: bool = False) -> Contradiction | None:
         """Return whose positions agree among themselves, not with the estimate; None if another receiver is trusted.
 
@@ -226,7 +239,7 @@ class Positions:
 
     def doubt(self, name: str) -> None:
         """Believe a receiver whose positions wander only as far as their distance from the estimate shows."""
-        self._scales[name].raise_to(fmean(self._excess[name]))
+        self._scales[name].raise_to(self._departures[name].excess)
 
     def lose_due(self, smoother: Smoother, now_ns: int) -> None:
         """Lose the receivers that are silent or had too many bad positions in a row."""

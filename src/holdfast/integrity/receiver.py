@@ -59,11 +59,6 @@ class Prediction:
         """Normalised innovation squared: (21) in docs/math.md."""
         return float(self.innovation @ np.linalg.solve(self.of_state + self.of_position, self.innovation))
 
-    @property
-    def excess(self) -> float:
-        """Mean square of the innovation over what the position claims."""
-        return float(self.innovation @ np.linalg.solve(self.of_position, self.innovation)) / len(self.innovation)
-
     def smallest_visible_m(self, limit: float) -> float:
         """Return the jump [m] that a limit on NIS sees in every direction: the power of the gate."""
         return sqrt(limit * float(np.linalg.eigvalsh(self.of_state + self.of_position)[-1]))
