@@ -49,6 +49,10 @@ class Estimator(Intake):
             config, self._buffer, self._log, listener, Density(config, self._log), learnt=learnt
         )
 
+    def close(self) -> None:
+        """Count the measurements that still wait for the IMU when no more will come."""
+        self._optimiser.close()
+
     @property
     def datum(self) -> Geodetic | None:
         """Origin of W on the ellipsoid, or None until the first accepted fix."""
