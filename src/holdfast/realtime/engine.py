@@ -17,7 +17,7 @@ from holdfast.estimator.imu_path import ImuPath, Received
 from holdfast.estimator.intake import Intake
 from holdfast.event_log import EventLog
 from holdfast.geometry.earth import Geodetic, LocalFrame, check_datum
-from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
+from holdfast.integrity.learnt_snapshot import LearntSnapshot, check_learnt
 from holdfast.kernel.imu_path import HAS_NEWS
 from holdfast.measured_fields import no_message
 from holdfast.messages import ImuSample, JointAngle, Message
@@ -50,11 +50,12 @@ class RealtimeEstimator(Intake):
         learnt: what was learnt of the sensors before.
 
     Raises:
-        ConfigError: `config` is none, or the machine does not allow what its section `realtime` asks for.
+        ConfigError: `config` or `learnt` is none, or the machine does not allow what its section `realtime` asks for.
     """
 
-    def __init__(self, config: Config, *, in_step: bool = False, learnt: LearntSnapshot = NOTHING_LEARNT) -> None:
+    def __init__(self, config: Config, *, in_step: bool = False, learnt: LearntSnapshot | None = None) -> None:
         check_config(config)
+        learnt = check_learnt(learnt)
         cores = place_caller(config.realtime)
         self.config = config
         self._in_step = in_step
