@@ -273,3 +273,16 @@ def test_results_do_not_go_into_those_of_another_run(out):
     with pytest.raises(ConfigError, match=r"is in .*out, the results of holdfast replay: give another folder"):
         write(out / "deep" / "again", "b.tum")
     assert names(out) == {"a.tum"}
+
+
+def test_an_interrupt_before_there_is_any_result_tells_that_those_of_before_are_there(out):
+    """It told of what had been done, and the results of before were taken for that."""
+    write(out, "a.tum")
+    untouched = pytest.raises(KeyboardInterrupt, match=r"^nothing was done yet, .*out holds the results of before$")
+    with untouched, replaced(out, "replay"):
+        raise KeyboardInterrupt
+    done = pytest.raises(KeyboardInterrupt, match=r"^what was done until then is in .*out$")
+    with done, replaced(out, "replay"):
+        (out / "b.tum").write_text(RESULT)
+        raise KeyboardInterrupt
+    assert names(out) == {"b.tum"}

@@ -65,10 +65,12 @@ def replaced(folder: str | Path, command: str, reads: Iterable[str | Path] = ())
     try:
         with _owned(place, folder, command):
             yield
-    except BaseException:
+    except BaseException as error:
         if earlier is not None and _is_bare(place):
             rmtree(place)
             earlier.rename(place)
+            if isinstance(error, KeyboardInterrupt):
+                raise KeyboardInterrupt(f"nothing was done yet, {folder} holds the results of before") from None
         raise
     finally:
         if earlier is not None:
