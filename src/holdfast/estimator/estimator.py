@@ -17,10 +17,11 @@ from holdfast.estimator.optimiser import Optimiser
 from holdfast.event_log import EventLog, MeasurementRecord
 from holdfast.geometry.earth import Geodetic, LocalFrame, check_datum
 from holdfast.integrity.learnt_snapshot import LearntSnapshot, check_learnt
-from holdfast.measured_fields import got, is_stamp, no_message
+from holdfast.measured_fields import got, is_stamp
 from holdfast.messages import ImuSample, JointAngle, Message
 from holdfast.sensors.constants import Constant
 from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.registry import MessageKinds
 from holdfast.state import NOTHING, BaseState, Estimate, Event, EventKind, Health, HealthReport, Outcome, Output
 
 
@@ -44,7 +45,7 @@ class Estimator(Intake):
         if not isinstance(listener, Listener | None):
             raise ConfigError(f"listener: must have the methods of a Listener, not be a {type(listener).__name__}")
         self.config = config
-        self._imu = config.imu_name
+        self._imu, self._kinds = config.imu_name, MessageKinds(config)
         self._log = EventLog(self._imu)
         self._buffer = ImuBuffer(config.imu)
         self._path = ImuPath(config, self._buffer, self._log, learnt.joint)
@@ -151,16 +152,13 @@ class Estimator(Intake):
 
         Raises:
             ConfigError: the sensor is not in the configuration.
-            MessageError: it is no message.
+            MessageError: it is no message, or one of another kind than the sensor's.
         """
-        if not hasattr(message, "sensor"):
-            raise no_message(message)
         if isinstance(message, ImuSample) and message.sensor == self._imu:
             output = self._process_imu(message)
-        elif message.sensor in self.config.sensors:
-            output = self._process_other(self._path.clock.read(message))
         else:
-            raise ConfigError(f"sensors.{message.sensor}: not in the configuration, but a message of it came")
+            self._kinds.check(message)
+            output = self._process_other(self._path.clock.read(message))
         return self._path.clock.output(output)
 
     def _process_other(self, message: Message) -> Output:

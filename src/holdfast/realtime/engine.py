@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Self
 
 from holdfast.config.model import Config, check_config, check_sensor
-from holdfast.errors import ConfigError, EstimatorError
+from holdfast.errors import EstimatorError
 from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import ImuPath, Received
 from holdfast.estimator.intake import Intake
@@ -31,7 +31,7 @@ from holdfast.realtime.records import Records, Request
 from holdfast.realtime.supervisor import START_S, Supervisor
 from holdfast.realtime.worker import Settings
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.sensors.registry import inputs_of
+from holdfast.sensors.registry import MessageKinds, inputs_of
 from holdfast.state import NOTHING, Event, EventKind, Health, HealthReport, OptimisedState, Outcome, Output
 
 FLUSH_S = 30.0
@@ -60,6 +60,7 @@ class RealtimeEstimator(Intake):
         self.config = config
         self._in_step = in_step
         self._imu, self._inputs = config.imu_name, frozenset(inputs_of(config))
+        self._kinds = MessageKinds(config)
         self._log = EventLog(self._imu)
         self._reports = EngineLog(self._log)
         self._overload = Overload(config, self._log)
@@ -237,7 +238,7 @@ class RealtimeEstimator(Intake):
 
         Raises:
             ConfigError: the sensor is not in the configuration.
-            MessageError: it is no message.
+            MessageError: it is no message, or one of another kind than the sensor's.
             EstimatorError: the estimator is closed.
         """
         try:
@@ -251,8 +252,7 @@ class RealtimeEstimator(Intake):
             raise EstimatorError("the estimator is closed")
         if name == self._imu and isinstance(message, ImuSample):
             return self._path.clock.output(self._give(None, self._path.process(message)))
-        if name not in self.config.sensors:
-            raise ConfigError(f"sensors.{name}: not in the configuration, but a message of it came")
+        self._kinds.check(message)
         if not self._overload.admits(name, message.arrival_ns, self._buffer.latest_ns):
             return self._path.clock.output(self._take_new())
         return self._path.clock.output(self._process_other(self._path.clock.read(message)))
