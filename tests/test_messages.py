@@ -216,3 +216,23 @@ def test_a_datum_or_a_sensor_that_is_none_is_refused_by_name_and_changes_nothing
     finally:
         if engine is RealtimeEstimator:
             estimator.close()
+
+
+SENSORS = parse_config("sensors: {imu: {kind: imu, topic: /imu}, gnss: {kind: gnss, topic: /fix, frame: imu}}\n")
+
+
+@pytest.mark.parametrize("engine", [Estimator, RealtimeEstimator])
+def test_a_message_of_another_kind_than_its_sensor_is_refused_by_name(engine):
+    """A heading by the name of an antenna was an AttributeError, a fix by that of the IMU was lost without a word."""
+    estimator = engine(SENSORS)
+    try:
+        for message, words in (
+            (Heading(1, 1, "gnss", 0.1, None), "of sensor 'gnss' must be of type GnssFix, not Heading"),
+            (ImuSample(1, 1, "gnss", V3, V3), "of sensor 'gnss' must be of type GnssFix, not ImuSample"),
+            (GnssFix(1, 1, "imu", 47.0, 8.0, 400.0, M3, FixStatus.FIX), "of sensor 'imu' must be of type ImuSample"),
+        ):
+            with pytest.raises(MessageError, match=words):
+                estimator.process(message)
+        assert not estimator.counts
+    finally:
+        estimator.close()

@@ -83,7 +83,8 @@ def test_results_of_another_run_within_are_refused_and_kept(out, of):
     """A replay into a folder deleted the replay into a folder within it, without a word."""
     with replaced(out, of):
         (out / "a.tum").write_text(RESULT)
-    write(out / "variant", "b.tum")
+    write(out.parent / "variant", "b.tum")
+    (out.parent / "variant").rename(out / "variant")
     with (
         pytest.raises(ConfigError, match=r"out: holds results of other runs \(variant\): give another folder$"),
         replaced(out, of),
@@ -264,3 +265,24 @@ def test_a_file_that_cannot_be_written_is_named_before_the_work(out, file, why):
     write(out, "a.tum")
     with pytest.raises(ConfigError, match=rf"{file}: cannot be written \({why}"):
         check_output_file(out.parent / file)
+
+
+def test_results_do_not_go_into_those_of_another_run(out):
+    """The next run into the outer folder was refused because of them."""
+    write(out, "a.tum")
+    with pytest.raises(ConfigError, match=r"is in .*out, the results of holdfast replay: give another folder"):
+        write(out / "deep" / "again", "b.tum")
+    assert names(out) == {"a.tum"}
+
+
+def test_an_interrupt_before_there_is_any_result_tells_that_those_of_before_are_there(out):
+    """It told of what had been done, and the results of before were taken for that."""
+    write(out, "a.tum")
+    untouched = pytest.raises(KeyboardInterrupt, match=r"^nothing was done yet, .*out holds the results of before$")
+    with untouched, replaced(out, "replay"):
+        raise KeyboardInterrupt
+    done = pytest.raises(KeyboardInterrupt, match=r"^what was done until then is in .*out$")
+    with done, replaced(out, "replay"):
+        (out / "b.tum").write_text(RESULT)
+        raise KeyboardInterrupt
+    assert names(out) == {"b.tum"}

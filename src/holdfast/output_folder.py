@@ -65,10 +65,12 @@ def replaced(folder: str | Path, command: str, reads: Iterable[str | Path] = ())
     try:
         with _owned(place, folder, command):
             yield
-    except BaseException:
+    except BaseException as error:
         if earlier is not None and _is_bare(place):
             rmtree(place)
             earlier.rename(place)
+            if isinstance(error, KeyboardInterrupt):
+                raise KeyboardInterrupt(f"nothing was done yet, {folder} holds the results of before") from None
         raise
     finally:
         if earlier is not None:
@@ -154,6 +156,7 @@ def _checked(folder: str | Path, reads: Iterable[str | Path], command: str) -> P
         raise ConfigError(f"{folder}: is a file: the output must be a folder")
     _check_reads(place, folder, reads)
     _check_simulations(place, folder, command)
+    _check_runs_above(place, folder)
     strange = _strangers(place) if place.exists() else []
     others = [name for name in strange if _read_mark(place / name) is None]
     if others:
@@ -162,6 +165,14 @@ def _checked(folder: str | Path, reads: Iterable[str | Path], command: str) -> P
     if strange:
         raise ConfigError(f"{folder}: holds results of other runs ({listed(strange, SHOWN)}): give another folder")
     return place
+
+
+def _check_runs_above(place: Path, name: str | Path) -> None:
+    """Refuse a folder in the results of another run, which go as a whole; a simulation's may stand beside its files."""
+    folder, mark = _marked(place)
+    is_of_its_jobs = mark.files is None and mark.command in (*OF_SEVERAL_RUNS, "")
+    if folder is not None and mark.command != SIMULATE and not is_of_its_jobs:
+        raise ConfigError(f"{name}: is in {folder}, the results of holdfast {mark.command}: give another folder")
 
 
 def _check_command(mark: Mark, name: str | Path, command: str) -> None:

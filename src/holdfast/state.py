@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # the judge and the recordings use this module without paying
 
 
 class Outcome(StrEnum):
-    """What became of one measurement; those that still wait for the IMU are not counted yet."""
+    """What became of one measurement; those that wait for the IMU are counted at the end."""
 
     __hash__ = str.__hash__  # five times faster than that of `Enum`; outcomes are counted at every sample
 
@@ -48,6 +48,7 @@ class Outcome(StrEnum):
     NO_PREDECESSOR = "no_predecessor"
     IGNORED = "ignored"
     OVERLOAD = "overload"
+    UNREACHED = "unreached"
 
 
 class EventKind(StrEnum):

@@ -208,6 +208,10 @@ def test_a_sensor_that_the_recording_lacks_is_named_and_strictly_refused(drive):
         holdfast.replay(drive[0], data, duration_s=8.0, strict=True)
 
 
+def made(config, *args, **options):
+    return holdfast.Estimator(holdfast.load_config(config), *args, **options)
+
+
 @pytest.mark.parametrize(("call", "words"), [
     (lambda _, config: holdfast.replay(None, config), "recording: must be a path, not NoneType"),
     (lambda bag, config: holdfast.replay(bag, config, output=[]), "output: must be a path, not list"),
@@ -223,6 +227,10 @@ def test_a_sensor_that_the_recording_lacks_is_named_and_strictly_refused(drive):
     (lambda *_: holdfast.simulate("quick", "out", duration_s="9"), "duration_s: must be > 1 and <= 36000 .s., got '9'"),
     (lambda _, config: holdfast.Estimator(config), "config: must be a Config, as load_config gives, not .*Path"),
     (lambda *_: holdfast.RealtimeEstimator(None), "config: must be a Config, as load_config gives, not NoneType"),
+    (lambda _, config: made(config, 3), "listener: must have the methods of a Listener, not be a int"),
+    (lambda _, config: made(config, learnt="l.json"), "learnt: must be what `learnt..` of an estimator returns, not s"),
+    (lambda _, config: made(config, learnt=None).stamp("x"), "time_ns: must be a whole number of nanoseconds .* 'x'"),
+    (lambda bag, config: holdfast.replay(bag, config, hold_out={"imu": 2}), r"hold_out\['imu'\]: imu gives no positi"),
     (lambda bag, config: holdfast.replay(bag, config, hold_out="gnss=2"), "hold_out: must be a dict by sensor"),
     (lambda bag, config: holdfast.replay(bag, config, outage={"gnss": 5}), "outage.*must be .start, end. .s., got 5"),
     (lambda bag, config: holdfast.smooth(bag, config, window_s=float("nan")), "window_s nan: must be from 10 to"),

@@ -1,5 +1,7 @@
 """Trajectories as arrays: interpolation, errors, frames of data, files, figures."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -198,3 +200,21 @@ def test_a_trajectory_without_poses_is_known_nowhere():
     assert repr(no_poses()) == "Trajectory(0 poses, 0.0 s, 0.0 m)"
     with pytest.raises(holdfast.MessageError, match="stamps_ns: must be empty, this trajectory has no poses"):
         no_poses().interpolate([5])
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (
+            {"quaternions_xyzw": np.zeros((50, 4))},
+            r"quaternions_xyzw: must be of unit norm, got \[0.0, 0.0, 0.0, 0.0\]",
+        ),
+        ({"positions": np.full((50, 3), np.nan)}, "positions: must be finite, got .nan, nan, nan. at 0 .ns."),
+        ({"covariances": np.full((50, 9, 9), np.inf)}, "covariances: must be finite"),
+    ],
+)
+def test_poses_that_could_not_be_read_again_are_not_written(tmp_path, changes, words):
+    turning().write(tmp_path / "track.tum")
+    with pytest.raises(holdfast.MessageError, match=words):
+        dataclasses.replace(turning(), **changes).write(tmp_path / "track.tum")
+    assert len(holdfast.Trajectory.read(tmp_path / "track.tum")) == 50

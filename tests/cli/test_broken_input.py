@@ -194,6 +194,11 @@ CASES = {
     "a start at infinity": (nothing, f"{CSV} --start inf", 2, "--start inf: must be"),
     "a duration beyond all times": (nothing, f"{CSV} --duration 1e300", 2, "--duration 1e+300: must be"),
     "an outage at no time": (nothing, f"{CSV} --outage gnss=nan:nan", 2, "--outage gnss=nan:nan: must"),
+    "every second sample of what gives no position": (
+        nothing, f"{CSV} --hold-out imu=2", 2, "--hold-out imu=2: imu gives no positions, by which an estimate is",
+    ),
+    "results in those of another run": (
+        a_run("a.tum"), f"{TO} out/again", 2, "out/again: is in ", ),
     "a rate of nearly nothing": (nothing, f"{CSV} --rate 1e-320", 2, "--rate 9.99989e-321: must be"),
     "info from infinity": (nothing, "info csv --start inf", 2, "--start inf: must be"),
     "a bench without end": (nothing, "bench --duration inf", 2, "--duration inf: must be"),
@@ -245,10 +250,14 @@ CASES = {
     "a distance of nothing": (nothing, f"{VERDICT} --rpe-distance 0", 2, "--rpe-distance 0: must be > 0 and finite"),
     "a distance that is no number": (nothing, f"{VERDICT} --rpe-distance nan", 2, "--rpe-distance nan: must be > 0"),
     "a time without end": (nothing, f"{VERDICT} --rpe-time inf", 2, "--rpe-time inf: must be > 0 and finite"),
-    "a gap that is no number": (nothing, f"{VERDICT} --max-gap-s nan", 2, "max_gap_s = nan: must be"),
-    "an offset without end": (nothing, f"{VERDICT} --reference-offset-s inf", 2, "offset_s = inf: must be"),
-    "an offset beyond all times": (nothing, f"{VERDICT} --reference-offset-s 1e300", 2, "offset_s = 1e+300: must"),
-    "a lever arm that is no number": (nothing, f"{VERDICT} --reference-lever-arm nan 0 0", 2, "lever_arm = (nan, "),
+    "a gap that is no number": (nothing, f"{VERDICT} --max-gap-s nan", 2, "--max-gap-s nan: must be"),
+    "an offset without end": (nothing, f"{VERDICT} --reference-offset-s inf", 2, "--reference-offset-s inf: must be"),
+    "an offset beyond all times": (
+        nothing, f"{VERDICT} --reference-offset-s 1e300", 2, "--reference-offset-s 1e+300: must be finite",
+    ),
+    "a lever arm that is no number": (
+        nothing, f"{VERDICT} --reference-lever-arm nan 0 0", 2, "--reference-lever-arm nan 0 0: must be finite",
+    ),
     "an interval at no time": (nothing, f"{VERDICT} --interval a=nan:nan", 2, "a=nan:nan: interval 'a': its start nan"),
     "an interval without end": (
         nothing, f"{VERDICT} --interval a=0:inf", 2, "--interval a=0:inf: interval 'a': its start 0.0 s must be before",

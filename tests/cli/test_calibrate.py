@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -16,6 +17,7 @@ from small_drive import config_text, holdfast, make_rows, write_mcap
 
 import holdfast as package
 from holdfast.config.load import load_config, parse_config, resolved_yaml
+from holdfast.errors import ConfigError
 
 NOISY = {"imu": {"gyroscope_noise_density": 1e-6}, "lidar": {"translation_sigma_m": 0.3}}
 
@@ -31,7 +33,9 @@ def written_by_hand(path, **sensors):
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
     folder = tmp_path_factory.mktemp("calibrate")
-    return write_mcap(folder / "bag", make_rows(seconds=20.0)), written_by_hand(folder / "machine.yaml", **NOISY)
+    return write_mcap(folder / os.fsdecode(b"b\xe4g"), make_rows(seconds=20.0)), written_by_hand(
+        folder / "machine.yaml", **NOISY
+    )
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +52,7 @@ def test_the_file_is_written_with_the_comments_of_before_and_one_above_each_chan
     now = load_config(output)
     changed = [line for line in after.splitlines() if "# calibrated: " in line]
     assert now != parse_config(before)
-    assert changed and all(" -> " in line and "sigma" in line and "from bag" in line for line in changed)
+    assert changed and all(" -> " in line and "sigma" in line and r"from b\udce4g" in line for line in changed)
     kept = iter(after.splitlines())
     assert all(line in kept for line in before.splitlines() if "sigma_m:" not in line and "density:" not in line)
 
@@ -130,3 +134,18 @@ def test_ctrl_c_leaves_nothing_half_written(drive, tmp_path):
     _, err = process.communicate(timeout=120)
     assert process.returncode == 130 and b"interrupted" in err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_was_found_is_written_although_the_page_cannot_be(drive, tmp_path, monkeypatch):
+    """The page came first: on a full disk the work of many minutes was lost with it."""
+    found = SimpleNamespace(text="# found\n", estimates=[], held_out=[])
+
+    def full(*_):
+        raise ConfigError("c.html: cannot be written (No space left on device)")
+
+    monkeypatch.setattr("holdfast.calibration.calibrate.calibrated", lambda *_, **__: found)
+    monkeypatch.setattr("holdfast.calibration.page.calibration_page", lambda *_: None)
+    monkeypatch.setattr("holdfast.report.page.write_page", full)
+    done = holdfast("calibrate", *(drive[0], "-c", drive[1], "-o", tmp_path / "c.yaml"))
+    assert (done.code, done.err) == (2, "error: c.html: cannot be written (No space left on device)\n")
+    assert (tmp_path / "c.yaml").read_text() == "# found\n"

@@ -98,7 +98,7 @@ def test_a_missing_configuration_is_named(short, tmp_path):
     assert_one_error(done, 2, tmp_path / "none.yaml", "no such file")
 
 
-@pytest.mark.parametrize("rate", ["0", "-1", "nan"])
+@pytest.mark.parametrize("rate", ["0", "-1", "nan", "inf"])
 def test_rate_must_be_positive(short, config, tmp_path, rate):
     done = holdfast("replay", short, "-c", config, "-o", tmp_path / "out", "--rate", rate)
     assert_one_error(done, 2, f"--rate {rate}: must be > 0")

@@ -436,3 +436,19 @@ def test_a_list_of_three_sigmas_is_three_numbers() -> None:
     text = MINIMAL + "  gnss: {kind: gnss, topic: /g, frame: imu, default_sigma_m: [1, 1, 2]}\n"
     gnss = parse_config(text).sensors_of(GnssConfig)["gnss"]
     assert gnss.default_sigma_m == (1, 1, 2)
+
+
+@pytest.mark.parametrize(
+    ("pairs", "told"),
+    [
+        ([("a", "b"), ("b", "c"), ("c", "a")], "b -> c -> a -> b"),
+        ([("a", "a")], "a -> a"),
+        ([("a", "b"), ("b", "a"), ("b", "c")], "b -> a -> b"),
+        ([("imu", "d"), ("d", "imu")], "d -> imu -> d"),
+    ],
+)
+def test_frames_that_carry_themselves_are_refused(pairs: list[tuple[str, str]], told: str) -> None:
+    """Also where no sensor sits on them."""
+    links = "".join(f"- {{parent: {parent}, child: {child}}}\n" for parent, child in pairs)
+    (fault,) = faults(f"{MINIMAL}extrinsics:\n{links}")
+    assert f"extrinsics: {told} lead back to where they begin" in fault

@@ -218,6 +218,27 @@ def test_every_measurement_is_counted_under_exactly_one_outcome():
         assert counted + estimator.waiting[sensor] == len(messages)
 
 
+def test_what_waits_for_the_imu_at_the_end_is_counted():
+    drive, streams = recorded()
+    last = streams["imu"][-1].stamp_ns
+    late = [replace(m, stamp_ns=last + 10_000_000 + n, arrival_ns=last) for n, m in enumerate(streams["lidar"][-2:])]
+    estimator = survives(streams, drive)
+    waiting = estimator.waiting["lidar"]
+    for message in late:
+        estimator.process(message)
+    estimator.keep_records()
+    before = [estimator.counts["lidar", outcome] for outcome in Outcome if outcome is not Outcome.UNREACHED]
+    assert estimator.counts["lidar", Outcome.UNREACHED] == 0
+    for _ in range(2):
+        estimator.close()
+        assert estimator.counts["lidar", Outcome.UNREACHED] == waiting + 2
+    assert [estimator.counts["lidar", outcome] for outcome in Outcome if outcome is not Outcome.UNREACHED] == before
+    assert [one.stamp_ns for one in estimator.take_records() if one.sensor == "lidar"][-2:] == [
+        message.stamp_ns for message in late
+    ]
+    assert estimator.waiting.total() == 0
+
+
 @pytest.mark.parametrize("off_m", [20.0, 100.0, 1e6])
 def test_six_fixes_that_are_far_off_do_harm_for_a_while_only(off_m):
     drive, streams = recorded()

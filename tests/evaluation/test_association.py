@@ -100,14 +100,18 @@ def test_of_two_equally_near_poses_the_earlier_is_taken(method):
 
 
 def test_tracks_without_common_time_are_refused_with_both_spans_and_the_remedy():
-    with pytest.raises(RecordingError, match=r"no overlap.*0\.000 to 1\.000.*5\.000 to 6\.000.*--reference-offset-s"):
+    with pytest.raises(
+        RecordingError, match=r"no overlap.*0\.000 to 1\.000.*5\.000 to 6\.000 s; --offset shifts the reference$"
+    ):
+        associate(straight([0.0, 1.0]), straight([5.0, 6.0]), Association(names={"reference_offset_s": "--offset"}))
+    with pytest.raises(RecordingError, match=r"6\.000 s$"):  # who cannot shift it is not told to
         associate(straight([0.0, 1.0]), straight([5.0, 6.0]))
 
 
 def test_tracks_whose_poses_find_no_partners_are_refused_with_the_remedy():
-    with pytest.raises(RecordingError, match="--max-gap-s"):
-        associate(straight([0.0, 10.0]), straight([4.0, 5.0]))
-    with pytest.raises(RecordingError, match="--max-difference-s"):
+    with pytest.raises(RecordingError, match=r"up to 0\.5 s; gap allows more$"):
+        associate(straight([0.0, 10.0]), straight([4.0, 5.0]), Association(names={"max_gap_s": "gap"}))
+    with pytest.raises(RecordingError, match=r"differ by 0\.01 s$"):
         associate(straight([0.0, 10.0]), straight([4.0, 5.0]), Association(method="nearest"))
 
 

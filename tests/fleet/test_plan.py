@@ -8,6 +8,7 @@ import pytest
 from holdfast.config.load import parse_config
 from holdfast.errors import ConfigError, RecordingError
 from holdfast.fleet.plan import Variation, plan
+from holdfast.fleet.table import write_table
 
 CONFIG = "# comment\nsensors:\n  imu: {topic: /imu}\ngraph: {lag_s: 2.0}\n"
 
@@ -99,3 +100,9 @@ def test_the_fingerprint_changes_with_everything_that_the_results_depend_on(tree
     assert not fingerprints(options=("--duration", "5")) & before
     os.utime(tree / "one.bag", ns=(1, 1))
     assert len(fingerprints() & before) == 1  # only one of the two recordings has changed
+
+
+def test_the_table_takes_a_recording_whose_name_is_no_utf8(tmp_path):
+    """All runs were done, and their table was lost to a traceback."""
+    file = write_table([{"run": "gr\udcf6sse", "state": "done"}], tmp_path)
+    assert file.read_text(encoding="utf-8").splitlines() == ["run,state", r"gr\udcf6sse,done"]

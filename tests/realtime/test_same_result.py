@@ -29,6 +29,7 @@ def compare(config, messages, meanwhile=None):
         assert engine.datum == inline.datum
         assert engine.waiting_for == inline.waiting_for
         assert engine.health_report() == inline.health_report()
+    inline.close()
     assert engine.counts == inline.counts
     assert engine.event_counts == inline.event_counts
     assert events_of(engine) == events_of(inline)

@@ -87,6 +87,7 @@ def test_quaternions_of_few_digits_are_normalised(tmp_path: Path) -> None:
         (ROW + "1e999999 1 2 3 0 0 0 1\n", "t.tum:2: has a number that is not finite or a stamp beyond 292 years"),
         (ROW + "2.5 1 2 nan 0 0 0 1\n", "t.tum:2: has a number that is not finite"),
         (ROW + "1e30 1 2 3 0 0 0 1\n", "t.tum:2: has a number that is not finite or a stamp beyond 292 years"),
+        (ROW + "1700000000000.5 1 2 3 0 0 0 1\n", "a stamp beyond 292 years (allowed: seconds)"),  # milliseconds
         (ROW + "2.5 1 2 3 0 0 0 0.5\n", "t.tum:2: quaternion has norm 0.5 (allowed: 1"),
         (ROW + "\n" + ROW, "t.tum:3: stamp 1.5 is not later than the one before it"),
         ("# nothing\n", "t.tum: holds no poses"),

@@ -2,6 +2,7 @@
 
 import json
 import re
+import resource
 from pathlib import Path
 
 import numpy as np
@@ -201,3 +202,28 @@ def test_printed_figures_fit_the_paper(file: Path, tmp_path: Path):
         assert max(opened.value_of(widths)) <= a4_within_margins_px
         opened.value_of("window.dispatchEvent(new Event('afterprint'))")
         assert max(opened.value_of(widths)) > a4_within_margins_px
+
+
+def with_lead(lead: str) -> Page:
+    return Page("Page", lead, MADE, [Section("Empty", [Text("nothing")])])
+
+
+def test_a_name_that_is_no_utf8_is_shown_escaped(tmp_path: Path):
+    """Files of an old camera or USB stick: a page about them ended in a traceback."""
+    write_page(with_lead("gr\udcf6sse.mcap"), tmp_path / "page.html")
+    assert r"gr\udcf6sse.mcap" in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
+def test_a_full_disk_leaves_the_earlier_page_as_it_was(tmp_path: Path):
+    """It was cut off where the disk ended."""
+    write_page(with_lead("earlier"), tmp_path / "page.html")
+    before = (tmp_path / "page.html").read_bytes()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, limits[1]))
+    try:
+        with pytest.raises(ConfigError, match=r"page.*cannot be written \(File too large\)"):
+            write_page(with_lead("later"), tmp_path / "page.html")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert (tmp_path / "page.html").read_bytes() == before
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["page.html", "page.json"]

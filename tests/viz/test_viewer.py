@@ -8,7 +8,9 @@ import time
 
 import pytest
 
+from holdfast.errors import ConfigError
 from holdfast.viz import viewer
+from holdfast.viz.show import close_sink, open_sink
 
 
 def free_port():
@@ -79,3 +81,20 @@ def listening(port):
                     packed = bytes.fromhex(address)
                     found.append(socket.inet_ntop(socket.AF_INET, packed[::-1]) if table == "tcp" else address)
     return found
+
+
+def test_a_recording_whose_name_is_no_utf8_is_shown(tmp_path):
+    close_sink(open_sink(str(tmp_path / "a.rrd"), "gr\udcf6sse"), str(tmp_path / "a.rrd"))
+    assert (tmp_path / "a.rrd").stat().st_size > 0
+
+
+class Full:
+    def flush(self, **_):
+        raise RuntimeError("the writer shut down")
+
+
+@pytest.mark.parametrize(("target", "hint"), [("a.rrd", "is the disk full"), ("rerun+http://a:1/proxy", "does the vi")])
+def test_what_cannot_be_drawn_tells_where_to_look(target, hint):
+    """A file on a full disk asked whether the viewer runs."""
+    with pytest.raises(ConfigError, match=f"not all could be drawn .the writer shut down.: {hint}"):
+        close_sink(Full(), target)

@@ -22,7 +22,7 @@ from holdfast.measured_fields import LIMIT_NS, array_of, got, is_number
 from holdfast.messages import Array
 from holdfast.output_folder import naming_the_output
 from holdfast.recording.covariance_csv import CovarianceWriter, beside, read_covariances
-from holdfast.recording.tum import read_tum, write_tum
+from holdfast.recording.tum import NORM_TOLERANCE, read_tum, write_tum
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -114,14 +114,31 @@ class Trajectory:
 
         Raises:
             ConfigError: it is no path, or cannot be written.
+            MessageError: there are no poses, or one is none, which could not be read again; names its stamp.
         """
         track = path_of("path", path)
+        self._check_poses()
         with naming_the_output(track):
             write_tum(track, self.poses)
             beside(track).unlink(missing_ok=True)
             if self.covariances is not None:
                 with CovarianceWriter(beside(track)) as writer:
                     writer.extend(Covariances(self.stamps_ns, self.covariances))
+
+    def _check_poses(self) -> None:
+        if not len(self):
+            raise MessageError("stamps_ns: must not be empty, a file of no poses cannot be read again")
+        norms = np.linalg.norm(self.quaternions_xyzw, axis=1)
+        sound: list[tuple[str, Array, NDArray[np.bool_]]] = [
+            ("positions: must be finite", self.positions, _are_finite(self.positions)),
+            ("quaternions_xyzw: must be of unit norm", self.quaternions_xyzw, np.abs(norms - 1.0) <= NORM_TOLERANCE),
+        ]
+        if self.covariances is not None:
+            sound.append(("covariances: must be finite", self.covariances, _are_finite(self.covariances)))
+        for must_be, values, are_sound in sound:
+            if not are_sound.all():
+                at = int(np.argmin(are_sound))
+                raise MessageError(f"{must_be}, got {values[at].ravel()[:4].tolist()} at {self.stamps_ns[at]} [ns]")
 
     def __len__(self) -> int:
         """Return the number of stamps."""
@@ -203,7 +220,9 @@ class Trajectory:
         _check_alignment(alignment)
         if not is_number(max_gap_s):
             raise ConfigError(f"max_gap_s: must be a number [s], {got(max_gap_s)}")
-        pairs = associate(self.poses, reference.poses, Association(max_gap_s=max_gap_s))
+        pairs = associate(
+            self.poses, reference.poses, Association(max_gap_s=max_gap_s, names={"max_gap_s": "max_gap_s"})
+        )
         pairs = align(pairs, alignment).apply(pairs)
         return Errors(pairs.reference.stamps_ns, ape(pairs))
 
@@ -261,6 +280,11 @@ class Trajectory:
         above.set_ylabel("north [m]")
         above.legend()
         return figure
+
+
+def _are_finite(values: Array) -> NDArray[np.bool_]:
+    """Return at which stamps (N,) all values are finite."""
+    return np.array([np.isfinite(value).all() for value in values], dtype=np.bool_)
 
 
 def _increasing(stamps_ns: ArrayLike) -> NDArray[np.int64]:

@@ -22,6 +22,7 @@ from holdfast.config.edit import Change
 from holdfast.config.model import Config
 from holdfast.config.sensors import DriftingConfig, PositionConfig
 from holdfast.errors import ConfigError
+from holdfast.printable import one_line
 from holdfast.recording.source import Recording
 
 MAX_ROUNDS, AT_REST = 5, 0.3  # sigmas by which nothing moves any more
@@ -91,7 +92,7 @@ def calibrated(
     odometries = draft.config.sensors_of(DriftingConfig)
     if odometries and any(isinstance(one, PositionConfig) for one in draft.config.sensors.values()):
         found.append(odometry_noise(runs.run("odometry noise", now.config, list(odometries)), draft.config))
-    names = [Path(one).name for one in recordings]
+    names = [one_line(Path(one).name) for one in recordings]
     after, estimates, verdicts = _accepted(draft, _commented(draft, found, names), runs, evidence)
     return Calibration(draft.config, after.config, after.written(), estimates, verdicts, names, rounds)
 

@@ -53,6 +53,7 @@ def calibrate(  # noqa: PLR0917 (click passes the options by name)
         return reading_bar(f"{title}, {opened.path.name}", opened)
 
     found = calibrated(recordings, config_path, with_lever_arms=lever_arms, every=every, watch=watch)
+    _write(output, found.text)
     if page is not None:
         from holdfast.calibration.page import calibration_page
         from holdfast.report.page import write_page
@@ -60,7 +61,6 @@ def calibrate(  # noqa: PLR0917 (click passes the options by name)
         options = " --lever-arms" * lever_arms + f" --hold-out {every}" * (every != 10)
         command = f"holdfast calibrate {' '.join(recordings)} -c {config_path} -o {output}{options}"
         write_page(calibration_page(found, command), page)
-    _write(output, found.text)
     _print(found)
     click.echo(f"written to {output}" + (f", {page.name} and {page.with_suffix('.json').name}" if page else ""))
 

@@ -31,6 +31,8 @@ _STATISTICS = ("mean", "std", "rms", "median", "p95", "max", "count")
 _TABLE_COLUMNS = 110  # a narrower terminal wraps lines instead of cutting off digits
 _PIPE_WIDTH = 1000
 
+ASSOCIATION = ("max_gap_s", "max_difference_s", "reference_offset_s", "reference_lever_arm")  # options
+
 
 @click.command()
 @click.argument("trajectories", metavar="ESTIMATE... REFERENCE", nargs=-1, required=True, type=_FILE)
@@ -220,6 +222,7 @@ def _metrics(
             reference_offset_s=reference_offset_s,
             reference_lever_arm=reference_lever_arm,
             position_only=position_only,
+            names={name: f"--{name.replace('_', '-')}" for name in ASSOCIATION},
         ),
     )
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -154,8 +155,8 @@ def check_window(start_s: float, duration_s: float | None, rate: float | None = 
         raise ConfigError(f"--start {start_s:g}: must be >= 0 and <= {LONGEST_S:g}")
     if duration_s is not None and not 0 < duration_s <= LONGEST_S:
         raise ConfigError(f"--duration {duration_s:g}: must be > 0 and <= {LONGEST_S:g}")
-    if rate is not None and not rate >= SLOWEST_RATE:
-        raise ConfigError(f"--rate {rate:g}: must be > 0, at least {SLOWEST_RATE:g}")
+    if rate is not None and not SLOWEST_RATE <= rate < inf:
+        raise ConfigError(f"--rate {rate:g}: must be > 0, at least {SLOWEST_RATE:g}, and finite")
 
 
 def timing_line(timing: Mapping[str, Any]) -> str:

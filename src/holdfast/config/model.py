@@ -5,7 +5,7 @@ machine.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Literal, Self, TypeVar
 
 from pydantic import Field, model_validator
@@ -294,10 +294,24 @@ def faults_of(config: Config) -> Iterator[str]:
     twice = sorted({child for child in children if children.count(child) > 1})
     if twice:
         yield f"extrinsics: frame {twice[0]!r} has two parents"
+    elif circle := _circle(config.extrinsics):
+        yield f"extrinsics: {' -> '.join(circle)} lead back to where they begin, and no frame can carry itself"
     elif config.sensors_of(ImuConfig):
         yield from _faults_of_mounts(config)
         yield from _faults_of_chassis(config)
         yield from _faults_of_frames(config)
+
+
+def _circle(extrinsics: Iterable[Extrinsic]) -> list[str]:
+    """Return frames of which each is the parent of the next, and the first is the last; empty if there are none."""
+    parents = {extrinsic.child: extrinsic.parent for extrinsic in extrinsics}
+    for child in parents:
+        chain = [child]
+        while (parent := parents.get(chain[0])) is not None and parent not in chain:
+            chain.insert(0, parent)
+        if parent is not None:
+            return [parent, *chain[: chain.index(parent) + 1]]
+    return []
 
 
 def _faults_of_sensors(config: Config) -> Iterator[str]:

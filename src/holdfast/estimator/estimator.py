@@ -8,7 +8,7 @@ from collections import Counter
 from dataclasses import replace
 
 from holdfast.config.model import Config, check_config, check_sensor
-from holdfast.errors import ConfigError
+from holdfast.errors import ConfigError, MessageError
 from holdfast.estimator.density import Density
 from holdfast.estimator.imu_path import ImuPath
 from holdfast.estimator.intake import Intake
@@ -16,11 +16,12 @@ from holdfast.estimator.listener import Listener
 from holdfast.estimator.optimiser import Optimiser
 from holdfast.event_log import EventLog, MeasurementRecord
 from holdfast.geometry.earth import Geodetic, LocalFrame, check_datum
-from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
-from holdfast.measured_fields import no_message
+from holdfast.integrity.learnt_snapshot import LearntSnapshot, check_learnt
+from holdfast.measured_fields import got, is_stamp
 from holdfast.messages import ImuSample, JointAngle, Message
 from holdfast.sensors.constants import Constant
 from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.registry import MessageKinds
 from holdfast.state import NOTHING, BaseState, Estimate, Event, EventKind, Health, HealthReport, Outcome, Output
 
 
@@ -33,21 +34,28 @@ class Estimator(Intake):
         learnt: what was learnt of the sensors before.
 
     Raises:
-        ConfigError: `config` is none.
+        ConfigError: an argument is none of these.
     """
 
     def __init__(
-        self, config: Config, listener: Listener | None = None, *, learnt: LearntSnapshot = NOTHING_LEARNT
+        self, config: Config, listener: Listener | None = None, *, learnt: LearntSnapshot | None = None
     ) -> None:
         check_config(config)
+        learnt = check_learnt(learnt)
+        if not isinstance(listener, Listener | None):
+            raise ConfigError(f"listener: must have the methods of a Listener, not be a {type(listener).__name__}")
         self.config = config
-        self._imu = config.imu_name
+        self._imu, self._kinds = config.imu_name, MessageKinds(config)
         self._log = EventLog(self._imu)
         self._buffer = ImuBuffer(config.imu)
         self._path = ImuPath(config, self._buffer, self._log, learnt.joint)
         self._optimiser = Optimiser(
             config, self._buffer, self._log, listener, Density(config, self._log), learnt=learnt
         )
+
+    def close(self) -> None:
+        """Count the measurements that still wait for the IMU when no more will come."""
+        self._optimiser.close()
 
     @property
     def datum(self) -> Geodetic | None:
@@ -118,7 +126,13 @@ class Estimator(Intake):
         return self._optimiser.learnt().with_joint(self._path.learnt())
 
     def stamp(self, time_ns: int) -> int:
-        """Return the stamp that the IMU's clock showed at a time of the estimator's own, which never steps."""
+        """Return the stamp that the IMU's clock showed at a time of the estimator's own, which never steps.
+
+        Raises:
+            MessageError: it is no time.
+        """
+        if not is_stamp(time_ns):
+            raise MessageError(f"time_ns: must be a whole number of nanoseconds within 64 bits, {got(time_ns)}")
         return self._path.clock.stamp(time_ns)
 
     def take_events(self) -> list[Event]:
@@ -138,16 +152,13 @@ class Estimator(Intake):
 
         Raises:
             ConfigError: the sensor is not in the configuration.
-            MessageError: it is no message.
+            MessageError: it is no message, or one of another kind than the sensor's.
         """
-        if not hasattr(message, "sensor"):
-            raise no_message(message)
         if isinstance(message, ImuSample) and message.sensor == self._imu:
             output = self._process_imu(message)
-        elif message.sensor in self.config.sensors:
-            output = self._process_other(self._path.clock.read(message))
         else:
-            raise ConfigError(f"sensors.{message.sensor}: not in the configuration, but a message of it came")
+            self._kinds.check(message)
+            output = self._process_other(self._path.clock.read(message))
         return self._path.clock.output(output)
 
     def _process_other(self, message: Message) -> Output:

@@ -5,7 +5,7 @@ measurement, is collected by whoever listens; nothing that a listener does reach
 """
 
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from holdfast.estimator.imu_path import Received
 from holdfast.estimator.learnt_view import LearntView
@@ -14,6 +14,7 @@ from holdfast.sensors.sensor import Joint, Measurement, Sensor
 from holdfast.state import OptimisedState
 
 
+@runtime_checkable
 class Listener(Protocol):
     """Who is told. Times are those of the estimator's clock, which never steps: `Estimator.stamp` maps them back."""
 

@@ -85,6 +85,7 @@ class Optimiser:
     def _begin(self) -> None:
         """Begin anew, before a start, with what was learnt until now."""
         self._learnt = self.learnt()
+        self.close()
         self.monitor.stop()
         if self._listener is not None:
             self._listener.stop()
@@ -92,6 +93,13 @@ class Optimiser:
         self._lever_arms = LeverArms(self._sensors)
         self._astray: Counter[str] = Counter()  # stamps in a row that contradict the IMU's clock, by sensor
         self._phase = self._initialising()
+
+    def close(self) -> None:
+        """Count what still waits for the IMU, which nothing will come for any more."""
+        for measurement in self._phase.queue.drain() if isinstance(self._phase, Tracking) else ():
+            position = measurement.p_W_P if isinstance(measurement, Position) else None
+            self._log.count(measurement.sensor, Outcome.UNREACHED)
+            self._log.record(measurement.stamp_ns, measurement.sensor, Outcome.UNREACHED, p_W_P=position)
 
     def _initialising(self) -> Initialising:
         return Initialising(self._config, self._buffer, self._lever_arms.believed(self._sensors), self.gravity)

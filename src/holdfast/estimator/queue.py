@@ -28,6 +28,11 @@ class MeasurementQueue:
         """Return how many measurements of each sensor wait."""
         return Counter(one.measurement.sensor for one in self._waiting)
 
+    def drain(self) -> list[Measurement]:
+        """Return and drop all that wait."""
+        drained, self._waiting = [one.measurement for one in self._waiting], []
+        return drained
+
     def push(self, measurement: Measurement) -> None:
         """Let a measurement wait."""
         self._order += 1

@@ -1,6 +1,7 @@
 """Which pose of the estimate is compared with which pose of the reference."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from math import inf, isfinite
 from typing import Literal, Self
 
@@ -30,6 +31,7 @@ class Association:
         reference_offset_s: is added to the stamps of the reference [s].
         reference_lever_arm: x, y, z of the point that the reference describes, in the estimate's body frame [m].
         position_only: the orientation of the reference is not to be used.
+        names: of those of these numbers that the user can give, as he gives them, for errors.
 
     Raises:
         ConfigError: a number is not finite or beyond all times, or max_gap_s or max_difference_s is negative.
@@ -41,18 +43,28 @@ class Association:
     reference_offset_s: float = 0.0
     reference_lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     position_only: bool = False
+    names: Mapping[str, str] = field(default_factory=dict, compare=False)
 
     def __post_init__(self) -> None:
         """Refuse numbers with which nothing can be paired."""
         for name, value in (("max_gap_s", self.max_gap_s), ("max_difference_s", self.max_difference_s)):
             if not 0.0 <= value < inf:
-                raise ConfigError(f"{name} = {value:g}: must be >= 0 and finite")
+                raise ConfigError(f"{self._named(name)} {value:g}: must be >= 0 and finite")
         if not abs(self.reference_offset_s) <= MAX_OFFSET_S:
             raise ConfigError(
-                f"reference_offset_s = {self.reference_offset_s:g}: must be finite and within +-{MAX_OFFSET_S:g}"
+                f"{self._named('reference_offset_s')} {self.reference_offset_s:g}: "
+                f"must be finite and within +-{MAX_OFFSET_S:g}"
             )
         if not all(map(isfinite, self.reference_lever_arm)):
-            raise ConfigError(f"reference_lever_arm = {self.reference_lever_arm}: must be finite")
+            arm = " ".join(f"{value:g}" for value in self.reference_lever_arm)
+            raise ConfigError(f"{self._named('reference_lever_arm')} {arm}: must be finite")
+
+    def _named(self, name: str) -> str:
+        return self.names.get(name, name)
+
+    def remedy(self, name: str, what: str) -> str:
+        """Return that a number does something, with `; ` before it; nothing where the user cannot give it."""
+        return f"; {self.names[name]} {what}" if name in self.names else ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +114,7 @@ def associate(estimate: Trajectory, reference: Trajectory, options: Association 
     check_trajectory(estimate, "estimate")
     check_trajectory(reference, "reference")
     reference = replace(reference, stamps_ns=reference.stamps_ns + round(options.reference_offset_s * 1e9))
-    _check_overlap(estimate, reference)
+    _check_overlap(estimate, reference, options)
     turned = has_orientation(estimate)
     oriented = turned and not options.position_only and has_orientation(reference)
     estimate, start_ns = _normalised(estimate), int(reference.stamps_ns[0])
@@ -146,19 +158,21 @@ def has_orientation(trajectory: Trajectory) -> bool:
     return bool((norms > 0.5).all() and (trajectory.quaternions != IDENTITY).any())
 
 
-def _check_overlap(estimate: Trajectory, reference: Trajectory) -> None:
+def _check_overlap(estimate: Trajectory, reference: Trajectory, options: Association) -> None:
     (e0, e1), (r0, r1) = ((int(t.stamps_ns[0]), int(t.stamps_ns[-1])) for t in (estimate, reference))
     if e1 < r0 or r1 < e0:
         raise RecordingError(
             f"no overlap in time: the estimate spans {e0 * 1e-9:.3f} to {e1 * 1e-9:.3f} s, "
-            f"the reference {r0 * 1e-9:.3f} to {r1 * 1e-9:.3f} s; --reference-offset-s shifts the reference"
+            f"the reference {r0 * 1e-9:.3f} to {r1 * 1e-9:.3f} s"
+            f"{options.remedy('reference_offset_s', 'shifts the reference')}"
         )
 
 
 def _remedy(options: Association) -> str:
     if options.method == "nearest":
-        return f"stamps may differ by {options.max_difference_s} s; --max-difference-s allows more"
-    return f"gaps of the estimate are bridged up to {options.max_gap_s} s; --max-gap-s allows more"
+        remedy = options.remedy("max_difference_s", "allows more")
+        return f"stamps may differ by {options.max_difference_s} s{remedy}"
+    return f"gaps of the estimate are bridged up to {options.max_gap_s} s{options.remedy('max_gap_s', 'allows more')}"
 
 
 def _normalised(trajectory: Trajectory) -> Trajectory:

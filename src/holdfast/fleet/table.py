@@ -28,7 +28,7 @@ def write_table(rows: Sequence[Row], folder: Path) -> Path:
     order = {key: index for index, key in enumerate(_fixed_columns())}
     columns.sort(key=lambda key: order.get(key, order["state"] - 0.5))
     part, file = folder / f"{TABLE}.part", folder / TABLE
-    with part.open("w", newline="", encoding="utf-8") as stream:
+    with part.open("w", newline="", encoding="utf-8", errors="backslashreplace") as stream:
         writer = csv.DictWriter(stream, columns, restval="", lineterminator="\n")
         writer.writeheader()
         writer.writerows(

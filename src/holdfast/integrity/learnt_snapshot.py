@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from holdfast.config.section import Section, quantity
+from holdfast.errors import ConfigError
 from holdfast.messages import Array
 from holdfast.sensors.constants import ANOTHER, LearntConstant
 from holdfast.sensors.learnt_joint import NOTHING_OF_JOINT, LearntJoint
@@ -208,3 +209,16 @@ def probabilities(log_weights: Array) -> Array:
 
 
 NOTHING_LEARNT = LearntSnapshot()
+
+
+def check_learnt(learnt: object) -> LearntSnapshot:
+    """Return what was learnt before, nothing where it is None, and refuse what is neither.
+
+    Raises:
+        ConfigError: names the type that came.
+    """
+    if learnt is None:
+        return NOTHING_LEARNT
+    if not isinstance(learnt, LearntSnapshot):
+        raise ConfigError(f"learnt: must be what `learnt()` of an estimator returns, not {type(learnt).__name__}")
+    return learnt

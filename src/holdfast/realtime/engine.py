@@ -11,13 +11,13 @@ from types import TracebackType
 from typing import Self
 
 from holdfast.config.model import Config, check_config, check_sensor
-from holdfast.errors import ConfigError, EstimatorError
+from holdfast.errors import EstimatorError
 from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import ImuPath, Received
 from holdfast.estimator.intake import Intake
 from holdfast.event_log import EventLog
 from holdfast.geometry.earth import Geodetic, LocalFrame, check_datum
-from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
+from holdfast.integrity.learnt_snapshot import LearntSnapshot, check_learnt
 from holdfast.kernel.imu_path import HAS_NEWS
 from holdfast.measured_fields import no_message
 from holdfast.messages import ImuSample, JointAngle, Message
@@ -31,7 +31,7 @@ from holdfast.realtime.records import Records, Request
 from holdfast.realtime.supervisor import START_S, Supervisor
 from holdfast.realtime.worker import Settings
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.sensors.registry import inputs_of
+from holdfast.sensors.registry import MessageKinds, inputs_of
 from holdfast.state import NOTHING, Event, EventKind, Health, HealthReport, OptimisedState, Outcome, Output
 
 FLUSH_S = 30.0
@@ -50,15 +50,17 @@ class RealtimeEstimator(Intake):
         learnt: what was learnt of the sensors before.
 
     Raises:
-        ConfigError: `config` is none, or the machine does not allow what its section `realtime` asks for.
+        ConfigError: `config` or `learnt` is none, or the machine does not allow what its section `realtime` asks for.
     """
 
-    def __init__(self, config: Config, *, in_step: bool = False, learnt: LearntSnapshot = NOTHING_LEARNT) -> None:
+    def __init__(self, config: Config, *, in_step: bool = False, learnt: LearntSnapshot | None = None) -> None:
         check_config(config)
+        learnt = check_learnt(learnt)
         cores = place_caller(config.realtime)
         self.config = config
         self._in_step = in_step
         self._imu, self._inputs = config.imu_name, frozenset(inputs_of(config))
+        self._kinds = MessageKinds(config)
         self._log = EventLog(self._imu)
         self._reports = EngineLog(self._log)
         self._overload = Overload(config, self._log)
@@ -236,7 +238,7 @@ class RealtimeEstimator(Intake):
 
         Raises:
             ConfigError: the sensor is not in the configuration.
-            MessageError: it is no message.
+            MessageError: it is no message, or one of another kind than the sensor's.
             EstimatorError: the estimator is closed.
         """
         try:
@@ -250,8 +252,7 @@ class RealtimeEstimator(Intake):
             raise EstimatorError("the estimator is closed")
         if name == self._imu and isinstance(message, ImuSample):
             return self._path.clock.output(self._give(None, self._path.process(message)))
-        if name not in self.config.sensors:
-            raise ConfigError(f"sensors.{name}: not in the configuration, but a message of it came")
+        self._kinds.check(message)
         if not self._overload.admits(name, message.arrival_ns, self._buffer.latest_ns):
             return self._path.clock.output(self._take_new())
         return self._path.clock.output(self._process_other(self._path.clock.read(message)))

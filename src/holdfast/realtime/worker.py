@@ -85,6 +85,7 @@ class Worker:
                 is_wanted = self._sleep()
         while self.take_in():
             pass
+        self._optimiser.close()
         self._report(with_learnt=True)
 
     @property

@@ -59,7 +59,8 @@ def _parse(cells: list[str], place: str) -> tuple[int, list[float]]:
         check_plain(cells)
         stamp_s = Decimal(cells[0])
         if not stamp_s.copy_abs() < LIMIT_S:  # to make an integer of 1e999999999 takes forever
-            raise RecordingError(f"{place}: has a number that is not finite or a stamp beyond 292 years")
+            reason = "has a number that is not finite or a stamp beyond 292 years"
+            raise RecordingError(f"{place}: {reason} (allowed: seconds)")
         stamp_ns = int(stamp_s.scaleb(9).to_integral_value())
         row = [float(cell) for cell in cells[1:]]
     except (ValueError, ArithmeticError):  # a stamp of 1e999999 overflows Decimal

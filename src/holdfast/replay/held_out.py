@@ -81,14 +81,20 @@ class HoldOut:
 def check_sensors(rules: Iterable[HoldOut], config: Config) -> None:
     """Refuse rules for sensors that the configuration has not, and two that hold back every n-th message of one.
 
+    Every n-th is held back to judge by it: of a sensor of positions.
+
     Raises:
         ConfigError: names the option, the sensor and those that are allowed.
     """
     parted: set[str] = set()
+    judges = list(_position_sensors(config))
     for rule in rules:
         if rule.sensor not in config.sensors:
             allowed = ", ".join(config.sensors)
             raise ConfigError(f"{rule.given}: sensor {rule.sensor!r} is not configured (allowed: {allowed})")
+        if rule.every is not None and rule.sensor not in judges:
+            reason = f"{rule.sensor} gives no positions, by which an estimate is judged"
+            raise ConfigError(f"{rule.given}: {reason} (allowed: {', '.join(judges) or 'none'})")
         if rule.every is not None and rule.sensor in parted:
             raise ConfigError(f"{rule.given}: {rule.sensor} is given twice")
         if rule.every is not None:

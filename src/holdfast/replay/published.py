@@ -121,6 +121,8 @@ class PublishedRecorder:
             self._keep(message, output, took_ns)
             if progress is not None and count % PROGRESS_MESSAGES == 0:
                 progress(last_ns)
+        if isinstance(self.estimator, Estimator):
+            self.estimator.close()
         self.timing.wall_s = perf_counter() - began
         self.timing.recorded_s = (last_ns - first_ns) * 1e-9
 

@@ -129,11 +129,13 @@ class Replay:
             self._end_batch()
             self.timing.wall_s = perf_counter() - began
             self.timing.recorded_s = recorded_ns * 1e-9
-            if self._realtime is None:
-                self._judge(Output())
-            else:
+            if self._realtime is not None:
                 self._take(self._realtime.flush(), last_ns)
                 self.timing.update_ns.extend(self._realtime.take_update_times())
+            elif isinstance(self.estimator, Estimator):
+                self._judge(Output())
+                self.estimator.close()
+                self._write_measurements(self.estimator)
 
     def _process(self, message: Message) -> None:
         began_ns = perf_counter_ns()
@@ -167,10 +169,14 @@ class Replay:
             self._outputs.diagnose(self.estimator, now_ns)
             self.write_events()
             if isinstance(self.estimator, Estimator):
-                self._outputs.write_measurements(self.estimator.take_records())
+                self._write_measurements(self.estimator)
         if output.estimate is not None:
             self.health[self.estimator.health] += 1
         self._judge(output)
+
+    def _write_measurements(self, estimator: Estimator) -> None:
+        if self._outputs is not None:
+            self._outputs.write_measurements(estimator.take_records())
 
     def write_events(self) -> None:
         """Write the events since the last call."""

@@ -165,15 +165,20 @@ def page_file(path: str | PathLike[str], option: str = "") -> Path:
 
 
 def write_page(page: Page, path: Path) -> None:
-    """Write the page, and beside it its numbers with the suffix .json.
+    """Write the page, and beside it its numbers with the suffix .json; each whole or not at all.
 
     Raises:
         ConfigError: plotly is not installed, a key is not unique, or a file cannot be written.
     """
     html, numbers = render(page), json.dumps(numbers_of(page), indent=1, allow_nan=False)
     for file, text in ((path, html), (path.with_suffix(".json"), numbers + "\n")):
+        part = file.with_name(f".{file.name}.part")
         with naming_the_output(file):
-            file.write_text(text, encoding="utf-8")
+            try:
+                part.write_text(text, encoding="utf-8", errors="backslashreplace")  # names of files may be no UTF-8
+                part.replace(file)
+            finally:
+                part.unlink(missing_ok=True)
 
 
 def render(page: Page) -> str:

@@ -13,7 +13,7 @@ from holdfast.report.run_record import Measurements, RunRecord
 
 REFERENCE, SMOOTHED, OPTIMUM, ODOMETRY = "#9aa5b1", "#56b4e9", "#0072b2", "#7a5195"
 FIXES = {"used": "#009e73", "refused": "#e69f00", "held out": "#cc79a7"}  # and what became of them
-WAITED = ("before_start", "quarantined", "ignored")  # neither used nor refused
+WAITED = ("before_start", "quarantined", "ignored", "unreached")  # neither used nor refused
 
 
 def trajectory(run: RunRecord) -> list[Block]:

@@ -5,7 +5,10 @@ from pkgutil import iter_modules
 
 from holdfast import sensors
 from holdfast.config.model import Config
-from holdfast.messages import JointAngle, Message
+from holdfast.config.sensors import BaseImuConfig, ImuConfig, JointConfig
+from holdfast.errors import ConfigError, MessageError
+from holdfast.measured_fields import no_message
+from holdfast.messages import ImuSample, JointAngle, Message
 from holdfast.sensors.sensor import MAKERS, Sensor
 
 for _module in iter_modules(sensors.__path__):
@@ -32,3 +35,33 @@ def inputs_of(config: Config) -> dict[str, type[Message]]:
     if config.joint is not None and any(config.is_beyond_joint(config.frame_of(name)) for name in found):
         inputs[config.joint[0]] = JointAngle
     return inputs
+
+
+class MessageKinds:
+    """Knows which messages each sensor of a configuration has."""
+
+    def __init__(self, config: Config) -> None:
+        self._names = frozenset(config.sensors)
+        self._kinds: dict[str, type[Message]] = inputs_of(config)
+        for name, section in config.sensors.items():
+            if isinstance(section, ImuConfig | BaseImuConfig):
+                self._kinds[name] = ImuSample
+            elif isinstance(section, JointConfig):
+                self._kinds[name] = JointAngle
+
+    def check(self, message: Message) -> None:
+        """Refuse a message that no sensor has, or another one than it says.
+
+        Raises:
+            ConfigError: the sensor is not in the configuration.
+            MessageError: it is no message, or one of another kind.
+        """
+        name = getattr(message, "sensor", None)
+        if not isinstance(name, str):
+            raise no_message(message)
+        if name not in self._names:
+            raise ConfigError(f"sensors.{name}: not in the configuration, but a message of it came")
+        kind = self._kinds.get(name)
+        if kind is not None and not isinstance(message, kind):
+            given = type(message).__name__
+            raise MessageError(f"message: of sensor {name!r} must be of type {kind.__name__}, not {given}")

@@ -10,6 +10,7 @@ import rerun as rr
 
 from holdfast.errors import ConfigError
 from holdfast.geometry.earth import Geodetic
+from holdfast.printable import one_line
 from holdfast.recording.bag_file import Codec
 from holdfast.recording.raw import RawBag, RawChannel
 from holdfast.replay.outputs import ESTIMATES, EVENTS, SUMMARY
@@ -41,7 +42,7 @@ def open_sink(target: str, name: str) -> rr.RecordingStream:
     if target != "window" and not target.endswith(".rrd"):
         check_viewer(target)
     recording = rr.RecordingStream(APPLICATION)
-    recording.send_recording_name(name)
+    recording.send_recording_name(one_line(name))
     try:
         if target == "window":
             recording.connect_grpc(open_viewer())
@@ -64,7 +65,8 @@ def close_sink(recording: rr.RecordingStream, target: str, within_s: float = FOR
     try:
         recording.flush(timeout_sec=within_s)
     except RuntimeError as error:
-        raise ConfigError(f"{where}: not all could be drawn ({error}): does the viewer run?") from None
+        reason = "is the disk full?" if target.endswith(".rrd") else "does the viewer run?"
+        raise ConfigError(f"{where}: not all could be drawn ({error}): {reason}") from None
     recording.disconnect()
 
 
