@@ -15,7 +15,7 @@ pytestmark = pytest.mark.slow
 CLOCKS = ("gnss", "gnss_right", "heading", "lidar")
 
 
-def rows(scenario, seed, duration_s=30.0):
+def rows(scenario, seed, duration_s=20.0):
     found, truth = run(scenario, seed, duration_s, calibrate)
     return found, {
         (one.what, str(one.path[-1])): (one, truth[one.what, str(one.path[-1])])
@@ -47,7 +47,7 @@ def test_a_lidar_that_is_mounted_otherwise_is_turned_and_no_clock_is_accused():
 
 
 def test_the_zero_of_the_encoder_and_the_drift_of_the_lidar_are_found_on_rough_ground():
-    _, by_key = rows("rough", 14)
+    _, by_key = rows("rough", 14, 30.0)  # before, the ground has not been rough enough for the zero
     zero, true = by_key["zero of joint", "zero_offset_deg"]
     assert is_within(zero, true)
     for key in ("drift_m_per_sqrt_m", "translation_sigma_m"):
@@ -57,6 +57,6 @@ def test_the_zero_of_the_encoder_and_the_drift_of_the_lidar_are_found_on_rough_g
 
 @pytest.mark.parametrize("scenario", ["wrong-mount", "offset-clocks"])
 def test_what_one_replay_learns_of_mountings_clocks_and_the_encoder_is_true(scenario):
-    found, truth = run(scenario, 15, 45.0, learn)
+    found, truth = run(scenario, 15, 30.0, learn)
     assert {key for _, key in (one.key for one in found)} == {"time_offset_s", "rotation", "zero_offset_deg"}
     assert all(abs(one.value - truth[one.key]) <= 3.0 * one.sigma for one in found)

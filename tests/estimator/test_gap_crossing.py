@@ -1,6 +1,7 @@
 """Where the IMU is silent no IMU factor spans the gap, lidar and GNSS carry the state, and the covariance shows it."""
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -42,7 +43,8 @@ def frozen(samples):
     ]
 
 
-def crossed(spoil, seed=1, gnss_in_gap=False, **sections):
+@lru_cache(maxsize=12)
+def crossed(spoil, seed=1, gnss_in_gap=False):
     rng = np.random.default_rng(seed)
     drive = Drive(yaw_rad=0.3)
     samples = imu(drive, 0.0, END_S, 100.0, rng)
@@ -50,7 +52,7 @@ def crossed(spoil, seed=1, gnss_in_gap=False, **sections):
     if not gnss_in_gap:
         antenna = [f for f in antenna if not ns(GAP[0]) < f.stamp_ns < ns(GAP[1] + 0.2)]
     lidar = scans(drive, 0.0, END_S, 5.0, rng, phase_s=0.0071)
-    estimator, outputs = run(machine(**sections), in_order(spoil(samples), antenna, lidar))
+    estimator, outputs = run(machine(), in_order(spoil(samples), antenna, lidar))
     return drive, estimator, outputs
 
 

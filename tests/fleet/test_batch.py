@@ -13,15 +13,17 @@ from pathlib import Path
 
 import pytest
 
+sys.path.append(str(Path(__file__).parents[1] / "replay"))
+from small_drive import Done, holdfast
+
 pytestmark = pytest.mark.slow
 
 MAIN = [sys.executable, "-c", "from holdfast.cli import main; main()"]
 LIMIT_S = 120.0
 
 
-def run(*arguments: str | Path) -> "subprocess.CompletedProcess[str]":
-    command = [*MAIN, "batch", *map(str, arguments)]
-    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=LIMIT_S)
+def run(*arguments: str | Path) -> Done:
+    return holdfast("batch", *arguments)
 
 
 def table(folder: Path) -> dict[str, dict[str, str]]:
@@ -61,9 +63,9 @@ def test_one_failure_does_not_stop_the_rest_and_its_reason_is_reported(batch):
         "broken@graph.lag_s=3": "failed",
     }
     assert "broken.mcap" in rows["broken@graph.lag_s=3"]["reason"]
-    assert result.returncode == 1
-    assert "2 of 4 runs failed" in result.stderr
-    assert "Traceback" not in result.stderr
+    assert result.code == 1
+    assert "2 of 4 runs failed" in result.err
+    assert "Traceback" not in result.err
 
 
 def test_the_table_has_what_was_varied_the_errors_against_the_truth_and_the_time(batch):
@@ -84,9 +86,9 @@ def test_done_runs_are_skipped_and_failed_ones_tried_again(batch):
     _, folder, arguments = batch
     before = {file: file.stat().st_mtime_ns for file in folder.glob("*/summary.json")}
     result = run(*arguments)
-    assert "2 of 4 runs done, 2 of them before; 2 failed" in result.stdout
+    assert "2 of 4 runs done, 2 of them before; 2 failed" in result.out
     assert {file: file.stat().st_mtime_ns for file in folder.glob("*/summary.json")} == before
-    assert result.stderr.count(": failed ") == 2
+    assert result.err.count(": failed ") == 2
 
 
 def test_another_configuration_is_run_anew(batch, simulated: Path, tmp_path: Path):
@@ -96,13 +98,13 @@ def test_another_configuration_is_run_anew(batch, simulated: Path, tmp_path: Pat
     printed = []
     for extra in ("", "", "\nstandstill: {enabled: false}\n"):
         config.write_text(text + extra, encoding="utf-8")
-        printed.append(run(simulated, "-c", config, "-o", folder, "--duration", "3").stdout.splitlines()[0])
+        printed.append(run(simulated, "-c", config, "-o", folder, "--duration", "3").out.splitlines()[0])
     assert [line.partition(" of them before")[0][-1] for line in printed] == ["0", "1", "0"]
 
 
 def test_errors_at_held_out_fixes_are_in_the_table(simulated: Path, tmp_path: Path):
     arguments = (simulated, "-c", simulated / "config.yaml", "-o", tmp_path, "--hold-out", "gnss=2", "--duration", "5")
-    assert run(*arguments).returncode == 0
+    assert run(*arguments).code == 0
     (row,) = table(tmp_path).values()
     summary = json.loads((tmp_path / "yard" / "summary.json").read_text())
     rms = summary["held_out"]["causal"]["all"]["horizontal_m"]["rms"]
@@ -127,8 +129,8 @@ def test_ctrl_c_keeps_what_is_done_and_the_next_batch_goes_on(simulated: Path, t
     time.sleep(0.5)
     assert not replays_of(tmp_path), "a replay goes on although the batch was stopped"
     again = run(*arguments)
-    assert again.returncode == 0
-    assert f"3 of 3 runs done, {done} of them before; 0 failed" in again.stdout
+    assert again.code == 0
+    assert f"3 of 3 runs done, {done} of them before; 0 failed" in again.out
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
@@ -150,8 +152,8 @@ def test_no_replay_outlives_its_batch_and_each_leaves_its_summary(simulated: Pat
         assert process.returncode == 128 + number
         assert errors.strip().endswith(f"interrupted: what was done until then is in {tmp_path / 'out'}")
     again = run(*arguments)
-    assert again.returncode == 0, again.stderr
-    assert "1 of 1 runs done, 0 of them before; 0 failed" in again.stdout
+    assert again.code == 0, again.err
+    assert "1 of 1 runs done, 0 of them before; 0 failed" in again.out
 
 
 def test_the_drive_that_ships_with_gtsam_can_be_in_a_batch(tmp_path: Path):
@@ -159,7 +161,7 @@ def test_the_drive_that_ships_with_gtsam_can_be_in_a_batch(tmp_path: Path):
 
     (tmp_path / "config.yaml").write_text(CONFIG, encoding="utf-8")
     done = run("kitti", "-c", tmp_path / "config.yaml", "-o", tmp_path / "out", "--duration", "20")
-    assert done.returncode == 0, done.stderr
+    assert done.code == 0, done.err
     assert table(tmp_path / "out")["kitti"]["recording"] == "kitti"
     assert json.loads((tmp_path / "out/kitti/summary.json").read_text())["recording"] == "kitti"
 
@@ -182,9 +184,9 @@ def test_a_mistake_ends_in_one_line_and_exit_code_2(simulated: Path, tmp_path: P
         (("--hold-out", "gps=2"), "--hold-out gps=2: sensor 'gps' is not configured"),
     ):
         result = run(simulated, "-c", simulated / "config.yaml", "-o", tmp_path / "out", *wrong)
-        assert result.returncode == 2
-        assert printed in result.stderr
-        assert len(result.stderr.splitlines()) == 1
+        assert result.code == 2
+        assert printed in result.err
+        assert len(result.err.splitlines()) == 1
 
 
 def test_ctrl_c_in_a_terminal_reaches_the_replays_too_and_none_counts_as_failed(simulated: Path, tmp_path: Path):
@@ -234,8 +236,8 @@ def test_a_cluster_of_two_workers_gives_the_same_table(cluster: str, batch, simu
     arguments = (simulated, broken, "-c", simulated / "config.yaml", "-o", tmp_path / "out")
     result = run(*arguments, "--vary", "graph.lag_s=1.5,3", "--scheduler", cluster)
     there = table(tmp_path / "out")
-    assert result.returncode == 1
-    assert "Traceback" not in result.stderr
+    assert result.code == 1
+    assert "Traceback" not in result.err
     assert list(there) == list(here)
     for name, row in here.items():
         for key in ("state", "graph.lag_s", "horizontal_m_rms", "yaw_deg_rms", "gnss_lost", "reason"):
@@ -262,6 +264,6 @@ def test_ctrl_c_stops_what_runs_on_the_cluster(cluster: str, simulated: Path, tm
 def test_a_scheduler_that_does_not_answer_is_reported_in_one_line(simulated: Path, tmp_path: Path, address: str):
     pytest.importorskip("distributed")
     result = run(simulated, "-c", simulated / "config.yaml", "-o", tmp_path, "--scheduler", address)
-    assert result.returncode == 2
-    assert f"--scheduler {address}: no scheduler answers" in result.stderr
-    assert len(result.stderr.splitlines()) == 1
+    assert result.code == 2
+    assert f"--scheduler {address}: no scheduler answers" in result.err
+    assert len(result.err.splitlines()) == 1

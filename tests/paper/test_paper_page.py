@@ -10,10 +10,10 @@ import pytest
 
 from holdfast.evaluation.absolute import Statistics
 from holdfast.evaluation.mapping import Closeness, MapOptions, View
-from holdfast.paper.maps import MapScore, cast_scans, coloured, load_maps, map_task
+from holdfast.paper.maps import MapScore, cast_scans, coloured
 from holdfast.paper.page import paper_page, write_report
 from holdfast.paper.results import Growth, Latency, OutageScore, Results, Run
-from holdfast.paper.study import QUICK, TASKS
+from holdfast.paper.study import TASKS
 from holdfast.paper.systems import ENGINE, SYSTEMS
 from holdfast.paper.tables import QUANTITIES
 from holdfast.report.page import Figure, Row, Table, Text, numbers_of, write_page
@@ -288,21 +288,3 @@ def test_scans_for_a_map_are_those_that_would_be_recorded(tmp_path: Path):
         np.testing.assert_array_equal(ours.points, recorded.points.astype(np.float32))
         # the recording has the clock of the lidar, which may be a little off the true time
         assert abs(ours.stamp_ns - recorded.stamp_ns) < 1_000_000
-
-
-@pytest.mark.slow
-def test_every_system_has_a_map_and_none_is_better_than_that_of_the_true_poses(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setitem(QUICK, "construction", {"duration_s": 12.0, "faults": []})
-    map_task("construction", tmp_path, True)
-    loaded = load_maps(tmp_path)
-    assert loaded is not None
-    fractions = {score.system: score.closeness["all"].fraction_within for score in loaded}
-    assert list(fractions) == ["truth", *SYSTEMS]
-    assert fractions["truth"] == max(fractions.values())
-    assert fractions["truth"] > 0.99  # the noise of the ranges is 2 cm along the ray
-    for score in loaded:
-        assert (tmp_path / "maps" / "construction" / f"{score.system}.ply").stat().st_size > 10_000
-        assert score.view is not None
-        assert np.isfinite(score.view.errors).any()

@@ -9,8 +9,10 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from holdfast.paper.maps import load_maps
 from holdfast.paper.systems import SYSTEMS
 
 sys.path.append(str(Path(__file__).parents[1] / "report"))
@@ -96,6 +98,21 @@ def test_the_quick_evaluation_goes_on_after_ctrl_c_and_its_report_is_complete(tm
     assert {name: age for name, age in age_of_runs(folder).items() if name in kept} == kept
     assert not list(scratch.iterdir())
     check_results(folder, printed, tmp_path)
+    check_maps(folder)
+
+
+def check_maps(folder: Path) -> None:
+    """Every system has a map, and none is better than that of the true poses."""
+    loaded = load_maps(folder)
+    assert loaded is not None
+    fractions = {score.system: score.closeness["all"].fraction_within for score in loaded}
+    assert list(fractions) == ["truth", *SYSTEMS]
+    assert fractions["truth"] == max(fractions.values())
+    assert fractions["truth"] > 0.99  # the noise of the ranges is 2 cm along the ray
+    for score in loaded:
+        assert (folder / "maps" / "construction" / f"{score.system}.ply").stat().st_size > 10_000
+        assert score.view is not None
+        assert np.isfinite(score.view.errors).any()
 
 
 def check_results(folder: Path, printed: str, scratch: Path) -> None:

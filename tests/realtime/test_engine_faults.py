@@ -55,6 +55,14 @@ def engine(drive):
         yield estimator
 
 
+@pytest.fixture
+def patient(drive):
+    """The same where an optimiser may be silent for long, however busy the machine is."""
+    with RealtimeEstimator(with_settings(drive.config, realtime={"hang_s": 60.0})) as estimator:
+        bring_up(estimator, drive.until(BEGIN_S))
+        yield estimator
+
+
 @pytest.fixture(scope="module")
 def steady(drive):
     """The same, for tests after which it goes on as before."""
@@ -68,42 +76,43 @@ def test_the_imu_path_goes_on_while_a_killed_optimiser_is_replaced(drive, engine
     anchored_ns = engine.newest_state.stamp_ns
     os.kill(first, signal.SIGKILL)
     wait_for(lambda: engine.event_counts["optimiser_fault"] == 1)
-    messages = drive.between(BEGIN_S, 8.0)
-    outputs = play(engine, messages[:20], rate=1.0)
+    messages = drive.between(BEGIN_S, 7.0)
+    outputs = play(engine, messages[:20])  # before its successor is there
     assert engine.health is Health.OPTIMISER_RESET
-    outputs += play(engine, messages[20:], rate=1.0)
+    outputs += play(engine, messages[20:400], rate=1.0)
+    wait_for(lambda: engine.optimiser_pid not in {None, first})
+    outputs += play(engine, messages[400:], rate=2.0)
     assert stamps_of(outputs) == imu_stamps(messages)
     engine.flush()
-    assert engine.optimiser_pid not in {None, first}
-    assert engine.newest_state.stamp_ns > anchored_ns + 3_000_000_000
+    assert engine.newest_state.stamp_ns > anchored_ns + 2_000_000_000
     (fault,) = (e for e in engine.take_events() if e.kind == "optimiser_fault")
     assert "signal 9" in fault.reason
 
 
-def test_covariance_grows_while_there_is_no_optimiser_and_shrinks_when_it_is_back(drive, engine):
-    os.kill(engine.optimiser_pid, signal.SIGSTOP)
-    alone = play(engine, drive.between(BEGIN_S, 6.0), rate=2.0)  # 1 s, less than hang_s
-    os.kill(engine.optimiser_pid, signal.SIGCONT)
-    engine.flush()
-    again = play(engine, drive.between(6.0, 6.5), rate=1.0)
+def test_covariance_grows_while_there_is_no_optimiser_and_shrinks_when_it_is_back(drive, patient):
+    os.kill(patient.optimiser_pid, signal.SIGSTOP)
+    alone = play(patient, drive.between(BEGIN_S, 6.0), rate=2.0)
+    os.kill(patient.optimiser_pid, signal.SIGCONT)
+    patient.flush()
+    again = play(patient, drive.between(6.0, 6.5), rate=1.0)
     sigmas, later = sigmas_m(alone)[20:], sigmas_m(again)  # what was on its way has come in the first samples
     assert (np.diff(sigmas) > 0.0).all()
     assert sigmas[-1] > 1.2 * sigmas[0]
     assert later[-1] < sigmas[-1]
-    assert engine.event_counts["optimiser_fault"] == 0
+    assert patient.event_counts["optimiser_fault"] == 0
 
 
-def test_a_short_stop_loses_nothing(drive, engine):
-    os.kill(engine.optimiser_pid, signal.SIGSTOP)
-    play(engine, drive.between(BEGIN_S, 6.0))
-    os.kill(engine.optimiser_pid, signal.SIGCONT)
-    engine.flush()
+def test_a_short_stop_loses_nothing(drive, patient):
+    os.kill(patient.optimiser_pid, signal.SIGSTOP)
+    play(patient, drive.between(BEGIN_S, 6.0))
+    os.kill(patient.optimiser_pid, signal.SIGCONT)
+    patient.flush()
     sent = [m for m in drive.until(6.0) if isinstance(m, GnssFix | Heading | SensorPose)]
     sensors = {m.sensor for m in sent}
     assert sensors == {"gnss", "gnss_right", "heading", "lidar"}
-    waiting = len(sent) - sum(total(engine.counts, sensor) for sensor in sensors)
+    waiting = len(sent) - sum(total(patient.counts, sensor) for sensor in sensors)
     assert 0 <= waiting <= len(sensors)  # of each the newest, until the IMU reaches its time
-    assert engine.newest_state.stamp_ns > drive.until(6.0)[-1].stamp_ns - 500_000_000
+    assert patient.newest_state.stamp_ns > drive.until(6.0)[-1].stamp_ns - 500_000_000
 
 
 def test_an_optimiser_that_hangs_is_replaced(drive):
@@ -111,11 +120,12 @@ def test_an_optimiser_that_hangs_is_replaced(drive):
         bring_up(engine, drive.until(BEGIN_S))
         hung = engine.optimiser_pid
         os.kill(hung, signal.SIGSTOP)
-        messages = drive.between(BEGIN_S, 9.0)
-        outputs = play(engine, messages, rate=1.0)
+        outputs = play(engine, drive.between(BEGIN_S, 5.0), rate=1.0)
+        wait_for(lambda: engine.optimiser_pid not in {None, hung})
+        outputs += play(engine, drive.between(5.0, 7.0), rate=2.0)
+        messages = drive.between(BEGIN_S, 7.0)
         assert stamps_of(outputs) == imu_stamps(messages)
         engine.flush()
-        assert engine.optimiser_pid not in {None, hung}
         assert engine.newest_state.stamp_ns > messages[-1].stamp_ns - 1_000_000_000
         assert any("hung for 0.5 s" in e.reason for e in engine.take_events() if e.kind == "optimiser_fault")
 
@@ -126,11 +136,12 @@ def test_an_optimiser_that_raises_is_replaced_and_reports_where(drive, engine):
     poison = replace(fix)
     object.__setattr__(poison, "status", 99)  # which no message can be made with
     engine.process(poison)
+    outputs = play(engine, drive.between(BEGIN_S, 5.0), rate=1.0)
+    wait_for(lambda: engine.optimiser_pid not in {None, first})
+    outputs += play(engine, drive.between(5.0, 7.0), rate=2.0)
     messages = drive.between(BEGIN_S, 7.0)
-    outputs = play(engine, messages, rate=1.0)
     assert stamps_of(outputs) == imu_stamps(messages)
     engine.flush()
-    assert engine.optimiser_pid not in {None, first}
     assert engine.newest_state.stamp_ns > messages[-1].stamp_ns - 1_000_000_000
     (fault,) = (e for e in engine.take_events() if e.kind == "optimiser_fault")
     assert "raised ValueError" in fault.reason and "99 is not a valid FixStatus" in fault.reason

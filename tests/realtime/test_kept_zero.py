@@ -47,7 +47,7 @@ def test_the_zero_is_used_from_the_first_estimate(drive, config):
 def test_both_engines_give_the_same_bits_and_learn_the_same(drive, config):
     inline = Estimator(config, learnt=LEARNT)
     with RealtimeEstimator(config, in_step=True, learnt=LEARNT) as engine:
-        for number, message in enumerate(drive.until(8.0)):
+        for number, message in enumerate(drive.until(5.0)):
             assert bits(engine.process(message)) == bits(inline.process(message)), f"message {number}"
     assert engine.learnt().joint == inline.learnt().joint != NOTHING_OF_JOINT
 

@@ -2,16 +2,17 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
-from engine import wait_for
+from engine import play, wait_for
 
-from holdfast.kernel.compiling import MESSAGE
+from holdfast.estimator.estimator import Estimator
+from holdfast.kernel.compiling import FOLDER, MESSAGE
 
 KEEPER = """
 import sys, time
@@ -103,8 +104,9 @@ def test_ctrl_c_in_a_replay_writes_what_came_and_ends_both(drive, tmp_path):
         text=True,
     )
     track = tmp_path / "imu_in_world.tum"
-    wait_for(lambda: track.exists() and track.stat().st_size > 0, timeout_s=60.0)
-    time.sleep(1.0)
+    updates = tmp_path / "optimized_in_world.tum"
+    for file in (track, updates):
+        wait_for(lambda file=file: file.exists() and file.stat().st_size > 0, timeout_s=60.0)
     others = children(process.pid)
     assert others
     process.send_signal(signal.SIGINT)
@@ -117,7 +119,6 @@ def test_ctrl_c_in_a_replay_writes_what_came_and_ends_both(drive, tmp_path):
     assert summary["counts"]["gnss"]["used"] > 0
     lines = track.read_text(encoding="utf-8").splitlines()
     assert len(lines[-1].split()) == 8
-    assert (tmp_path / "optimized_in_world.tum").stat().st_size > 0
     for line in (tmp_path / "events.jsonl").read_text(encoding="utf-8").splitlines():
         json.loads(line)
 
@@ -137,7 +138,14 @@ def test_a_realtime_replay_comes_to_the_same_summary(drive, tmp_path):
     assert summary["counts"]["imu"] == {"used": 1000}
     assert summary["events"]["initialised"] == 1
     assert summary["events"].get("optimiser_fault", 0) == 0
-    assert summary["timing"]["update_ms"]["count"] > 50
+    # how many measurements an update takes in is a matter of the machine's load, how many are taken in is none
+    inline = Estimator(drive.config)
+    play(inline, drive.until(10.0))
+    for sensor in ("gnss", "gnss_right", "heading", "lidar"):
+        counts = {str(outcome): count for (name, outcome), count in inline.counts.items() if name == sensor}
+        assert sum(summary["counts"][sensor].values()) == pytest.approx(sum(counts.values()), abs=1)
+        assert summary["counts"][sensor]["used"] > 0.9 * counts["used"] > 0
+    assert summary["timing"]["update_ms"]["count"] > 0
     assert summary["timing"]["wall_s"] > 2.4
 
 
@@ -148,31 +156,39 @@ def test_each_process_runs_where_the_configuration_puts_it(drive):
         pytest.skip("one core")
     code = (
         "import os, sys, holdfast\n"
+        "from holdfast.errors import ConfigError\n"
         "config = holdfast.load_config(sys.argv[1])\n"
-        "values = dict(pair.split('=') for pair in sys.argv[2:])\n"
-        "realtime = config.realtime.model_copy(update={name: int(value) for name, value in values.items()})\n"
-        "with holdfast.RealtimeEstimator(config.model_copy(update={'realtime': realtime})) as engine:\n"
-        "    engine.wait_until_ready()\n"
-        "    pid = engine.optimiser_pid\n"
-        "    here, there = (sorted(os.sched_getaffinity(one)) for one in (0, pid))\n"
-        "    print(here, there, os.getpriority(os.PRIO_PROCESS, pid))\n"
+        "everywhere = os.sched_getaffinity(0)\n"
+        "for settings in sys.argv[2:]:\n"
+        "    os.sched_setaffinity(0, everywhere)\n"
+        "    values = dict(pair.split('=') for pair in settings.split())\n"
+        "    realtime = config.realtime.model_copy(update={name: int(value) for name, value in values.items()})\n"
+        "    try:\n"
+        "        with holdfast.RealtimeEstimator(config.model_copy(update={'realtime': realtime})) as engine:\n"
+        "            engine.wait_until_ready()\n"
+        "            pid = engine.optimiser_pid\n"
+        "            here, there = (sorted(os.sched_getaffinity(one)) for one in (0, pid))\n"
+        "            print(here, there, os.getpriority(os.PRIO_PROCESS, pid))\n"
+        "    except ConfigError as error:\n"
+        "        print(error)\n"
     )
-
-    def placed(*settings):
-        done = subprocess.run(
-            [sys.executable, "-c", code, str(drive.folder / "config.yaml"), *settings],
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=60,
-        )
-        return done.stdout.strip() or done.stderr
-
     nice = os.getpriority(os.PRIO_PROCESS, 0)
-    assert placed() == f"{allowed} {allowed} {nice}"
-    assert placed(f"imu_core={allowed[0]}", "optimiser_nice=2") == f"[{allowed[0]}] {allowed} {min(nice + 2, 19)}"
-    assert placed(f"optimiser_core={allowed[1]}") == f"{allowed} [{allowed[1]}] {nice}"
-    assert "realtime.imu_core = 4096: must be one of" in placed("imu_core=4096")
+    expected = {
+        "": f"{allowed} {allowed} {nice}",
+        f"imu_core={allowed[0]} optimiser_nice=2": f"[{allowed[0]}] {allowed} {min(nice + 2, 19)}",
+        f"optimiser_core={allowed[1]}": f"{allowed} [{allowed[1]}] {nice}",
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(drive.folder / "config.yaml"), *expected, "imu_core=4096"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    *placed, refused = done.stdout.splitlines()
+    assert dict(zip(expected, placed, strict=True)) == expected
+    assert "realtime.imu_core = 4096: must be one of" in refused
 
 
 def test_the_example_runs_without_a_guard_for_its_main_module(drive):
@@ -210,15 +226,31 @@ with holdfast.RealtimeEstimator(config) as engine, open_recording(sys.argv[1]) a
 """
 
 
-@pytest.mark.slow
-def test_an_engine_whose_cache_cannot_be_written_compiles_once_for_both_processes_and_runs(drive, tmp_path):
+def test_an_engine_whose_cache_cannot_be_written_runs_the_code_of_the_temporary_files_in_both(drive, tmp_path):
+    """What is said where there is none yet: `tests/kernel/test_compiling.py`."""
+    if FOLDER is None:
+        pytest.skip("no cache can be written here at all")
+    there = {"NUMBA_CACHE_DIR": "/proc/nowhere", "TMPDIR": str(tmp_path)}
+    command = [sys.executable, "-c", "from holdfast.kernel.compiling import FOLDER; print(FOLDER)"]
+    found = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ | there)
+    assert found.stderr == f"{MESSAGE}\n"
+    folder = Path(found.stdout.strip())
+    assert folder.is_relative_to(tmp_path) and not list(folder.iterdir())
+    shutil.copytree(FOLDER, folder, dirs_exist_ok=True)  # compiled for this process; to compile anew takes a minute
+    before = contents(folder)
+    assert before
     done = subprocess.run(
         [sys.executable, "-c", PLAYER, str(drive.folder)],
         capture_output=True,
         text=True,
         check=False,
-        env=os.environ | {"NUMBA_CACHE_DIR": "/proc/nowhere", "TMPDIR": str(tmp_path)},
+        env=os.environ | there,
         timeout=1200,
     )
-    assert done.stdout == "True 0\n", done.stderr
-    assert done.stderr == f"{MESSAGE}\n"
+    assert (done.stdout, done.stderr) == ("True 0\n", "")
+    assert contents(folder) == before  # neither process compiled
+
+
+def contents(folder):
+    """The files below a folder, and when each was written; numba writes whatever it compiles."""
+    return {file: file.stat().st_mtime_ns for file in folder.rglob("*") if file.is_file()}

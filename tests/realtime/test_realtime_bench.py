@@ -49,9 +49,11 @@ def test_the_gate_names_what_is_slower_than_the_floor_and_lets_the_rest_through(
 def test_an_idle_optimiser_updates_seldom_and_its_state_is_old(result):
     _, found = result
     busy, idle = found["runs"]["busy"], found["runs"]["idle"]
-    assert busy["update_ms"]["count"] > 50  # 45 measurements a second
     assert idle["update_ms"]["count"] < 25  # a node each half second
-    assert idle["age_ms"]["median"] > busy["age_ms"]["median"]
+    assert idle["age_ms"]["median"] > 200.0
+    # 45 measurements a second, of which an update takes in the more the busier the machine is
+    assert busy["update_ms"]["count"] > idle["update_ms"]["count"]
+    assert busy["cpu"]["optimiser"] > idle["cpu"]["optimiser"]
 
 
 def test_what_is_printed_fits_into_a_terminal(result):

@@ -216,8 +216,16 @@ def test_a_velocity_that_is_late_against_the_fixes_gets_an_offset_of_its_own(tmp
     assert velocity_s == pytest.approx(0.1, abs=0.04)
 
 
-def test_a_clock_that_is_right_stays_alone_and_a_note_says_how_well_it_is_known(tmp_path: Path) -> None:
-    text, config = configured(tmp_path, moving())
+@pytest.fixture(scope="module")
+def right(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Config]:
+    """What is measured of a drive on which nothing is wrong."""
+    return configured(tmp_path_factory.mktemp("right"), moving())
+
+
+def test_a_clock_that_is_right_stays_alone_and_a_note_says_how_well_it_is_known(
+    tmp_path: Path, right: tuple[str, Config]
+) -> None:
+    text, config = right
     assert offsets(config) == [0.0] * 3
     assert text.count("  # clock against the IMU: ") == 3
     text, config = configured(tmp_path / "still", moving(at_rest, 0.2, 0.2))
@@ -225,12 +233,14 @@ def test_a_clock_that_is_right_stays_alone_and_a_note_says_how_well_it_is_known(
     assert text.count("# clock against the IMU: too little motion to measure it") == 3
 
 
-def test_an_imu_that_goes_otherwise_than_its_antennas_is_a_warning_and_measures_no_clock(tmp_path: Path) -> None:
+def test_an_imu_that_goes_otherwise_than_its_antennas_is_a_warning_and_measures_no_clock(
+    tmp_path: Path, right: tuple[str, Config]
+) -> None:
     text, config = configured(tmp_path, moving(fix_early_s=0.1, unit_rad_s=np.pi / 180.0))
     assert "# WARNING: it goes with the motion of the antennas as if the gyroscope gave deg/s (residuals " in text
     assert offsets(config) == [0.0] * 3
     assert "clock against the IMU" not in text
-    text, _ = configured(tmp_path / "right", moving())
+    text, _ = right
     assert "motion of the antennas" not in text
 
 
@@ -243,11 +253,13 @@ def test_a_velocity_that_goes_otherwise_than_the_fixes_is_a_warning_and_spoils_n
     assert offsets(config) == [pytest.approx(0.1, abs=0.02), 0.0, pytest.approx(0.1, abs=0.02)]
 
 
-def test_a_heading_that_counts_clockwise_is_a_warning_and_its_clock_is_that_of_its_receiver(tmp_path: Path) -> None:
+def test_a_heading_that_counts_clockwise_is_a_warning_and_its_clock_is_that_of_its_receiver(
+    tmp_path: Path, right: tuple[str, Config]
+) -> None:
     text, config = configured(tmp_path, moving(fix_early_s=0.1, velocity_early_s=0.1, heading_sign=-1.0))
     assert "# WARNING: it turns the other way than the gyroscope: it seems to count clockwise" in text
     assert len(set(offsets(config))) == 1
-    assert "turns the other way" not in configured(tmp_path / "right", moving())[0]
+    assert "turns the other way" not in right[0]
 
 
 def test_receivers_that_never_sent_anything_are_no_error(tmp_path: Path) -> None:
