@@ -37,20 +37,23 @@ class Wandering:
             if name in lost and now_ns - seen_ns <= LATCH_NS:
                 suspects.setdefault(name, NEVER_NS)
         agreeing = self._states.agreeing(Role.VELOCITY) if suspects else set()
-        if agreeing:
-            found = {name for name, since_ns in suspects.items() if self._is_astray(name, since_ns, agreeing, now_ns)}
-            noisy = {name for name in found if now_ns - self._since_ns[name] > BOASTING_NS}
-        else:
-            found = noisy = {name for name in suspects if self._positions.is_rough(name)}
+        found = set()
+        for name, since_ns in suspects.items():
+            company = self._company(name, since_ns, agreeing, now_ns)
+            is_rough = company is Company.UNKNOWN and self._positions.is_rough(name)
+            if is_rough or company is Company.ASTRAY:
+                found.add(name)
+            if is_rough or (name in found and now_ns - self._since_ns[name] > BOASTING_NS):
+                self._positions.doubt(name)
         self._positions.wandering = found
-        for name in noisy:
-            self._positions.doubt(name)
 
-    def _is_astray(self, name: str, since_ns: int, agreeing: set[str], now_ns: int) -> bool:
+    def _company(self, name: str, since_ns: int, agreeing: set[str], now_ns: int) -> Company:
+        """Return how the positions of a receiver go beside velocities that agree with the estimate."""
         company = self._start.company(agreeing, name, max(since_ns, now_ns - WINDOW_NS))
         seen_ns = self._seen_ns.get(name, NEVER_NS)
         if company is Company.ASTRAY:
             if now_ns - seen_ns > LATCH_NS:
                 self._since_ns[name] = now_ns
             self._seen_ns[name] = now_ns
-        return company is Company.ASTRAY or (company is Company.UNKNOWN and now_ns - seen_ns <= LATCH_NS)
+        was_astray = bool(agreeing) and now_ns - seen_ns <= LATCH_NS
+        return Company.ASTRAY if company is Company.UNKNOWN and was_astray else company
