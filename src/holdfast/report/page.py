@@ -177,6 +177,9 @@ def write_page(page: Page, path: Path) -> None:
             try:
                 part.write_text(text, encoding="utf-8", errors="backslashreplace")  # names of files may be no UTF-8
                 part.replace(file)
+            except OSError as error:
+                error.filename = file  # not the part, of which nobody knows
+                raise
             finally:
                 part.unlink(missing_ok=True)
 
