@@ -229,7 +229,7 @@ with holdfast.RealtimeEstimator(config) as engine, open_recording(sys.argv[1]) a
 def test_an_engine_whose_cache_cannot_be_written_runs_the_code_of_the_temporary_files_in_both(drive, tmp_path):
     """What is said where there is none yet: `tests/kernel/test_compiling.py`."""
     if FOLDER is None:
-        pytest.skip("no cache can be written here at all")
+        pytest.skip("neither beside the package nor elsewhere can code be kept, so there is none to copy")
     there = {"NUMBA_CACHE_DIR": "/proc/nowhere", "TMPDIR": str(tmp_path)}
     command = [sys.executable, "-c", "from holdfast.kernel.compiling import FOLDER; print(FOLDER)"]
     found = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ | there)

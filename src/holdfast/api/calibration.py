@@ -18,7 +18,7 @@ from holdfast.config.model import Config
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
 from holdfast.measured_fields import got, is_whole
-from holdfast.output_folder import naming_the_output
+from holdfast.output_folder import write_whole
 from holdfast.recording.source import Recording
 
 AnyPath = str | PathLike[str]
@@ -48,8 +48,7 @@ class Calibration:
             ConfigError: it cannot be written.
         """
         file = path_of("path", path)
-        with naming_the_output(file):
-            file.write_text(self.text, encoding="utf-8")
+        write_whole(file, self.text)
         return file
 
     def report(self, path: AnyPath) -> Path:

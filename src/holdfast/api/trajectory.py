@@ -284,7 +284,7 @@ class Trajectory:
 
 def _are_finite(values: Array) -> NDArray[np.bool_]:
     """Return at which stamps (N,) all values are finite."""
-    return np.array([np.isfinite(value).all() for value in values], dtype=np.bool_)
+    return np.asarray(np.isfinite(values.reshape(len(values), -1)).all(axis=1), dtype=np.bool_)
 
 
 def _increasing(stamps_ns: ArrayLike) -> NDArray[np.int64]:

@@ -10,7 +10,7 @@ import click
 from holdfast.cli.progress import reading_bar
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
-from holdfast.output_folder import check_output_file, naming_the_output
+from holdfast.output_folder import check_output_file, write_whole
 
 if TYPE_CHECKING:
     from holdfast.calibration.calibrate import Calibration
@@ -53,7 +53,7 @@ def calibrate(  # noqa: PLR0917 (click passes the options by name)
         return reading_bar(f"{title}, {opened.path.name}", opened)
 
     found = calibrated(recordings, config_path, with_lever_arms=lever_arms, every=every, watch=watch)
-    _write(output, found.text)
+    write_whole(output, found.text)
     if page is not None:
         from holdfast.calibration.page import calibration_page
         from holdfast.report.page import write_page
@@ -81,17 +81,6 @@ def _check(output: Path, page: Path | None, reads: tuple[str, ...], every: int, 
     if page is not None:
         with needing("the page", "report"):
             import plotly  # noqa: F401
-
-
-def _write(output: Path, text: str) -> None:
-    """Write a file whole or not at all."""
-    part = output.with_name(f".{output.name}.part")
-    with naming_the_output(output):
-        try:
-            part.write_text(text, encoding="utf-8")
-            part.replace(output)
-        finally:
-            part.unlink(missing_ok=True)
 
 
 def _print(found: "Calibration") -> None:

@@ -12,10 +12,9 @@ import numpy as np
 from holdfast.messages import Array
 
 FEWEST, MOST = 5, 12  # positions
-ROUGH = (
-    3.0  # squared residuals over what is claimed; at four faults of an IMU 1.4 at most, of fixes that wander 3.2 to 10
-)
-SMOOTH = 1.5
+# squares that the best parabola leaves over what is claimed: at four faults of an IMU 1.4 at most, of fixes that wander
+# 3.2 to 10
+ROUGH, SMOOTH = 3.0, 1.5
 FAR = 0.15**2  # of the squared distances, which a parabola must leave: of fixes that wander it leaves 0.25**2
 COEFFICIENTS = 3  # of a parabola
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
-from holdfast.output_folder import naming_the_output
+from holdfast.output_folder import write_whole
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure as Plot
@@ -172,16 +172,7 @@ def write_page(page: Page, path: Path) -> None:
     """
     html, numbers = render(page), json.dumps(numbers_of(page), indent=1, allow_nan=False)
     for file, text in ((path, html), (path.with_suffix(".json"), numbers + "\n")):
-        part = file.with_name(f".{file.name}.part")
-        with naming_the_output(file):
-            try:
-                part.write_text(text, encoding="utf-8", errors="backslashreplace")  # names of files may be no UTF-8
-                part.replace(file)
-            except OSError as error:
-                error.filename = file  # not the part, of which nobody knows
-                raise
-            finally:
-                part.unlink(missing_ok=True)
+        write_whole(file, text)
 
 
 def render(page: Page) -> str:
