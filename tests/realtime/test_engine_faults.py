@@ -49,15 +49,10 @@ def going_on(sample, k):
 
 @pytest.fixture
 def engine(drive):
-    """An engine that has started and knows the first seconds of the drive."""
-    with RealtimeEstimator(drive.config) as estimator:
-        bring_up(estimator, drive.until(BEGIN_S))
-        yield estimator
+    """An engine that has started and knows the first seconds of the drive.
 
-
-@pytest.fixture
-def patient(drive):
-    """The same where an optimiser may be silent for long, however busy the machine is."""
+    Its optimiser may be silent for long, however busy the machine is.
+    """
     with RealtimeEstimator(with_settings(drive.config, realtime={"hang_s": 60.0})) as estimator:
         bring_up(estimator, drive.until(BEGIN_S))
         yield estimator
@@ -89,30 +84,30 @@ def test_the_imu_path_goes_on_while_a_killed_optimiser_is_replaced(drive, engine
     assert "signal 9" in fault.reason
 
 
-def test_covariance_grows_while_there_is_no_optimiser_and_shrinks_when_it_is_back(drive, patient):
-    os.kill(patient.optimiser_pid, signal.SIGSTOP)
-    alone = play(patient, drive.between(BEGIN_S, 6.0), rate=2.0)
-    os.kill(patient.optimiser_pid, signal.SIGCONT)
-    patient.flush()
-    again = play(patient, drive.between(6.0, 6.5), rate=1.0)
+def test_covariance_grows_while_there_is_no_optimiser_and_shrinks_when_it_is_back(drive, engine):
+    os.kill(engine.optimiser_pid, signal.SIGSTOP)
+    alone = play(engine, drive.between(BEGIN_S, 6.0), rate=2.0)
+    os.kill(engine.optimiser_pid, signal.SIGCONT)
+    engine.flush()
+    again = play(engine, drive.between(6.0, 6.5), rate=1.0)
     sigmas, later = sigmas_m(alone)[20:], sigmas_m(again)  # what was on its way has come in the first samples
     assert (np.diff(sigmas) > 0.0).all()
     assert sigmas[-1] > 1.2 * sigmas[0]
     assert later[-1] < sigmas[-1]
-    assert patient.event_counts["optimiser_fault"] == 0
+    assert engine.event_counts["optimiser_fault"] == 0
 
 
-def test_a_short_stop_loses_nothing(drive, patient):
-    os.kill(patient.optimiser_pid, signal.SIGSTOP)
-    play(patient, drive.between(BEGIN_S, 6.0))
-    os.kill(patient.optimiser_pid, signal.SIGCONT)
-    patient.flush()
+def test_a_short_stop_loses_nothing(drive, engine):
+    os.kill(engine.optimiser_pid, signal.SIGSTOP)
+    play(engine, drive.between(BEGIN_S, 6.0))
+    os.kill(engine.optimiser_pid, signal.SIGCONT)
+    engine.flush()
     sent = [m for m in drive.until(6.0) if isinstance(m, GnssFix | Heading | SensorPose)]
     sensors = {m.sensor for m in sent}
     assert sensors == {"gnss", "gnss_right", "heading", "lidar"}
-    waiting = len(sent) - sum(total(patient.counts, sensor) for sensor in sensors)
+    waiting = len(sent) - sum(total(engine.counts, sensor) for sensor in sensors)
     assert 0 <= waiting <= len(sensors)  # of each the newest, until the IMU reaches its time
-    assert patient.newest_state.stamp_ns > drive.until(6.0)[-1].stamp_ns - 500_000_000
+    assert engine.newest_state.stamp_ns > drive.until(6.0)[-1].stamp_ns - 500_000_000
 
 
 def test_an_optimiser_that_hangs_is_replaced(drive):
@@ -148,24 +143,22 @@ def test_an_optimiser_that_raises_is_replaced_and_reports_where(drive, engine):
     assert ".py:" in fault.reason
 
 
-def test_without_an_optimiser_for_long_memory_stays_bounded_and_the_estimate_honest(drive):
-    with RealtimeEstimator(with_settings(drive.config, realtime={"hang_s": 60.0})) as engine:
-        bring_up(engine, drive.until(BEGIN_S))
-        os.kill(engine.optimiser_pid, signal.SIGSTOP)
-        last = [m for m in drive.until(BEGIN_S) if isinstance(m, ImuSample) and m.sensor == "imu"][-1]
-        estimates, held = 0, {}
-        with traced() as held_now:
-            for k in range(1, 4001):  # 40 s at 100 Hz, as fast as it goes
-                output = engine.process(going_on(last, k))
-                estimates += output.estimate is not None
-                if k % 1000 == 0:
-                    held[k] = held_now(), sigmas_m([output])[0]
-        assert estimates == 4000
-        assert held[1000][1] < held[2000][1] < held[4000][1]
-        assert held[4000][0] < held[2000][0] + 500_000  # 2000 samples are 2 MB
-        os.kill(engine.optimiser_pid, signal.SIGCONT)
-        engine.flush()
-        assert engine.newest_state.stamp_ns > last.stamp_ns + 39_000_000_000
+def test_without_an_optimiser_for_long_memory_stays_bounded_and_the_estimate_honest(drive, engine):
+    os.kill(engine.optimiser_pid, signal.SIGSTOP)
+    last = [m for m in drive.until(BEGIN_S) if isinstance(m, ImuSample) and m.sensor == "imu"][-1]
+    estimates, held = 0, {}
+    with traced() as held_now:
+        for k in range(1, 4001):  # 40 s at 100 Hz, as fast as it goes
+            output = engine.process(going_on(last, k))
+            estimates += output.estimate is not None
+            if k % 1000 == 0:
+                held[k] = held_now(), sigmas_m([output])[0]
+    assert estimates == 4000
+    assert held[1000][1] < held[2000][1] < held[4000][1]
+    assert held[4000][0] < held[2000][0] + 500_000  # 2000 samples are 2 MB
+    os.kill(engine.optimiser_pid, signal.SIGCONT)
+    engine.flush()
+    assert engine.newest_state.stamp_ns > last.stamp_ns + 39_000_000_000
 
 
 @pytest.mark.parametrize("make", [Estimator, RealtimeEstimator])
