@@ -9,10 +9,14 @@ CLAIM = np.eye(3)
 
 
 def rough(departures, claim=CLAIM, dt_s=1.0):
+    return gathered(departures, claim, dt_s).are_rough()
+
+
+def gathered(departures, claim=CLAIM, dt_s=1.0):
     found = Departures()
     for k, off in enumerate(departures):
         found.add(round(k * dt_s * 1e9), np.array(off), claim)
-    return found.are_rough()
+    return found
 
 
 def noisy(way, sigma=1.0, seed=0):
@@ -43,6 +47,13 @@ def test_what_wanders_is_rough_whatever_the_distance():
             departures.append(off)
         found.append(rough(departures))
     assert np.mean(found) > 0.95
+
+
+def test_what_wanders_slowly_is_not_smooth_at_ten_hertz_either():
+    t = np.arange(0.0, 12.0, 0.1)
+    astray = np.column_stack([20.0 * np.sin(0.9 * t), 20.0 * np.cos(0.7 * t), 0.0 * t])
+    assert rough(astray, dt_s=0.1)
+    assert not gathered(astray[:12], dt_s=0.1).are_smooth()
 
 
 def test_few_positions_or_such_at_one_time_tell_nothing():

@@ -60,6 +60,12 @@ def test_it_does_not_fall_below_its_bound_and_not_at_all_where_a_claim_is_never_
         assert scale.value == pytest.approx(lowest, rel=0.01)
 
 
+def test_a_claim_that_is_ten_times_too_large_is_found_within_a_minute():
+    scale = NoiseScale()
+    fed(scale, minutes(1, hz=1.0), 0.1)
+    assert scale.ratio == pytest.approx(0.1, abs=0.05)
+
+
 def test_it_does_not_grow_beyond_its_bound():
     scale = NoiseScale()
     fed(scale, minutes(10), 1000.0)

@@ -12,6 +12,7 @@ import numpy as np
 from holdfast.messages import Array
 
 FEWEST, MOST = 5, 12  # positions
+SPACING_NS = 900_000_000  # between them: what wanders is smooth, too, over a time that is too short
 # squares that the best parabola leaves over what is claimed: at four faults of an IMU 1.4 at most, of fixes that wander
 # 3.2 to 10
 ROUGH, SMOOTH = 3.0, 1.5
@@ -26,8 +27,12 @@ class Departures:
         self._newest: deque[tuple[int, Array, float]] = deque(maxlen=MOST)
 
     def add(self, stamp_ns: int, off_W: Array, covariance: Array) -> None:
-        """Take in (3,) how far a position is from the estimate [m], and its covariance (3, 3) as it is claimed."""
-        self._newest.append((stamp_ns, off_W[:2], 0.5 * float(np.trace(covariance[:2, :2]))))
+        """Take in (3,) how far a position is from the estimate [m], and its covariance (3, 3) as it is claimed.
+
+        Of positions that follow each other faster than `SPACING_NS` the first ones count.
+        """
+        if not self._newest or stamp_ns - self._newest[-1][0] >= SPACING_NS:
+            self._newest.append((stamp_ns, off_W[:2], 0.5 * float(np.trace(covariance[:2, :2]))))
 
     def clear(self) -> None:
         """Forget them: the estimate was corrected."""

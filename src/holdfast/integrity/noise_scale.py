@@ -12,8 +12,10 @@ from holdfast.sensors.sensor import Innovation, Measurement, State
 from holdfast.state import EventKind
 
 MEMORY_S = 20.0
+MEAN_S = 5.0  # over which innovations are averaged whose logarithm tells how much is claimed too much
 MAX_WEIGHT_S = 1.0  # of one measurement
 MAX_RATIO = 9.0  # one measurement tells no more, whatever its innovation
+LEAST_MEAN = 0.01  # less tells no more
 LOWEST, HIGHEST = 1.0, 100.0  # of the factor on the covariance
 DEAD_BAND = log(2.0)
 LEVEL = log(4.0)  # twice or half the sigma
@@ -30,6 +32,7 @@ class NoiseScale:
     def __init__(self, carried: LearntNoiseScale | None = None) -> None:
         self._log = 0.0 if carried is None else carried.log_factor
         self._raised = 0.0  # log of the factor, while it is raised
+        self._mean = 1.0  # of the innovations beside what the factor now makes of the claim
         self._last_ns: int | None = None
         self._told = round(self._level)
         self.white = WhiteNoise(carried)
@@ -112,13 +115,19 @@ class NoiseScale:
         ratio = min(float(y @ information @ y) / len(y), MAX_RATIO)
         share = float((information * R).sum()) / len(y)  # trace(S^-1 R): what is not the noise of the state
         # an excess may be the state's; of a slow error the state has as much as the measurement, and it cancels
-        weight = share if ratio > 1.0 else 1.0
-        step = weight * (ratio - 1.0) * min(since_s, MAX_WEIGHT_S) / MEMORY_S
-        if self.is_raised:
-            self._raised = min(max(0.0, self._raised + step), log(HIGHEST))
-        else:
-            self._log = min(max(self._log + step, log(lowest) - DEAD_BAND), log(HIGHEST) + DEAD_BAND)
+        weight_s = min(since_s, MAX_WEIGHT_S)
+        self._mean += weight_s / MEAN_S * (ratio - self._mean)
+        excess = share * (ratio - 1.0) if ratio > 1.0 else min(ratio - 1.0, log(max(self._mean, LEAST_MEAN)))
+        self._move(excess * weight_s / MEMORY_S, lowest)
         if abs(self._level - self._told) > NEWS:
             self._told = round(self._level)
             reason = f"its noise is {self.ratio:.1f} times what it claims"
             event_log.report(EventKind.NOISE, stamp_ns, measurement.sensor, reason)
+
+    def _move(self, step: float, lowest: float) -> None:
+        before = self.value
+        if self.is_raised:
+            self._raised = min(max(0.0, self._raised + step), log(HIGHEST))
+        else:
+            self._log = min(max(self._log + step, log(lowest) - DEAD_BAND), log(HIGHEST) + DEAD_BAND)
+        self._mean *= before / self.value
