@@ -17,6 +17,8 @@ PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 export MPLBACKEND := Agg
+# what one process has compiled the hundreds that tests start need not compile
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test test-all fuzz properties check lint kernel docs bench results scenarios paper paper-quick clean

@@ -38,7 +38,7 @@ def test_offsets_of_clocks_are_found_and_written():
 
 
 def test_a_lidar_that_is_mounted_otherwise_is_turned_and_no_clock_is_accused():
-    found, by_key = rows("wrong-mount", 13)
+    found, by_key = rows("wrong-mount", 13, 15.0)
     for axis in "xyz":
         one, true = by_key[f"lidar, about its {axis}", "rotation"]
         assert is_within(one, true), axis
@@ -57,6 +57,6 @@ def test_the_zero_of_the_encoder_and_the_drift_of_the_lidar_are_found_on_rough_g
 
 @pytest.mark.parametrize("scenario", ["wrong-mount", "offset-clocks"])
 def test_what_one_replay_learns_of_mountings_clocks_and_the_encoder_is_true(scenario):
-    found, truth = run(scenario, 15, 30.0, learn)
+    found, truth = run(scenario, 15, 20.0, learn)
     assert {key for _, key in (one.key for one in found)} == {"time_offset_s", "rotation", "zero_offset_deg"}
     assert all(abs(one.value - truth[one.key]) <= 3.0 * one.sigma for one in found)

@@ -33,7 +33,7 @@ def written_by_hand(path, **sensors):
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
     folder = tmp_path_factory.mktemp("calibrate")
-    return write_mcap(folder / os.fsdecode(b"b\xe4g"), make_rows(seconds=20.0)), written_by_hand(
+    return write_mcap(folder / os.fsdecode(b"b\xe4g"), make_rows(seconds=15.0)), written_by_hand(
         folder / "machine.yaml", **NOISY
     )
 

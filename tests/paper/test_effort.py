@@ -10,12 +10,12 @@ from holdfast.paper.effort import COST, Effort, effort
 from holdfast.paper.job import run_file
 from holdfast.paper.study import plan
 
-QUICK_RUNS, QUICK_RECORDED_S = 28, 1130.0
+QUICK_RUNS, QUICK_RECORDED_S = 28, 923.0
 
 
 def test_a_quick_evaluation_of_an_idle_machine_is_announced_as_minutes() -> None:
     todo = Effort(QUICK_RUNS, QUICK_RECORDED_S, 2, 1.0)
-    assert announced(todo).startswith("28 runs on 1130 s of recordings, 2 at a time: roughly 45 s to 2 min.")
+    assert announced(todo).startswith("28 runs on 923 s of recordings, 2 at a time: roughly 37 s to 88 s.")
     assert "other work" in announced(Effort(QUICK_RUNS, QUICK_RECORDED_S, 2, 6.0))
 
 
@@ -27,7 +27,7 @@ def test_what_is_done_is_not_announced_again(tmp_path: Path) -> None:
     file.parent.mkdir(parents=True)
     file.write_text(json.dumps({"failure": ""}))
     left = effort(tmp_path, 1, True, 2)
-    assert (left.runs, left.recorded_s) == (QUICK_RUNS - 1, QUICK_RECORDED_S - 50.0)
+    assert (left.runs, left.recorded_s) == (QUICK_RUNS - 1, QUICK_RECORDED_S - 42.0)
     for job in plan(1, True):
         for task in job.tasks:
             file = run_file(tmp_path, job, task)

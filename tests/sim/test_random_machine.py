@@ -41,8 +41,8 @@ def test_the_defaults_hold_on_one_of_them(tmp_path):
     """Position by the fixes, no step of O, and a covariance that is no worse than three times too small in sigma."""
     machine = random_machine(1)
     (outage,) = machine.scenario.faults
-    earlier = outage.model_copy(update={"start_s": 60.0, "end_s": 90.0})  # as long, 50 s earlier
-    scenario = machine.scenario.model_copy(update={"duration_s": 110.0, "faults": (earlier,)})
+    earlier = outage.model_copy(update={"start_s": 35.0, "end_s": 65.0})  # as long, 75 s earlier
+    scenario = machine.scenario.model_copy(update={"duration_s": 80.0, "faults": (earlier,)})
     scores = trials_of(scenario, 1, tmp_path, [config_of(machine.configuration, "1")])[0].verdict.scores
     assert scores["horizontal_ratio"] < 1.0
     assert scores["step_m"] < 0.002 and scores["step_deg"] < 0.02

@@ -33,6 +33,13 @@ def test_every_shipped_scenario_loads_and_describes_itself(name: str):
     assert {"imu", "scanner"} <= scenario.sensors.keys()
 
 
+def test_what_one_scenario_changes_of_a_shipped_one_does_not_reach_the_next():
+    before = load_scenario("quick")
+    changed = load_scenario("quick", {"duration_s": 5.0, "faults": [], "sensors": {"imu": {"rate_hz": 50.0}}})
+    assert changed.sensors["imu"].rate_hz != before.sensors["imu"].rate_hz
+    assert load_scenario("quick") == before
+
+
 def test_the_scenarios_of_the_paper_have_its_outages_and_places():
     construction, navigation = load_scenario("construction"), load_scenario("navigation")
     assert (construction.duration_s, navigation.duration_s) == (600, 600)

@@ -39,7 +39,7 @@ from holdfast.sim.scenario import load_scenario
 from holdfast.trial.pool import processes, run_all
 
 SETTINGS, LATENCY = "settings.json", "latency.json"
-LATENCY_S, QUICK_LATENCY_S = 120.0, 20.0
+LATENCY_S, QUICK_LATENCY_S = 120.0, 12.0
 # neither makes a number: tables, maps and pages are drawn anew from the runs each time
 OTHER_ROOMS = {"cli", "fleet", "lidar_odometry", "live", "report", "viz"}
 DRAWING = {"effort", "losses", "maps", "page", "page_figures", "page_tables", "picture", "tables"}

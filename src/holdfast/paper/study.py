@@ -74,34 +74,34 @@ class Job:
 # shorter and with earlier outages, so that a quick evaluation takes minutes
 QUICK: dict[str, dict[str, Any]] = {
     "construction": {
-        "duration_s": 50.0,
+        "duration_s": 42.0,
         "faults": [
             {
                 "kind": "outage",
                 "sensors": ["gnss", "gnss_right"],
                 "start_s": 25.0,
-                "end_s": 40.0,
+                "end_s": 35.0,
                 "claim_growth_m_s": 0.5,
             },
-            {"kind": "outage", "sensors": ["heading"], "start_s": 25.0, "end_s": 40.0},
+            {"kind": "outage", "sensors": ["heading"], "start_s": 25.0, "end_s": 35.0},
         ],
     },
     "navigation": {
-        "duration_s": 50.0,
+        "duration_s": 42.0,
         "faults": [
             {
                 "kind": "degraded",
                 "sensors": ["gnss", "gnss_right"],
                 "start_s": 25.0,
-                "end_s": 40.0,
+                "end_s": 35.0,
                 "quality": "rtk_float",
             },
-            {"kind": "outage", "sensors": ["heading"], "start_s": 25.0, "end_s": 40.0},
+            {"kind": "outage", "sensors": ["heading"], "start_s": 25.0, "end_s": 35.0},
         ],
     },
     "tunnel": {
-        "duration_s": 50.0,
-        "faults": [{"kind": "outage", "sensors": ["gnss", "gnss_right", "heading"], "start_s": 20.0, "end_s": 45.0}],
+        "duration_s": 40.0,
+        "faults": [{"kind": "outage", "sensors": ["gnss", "gnss_right", "heading"], "start_s": 15.0, "end_s": 37.0}],
     },
 }
 QUICK_ABLATIONS = ("single-graph", "relative-scans", "one-antenna", "no-lidar")
@@ -111,7 +111,7 @@ ODOMETRY_DELAYS_S = (0.2, 0.5, 1.0, 2.0)
 GNSS_CLOCKS_S = (0.002, 0.005, 0.01, 0.02, 0.05)
 ODOMETRY_CLOCKS_S = (0.005, 0.01, 0.02, 0.05, 0.1)
 SENSITIVITY_S = 180.0
-QUICK_SENSITIVITY: dict[str, Any] = {"duration_s": 20.0, "faults": []}
+QUICK_SENSITIVITY: dict[str, Any] = {"duration_s": 15.0, "faults": []}
 GROWTH_SEEDS = 5
 
 

@@ -4,6 +4,8 @@ A scenario file names a machine and a site; their files supply every key that th
 """
 
 from collections.abc import Iterator
+from copy import deepcopy
+from functools import cache
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -289,14 +291,20 @@ def _take_away_absent(data: dict[str, Any]) -> None:
 
 def _read(folder: str, name: str, beside: Path) -> Document:
     if name in shipped(folder):
-        file: Traversable = resources.files("holdfast.sim").joinpath(folder, f"{name}.yaml")
-        return read_document(file.read_text(encoding="utf-8"), f"{folder}/{name}.yaml")
+        return deepcopy(_shipped_document(folder, name))
     if not name.endswith((".yaml", ".yml")):
         raise ConfigError(
             f"{name}: no such {folder.removesuffix('s')} (allowed: {', '.join(shipped(folder))}, or a .yaml file)"
         )
     path = beside / name
     return read_document(read_yaml(path, f"shipped are {', '.join(shipped(folder))}"), str(path))
+
+
+@cache
+def _shipped_document(folder: str, name: str) -> Document:
+    """Read a file of the package, once: of what a scenario takes, most is spent on YAML."""
+    file: Traversable = resources.files("holdfast.sim").joinpath(folder, f"{name}.yaml")
+    return read_document(file.read_text(encoding="utf-8"), f"{folder}/{name}.yaml")
 
 
 def merged(below: Any, above: Any) -> Any:
