@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from holdfast import state
-from holdfast.api.arguments import path_of
+from holdfast.arguments import path_of
 from holdfast.covariances import Covariances
 from holdfast.errors import ConfigError, MessageError
 from holdfast.evaluation import quaternions
