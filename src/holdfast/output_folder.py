@@ -104,24 +104,6 @@ def naming_the_output(output: str | Path) -> Iterator[None]:
         raise ConfigError(f"{error.filename or output}: cannot be written ({error.strerror or error})") from None
 
 
-def write_whole(file: Path, text: str) -> None:
-    """Write a file whole or not at all; names of other files in it may be no UTF-8.
-
-    Raises:
-        ConfigError: it cannot be written; names it, not its part, of which nobody knows.
-    """
-    part = file.with_name(f".{file.name}.part")
-    with naming_the_output(file):
-        try:
-            part.write_text(text, encoding="utf-8", errors="backslashreplace")
-            part.replace(file)
-        except OSError as error:
-            error.filename = file
-            raise
-        finally:
-            part.unlink(missing_ok=True)
-
-
 def check_folder_of(file: str | Path) -> None:
     """Refuse a file that cannot be written, before long work: a folder, or one in a folder that is not there.
 

@@ -17,8 +17,8 @@ from holdfast.calibration.held_out import HeldOut
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
-from holdfast.output_folder import write_whole
 from holdfast.recording.source import Recording
+from holdfast.whole_file import write_whole
 
 AnyPath = str | PathLike[str]
 

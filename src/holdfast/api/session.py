@@ -25,6 +25,7 @@ from holdfast.replay.summary import summarise_replay
 from holdfast.smoothing.batch_smoother import BatchSmoother
 from holdfast.smoothing.block import Block
 from holdfast.state import Output
+from holdfast.whole_file import write_whole
 
 if TYPE_CHECKING:  # starting processes is left to whoever wants them
     from holdfast.realtime.engine import RealtimeEstimator
@@ -169,9 +170,9 @@ def _write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
     """Write summary.json.
 
     Raises:
-        OSError: it cannot be written.
+        ConfigError: it cannot be written.
     """
-    (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    write_whole(folder / SUMMARY, json.dumps(summary, indent=2) + "\n")
 
 
 def _engine(config: Config, wanted: bool, learnt: LearntSnapshot) -> "AbstractContextManager[RealtimeEstimator | None]":

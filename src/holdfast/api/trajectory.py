@@ -23,6 +23,7 @@ from holdfast.messages import Array
 from holdfast.output_folder import naming_the_output
 from holdfast.recording.covariance_csv import CovarianceWriter, beside, read_covariances
 from holdfast.recording.tum import NORM_TOLERANCE, read_tum, write_tum
+from holdfast.whole_file import whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -118,12 +119,14 @@ class Trajectory:
         """
         track = path_of("path", path)
         self._check_poses()
-        with naming_the_output(track):
-            write_tum(track, self.poses)
-            beside(track).unlink(missing_ok=True)
-            if self.covariances is not None:
-                with CovarianceWriter(beside(track)) as writer:
-                    writer.extend(Covariances(self.stamps_ns, self.covariances))
+        with whole(track) as part:
+            write_tum(part, self.poses)
+        if self.covariances is None:
+            with naming_the_output(beside(track)):
+                beside(track).unlink(missing_ok=True)
+        else:
+            with whole(beside(track)) as part, CovarianceWriter(part) as writer:
+                writer.extend(Covariances(self.stamps_ns, self.covariances))
 
     def _check_poses(self) -> None:
         if not len(self):

@@ -10,7 +10,8 @@ import click
 from holdfast.cli.progress import reading_bar
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
-from holdfast.output_folder import check_output_file, write_whole
+from holdfast.output_folder import check_output_file
+from holdfast.whole_file import write_whole
 
 if TYPE_CHECKING:
     from holdfast.calibration.calibrate import Calibration

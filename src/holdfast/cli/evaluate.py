@@ -13,7 +13,8 @@ from click.core import ParameterSource
 from holdfast.cli.claimed import as_json, claimed_consistency, print_consistency
 from holdfast.cli.terminal import guarded_console
 from holdfast.errors import ConfigError, RecordingError
-from holdfast.output_folder import add_results, check_output_file, naming_the_output
+from holdfast.output_folder import add_results, check_output_file
+from holdfast.whole_file import write_whole
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -292,8 +293,7 @@ def _write_json(  # noqa: PLR0917 (what is written)
         "consistency": consistency,
         "alignments": {verdict.alignment.name: verdict.to_json() for verdict in verdicts},
     }
-    with naming_the_output(path):
-        path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def _console() -> "Console":

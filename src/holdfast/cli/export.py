@@ -66,8 +66,8 @@ def export(  # noqa: PLR0917 (click passes the options by name)
     target = _target(crs, site_grid, geoid, datum)
     surveyed = survey(_poses(folder, track, interval_s), LocalFrame(datum), target)
     for file in files:
+        FORMATS[file.suffix.lower()](surveyed, file)
         with naming_the_output(file):
-            FORMATS[file.suffix.lower()](surveyed, file)
             add_results(file)
     for note in filter(None, [*target.notes, target.heights.note]):
         click.echo(f"note: {note}", err=True)

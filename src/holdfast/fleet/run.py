@@ -13,6 +13,7 @@ from typing import Literal
 from holdfast.errors import HoldfastError, RecordingError
 from holdfast.fleet.plan import Job
 from holdfast.output_folder import replaced
+from holdfast.whole_file import write_whole
 
 STATE, LOG, CONFIG, ESTIMATE = "run.json", "run.log", "config.yaml", "imu_in_world.tum"
 TRUTH = Path("truth") / ESTIMATE
@@ -78,10 +79,8 @@ def kept_outcome(job: Job) -> Outcome:
 
 
 def _keep(job: Job, outcome: Outcome) -> None:
-    """Write the outcome atomically: a concurrent reader finds the old one or the new one."""
-    part = job.folder / f"{STATE}.part"
-    part.write_text(json.dumps(asdict(outcome), indent=1) + "\n", encoding="utf-8")
-    part.replace(job.folder / STATE)
+    """Write the outcome whole: a concurrent reader finds the old one or the new one."""
+    write_whole(job.folder / STATE, json.dumps(asdict(outcome), indent=1) + "\n")
 
 
 def _replay(job: Job, stop_file: Path) -> tuple[State, str]:
