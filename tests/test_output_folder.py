@@ -206,6 +206,19 @@ def test_results_may_stand_in_the_folder_of_a_simulation_but_not_take_its_place(
         write(site, "a.tum", reads=[site / "recording.mcap"])
 
 
+def test_a_simulation_does_not_go_into_the_folder_of_another_one(tmp_path):
+    """The next simulation into the outer folder was refused because of it."""
+    site = tmp_path / "site"
+    with replaced(site, "simulate"):
+        (site / "recording.mcap").touch()
+    with (
+        pytest.raises(ConfigError, match=r"again: is in .*site, the results of holdfast simulate: give another folder"),
+        replaced(site / "deep" / "again", "simulate"),
+    ):
+        pass
+    assert names(site) == {"recording.mcap"}
+
+
 def test_a_simulated_recording_is_replaced_by_another_one_only(tmp_path):
     """`holdfast demo -o` deleted a recording, and a replay into the folder above all of them."""
     site = tmp_path / "sites" / "quarry"

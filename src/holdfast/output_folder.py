@@ -156,7 +156,7 @@ def _checked(folder: str | Path, reads: Iterable[str | Path], command: str) -> P
         raise ConfigError(f"{folder}: is a file: the output must be a folder")
     _check_reads(place, folder, reads)
     _check_simulations(place, folder, command)
-    _check_runs_above(place, folder)
+    _check_runs_above(place, folder, command)
     strange = _strangers(place) if place.exists() else []
     others = [name for name in strange if _read_mark(place / name) is None]
     if others:
@@ -167,11 +167,15 @@ def _checked(folder: str | Path, reads: Iterable[str | Path], command: str) -> P
     return place
 
 
-def _check_runs_above(place: Path, name: str | Path) -> None:
-    """Refuse a folder in the results of another run, which go as a whole; a simulation's may stand beside its files."""
+def _check_runs_above(place: Path, name: str | Path, command: str) -> None:
+    """Refuse a folder in the results of another run, which go as a whole.
+
+    Results may stand beside the files of the simulation that they are of, but another simulation may not.
+    """
     folder, mark = _marked(place)
     is_of_its_jobs = mark.files is None and mark.command in (*OF_SEVERAL_RUNS, "")
-    if folder is not None and mark.command != SIMULATE and not is_of_its_jobs:
+    is_beside_recording = mark.command == SIMULATE != command
+    if folder is not None and not is_beside_recording and not is_of_its_jobs:
         raise ConfigError(f"{name}: is in {folder}, the results of holdfast {mark.command}: give another folder")
 
 
