@@ -55,7 +55,21 @@ def test_earlier_results_come_back_if_a_run_fails_before_it_has_any(out):
 
 def test_an_interrupt_names_the_folder(out):
     with pytest.raises(KeyboardInterrupt, match=f"what was done until then is in {out}"), replaced(out, "replay"):
+        (out / "a.tum").write_text(RESULT)
         raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("is_there", [False, True])
+def test_a_run_that_ends_before_it_has_any_result_leaves_nothing(out, is_there):
+    """Ctrl-C while the recording was being opened left a folder of headers without a summary."""
+    out.parent.mkdir()
+    if is_there:
+        out.mkdir()
+    with pytest.raises(KeyboardInterrupt, match=r"^nothing was done yet$"), replaced(out, "replay"):
+        (out / "a.tum").write_text("header")
+        (out / "causal").mkdir()
+        raise KeyboardInterrupt
+    assert [one.name for one in out.parent.rglob("*")] == ["out"] * is_there
 
 
 def test_what_holdfast_did_not_write_is_named_and_kept(out):

@@ -2,7 +2,8 @@
 
 Results are made where they belong, so that a run which is killed leaves there what it had computed, and nothing else.
 Those of the run before wait beside them, in `.NAME.earlier`, until the new ones are complete; they come back where the
-new run fails before it has written anything. The file `.holdfast` in a folder lists what Holdfast wrote into it.
+new run fails before it has written anything, and where there were none nothing is left. The file `.holdfast` in a
+folder lists what Holdfast wrote into it.
 """
 
 import fcntl
@@ -61,16 +62,21 @@ def replaced(folder: str | Path, command: str, reads: Iterable[str | Path] = ())
         _check_command(mark, folder, command)
     with _locked(place, folder):  # nobody else replaces what is about to be moved
         earlier = _set_aside(place)
+    is_new = earlier is None and not place.exists()
     place.mkdir(parents=True, exist_ok=True)
     try:
         with _owned(place, folder, command):
             yield
     except BaseException as error:
-        if earlier is not None and _is_bare(place):
-            rmtree(place)
-            earlier.rename(place)
+        if _is_bare(place):
+            _empty(place)
+            if earlier is not None or is_new:
+                place.rmdir()
+            if earlier is not None:
+                earlier.rename(place)
             if isinstance(error, KeyboardInterrupt):
-                raise KeyboardInterrupt(f"nothing was done yet, {folder} holds the results of before") from None
+                of_before = f", {folder} holds the results of before" * (earlier is not None)
+                raise KeyboardInterrupt(f"nothing was done yet{of_before}") from None
         raise
     finally:
         if earlier is not None:
@@ -294,13 +300,17 @@ def _set_aside(place: Path) -> Path | None:
             raise FileExistsError
         place.rename(earlier)
     except OSError:  # a mount point, a parent that is read-only
-        for one in place.iterdir():
-            if one.is_dir() and not one.is_symlink():
-                rmtree(one)
-            else:
-                one.unlink()
+        _empty(place)
         return None
     return earlier
+
+
+def _empty(place: Path) -> None:
+    for one in place.iterdir():
+        if one.is_dir() and not one.is_symlink():
+            rmtree(one)
+        else:
+            one.unlink()
 
 
 def _is_bare(place: Path) -> bool:

@@ -49,3 +49,9 @@ def test_the_program_is_called_holdfast_however_it_is_started():
     program = [sys.executable, "-c", "from holdfast.cli import main; main()"]
     done = subprocess.run([*program, "replay", "--help"], capture_output=True, text=True, check=True)
     assert done.stdout.startswith("Usage: holdfast replay [OPTIONS] RECORDING\n")
+
+
+def test_the_package_can_be_run_where_the_script_is_not_on_the_path():
+    command = [sys.executable, "-m", "holdfast", "info", "nowhere"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 3 and done.stderr == "error: nowhere: no such file or folder\n"

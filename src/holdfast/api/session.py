@@ -18,6 +18,7 @@ from holdfast.messages import Message
 from holdfast.recording.source import Recording
 from holdfast.replay.batch_outputs import CAUSAL, BatchOutputs
 from holdfast.replay.held_out import HoldOut
+from holdfast.replay.interrupts import Uninterrupted
 from holdfast.replay.never_started import never_started
 from holdfast.replay.outputs import SUMMARY, Outputs
 from holdfast.replay.runner import Replay
@@ -110,7 +111,17 @@ def run(session: Session, opened: Recording, show: ShowProgress) -> Finished:
     Raises:
         ConfigError: a file cannot be written, or is not what it should be, or something is not installed.
         RecordingError: the recording cannot be opened for its scans.
+        KeyboardInterrupt: before there was anything to write, or while it was being written, which is done first.
     """
+    ending = Uninterrupted()
+    with ExitStack() as stack:
+        ending.start()
+        stack.callback(ending.stop)
+        return _run(session, opened, show, lambda: stack.enter_context(ending))
+
+
+def _run(session: Session, opened: Recording, show: ShowProgress, begin_to_end: Callable[[], object]) -> Finished:
+    """Run the estimator; after `begin_to_end` an interrupt waits until all is written."""
     config, folder = session.config, session.folder
     causal = folder if session.batch_s is None else folder / CAUSAL
     batch: BatchSmoother | None = None
@@ -145,6 +156,7 @@ def run(session: Session, opened: Recording, show: ShowProgress) -> Finished:
                 replay.run(scanned, session.rate or (1.0 if session.realtime else None), progress)
         except (HoldfastError, KeyboardInterrupt) as error:
             failure = error
+        begin_to_end()
         replay.write_events()
     learnt = replay.estimator.learnt()
     if session.learnt is not None and replay.has_started:

@@ -22,7 +22,6 @@ STOP_TIMEOUT_S = 10.0  # in which an interrupted replay writes its results
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 INTERRUPTED = "the batch was interrupted"
 STOPPED = {128 + number for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-MAIN = "from holdfast.cli import main; main()"
 
 State = Literal["waiting", "running", "done", "failed", "stopped"]
 
@@ -84,7 +83,7 @@ def _keep(job: Job, outcome: Outcome) -> None:
 
 
 def _replay(job: Job, stop_file: Path) -> tuple[State, str]:
-    command = [sys.executable, "-c", MAIN, "replay", str(job.recording)]
+    command = [sys.executable, "-m", "holdfast", "replay", str(job.recording)]
     command += ["-c", str(job.folder / CONFIG), "-o", str(job.folder), "--child", *job.arguments]
     with (
         (job.folder / LOG).open("wb") as log,
