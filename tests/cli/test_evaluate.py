@@ -237,3 +237,13 @@ def test_the_judge_imports_neither_the_judged_nor_evo_nor_scipy():
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
+
+
+@pytest.mark.parametrize("several", [[], ["estimate.tum"]])
+def test_quaternions_in_the_order_w_x_y_z_are_told(holdfast, tracks, several):
+    """They were judged as they were read: errors of attitude of 100 deg, without a word."""
+    track = circle()
+    write_tum(tracks / "wxyz.tum", replace(track, quaternions=np.roll(track.quaternions, 1, axis=1)))
+    code, output, errors = holdfast("wxyz.tum", *several, "reference.tum")
+    assert code == 0 and "wxyz" in output
+    assert errors.startswith("warning: wxyz.tum or reference.tum: the quaternions look like w x y z (a TUM file has x ")

@@ -138,6 +138,8 @@ def _evaluate_several(  # noqa: PLR0917
         raise ConfigError(f"{twice}: is given twice")
     named = dict(zip(names_of(*estimates), estimates, strict=True))
     systems = judge_systems(named, reference, alignment, metrics, lengths_m)
+    for system in systems:
+        warn_of_order(system.accuracy.pairs, named[system.name], reference)
     print_systems(systems, reference, _console())
     json_file, plot_file = files
     if json_file is not None:
@@ -161,6 +163,7 @@ def _evaluate_one(
     except RecordingError as error:
         named = str(error) if str(estimate) in str(error) or str(reference) in str(error) else None
         raise RecordingError(named or f"{estimate} against {reference}: {error}") from error
+    warn_of_order(pairs, estimate, reference)
     consistency = claimed_consistency(estimate, pairs, metrics.association.reference_lever_arm)
     _print(verdicts, estimate, reference)
     print_consistency(consistency)
@@ -183,6 +186,19 @@ def reference_in(file: Path, datum: "Geodetic | None") -> "Trajectory":
     if reference.note:
         click.echo(f"note: {reference.note}", err=True)
     return reference.poses
+
+
+def warn_of_order(pairs: "Pairs", estimate: Path, reference: Path) -> None:
+    """Say on stderr that quaternions look like w x y z, if they do."""
+    from holdfast.evaluation.quaternion_order import reordered
+
+    files = [str({"estimate": estimate, "reference": reference}[name]) for name in reordered(pairs)]
+    if files:
+        click.echo(
+            f"warning: {' or '.join(files)}: the quaternions look like w x y z (a TUM file has x y z w): estimate and "
+            "reference do not turn alike, and would in that order",
+            err=True,
+        )
 
 
 def _metrics(
