@@ -139,6 +139,24 @@ def check_output_file(file: str | Path, reads: Iterable[str | Path] = ()) -> Non
         raise ConfigError(f"{file}: was written by holdfast {mark.command}, which keeps it: give another file")
 
 
+def check_distinct(files: Iterable[tuple[str, str | Path]]) -> None:
+    """Refuse two outputs that are one file, however it is written: the second would replace the first.
+
+    Args:
+        files: option and file of each.
+
+    Raises:
+        ConfigError: names them.
+    """
+    seen: dict[Path, str] = {}
+    for option, file in files:
+        place = _real(file)
+        if place in seen:
+            others = f" ({seen[place]} and {option})" * (seen[place] != option)
+            raise ConfigError(f"{option} {file}: is given twice{others}")
+        seen[place] = option
+
+
 def add_results(*files: Path) -> None:
     """Note files that were written into a folder of results afterwards, so that they are replaced with it."""
     for file in files:

@@ -209,6 +209,12 @@ def test_several_systems_are_written_and_drawn(holdfast, tracks, second):
     [
         (["estimate.tum"], 2, "Missing argument 'REFERENCE'"),
         (["estimate.tum", "estimate.tum", "reference.tum"], 2, "estimate.tum: is given twice"),
+        (["estimate.tum", "x/../estimate.tum", "reference.tum"], 2, "estimate.tum: is given twice"),
+        (
+            ["estimate.tum", "reference.tum", "--json", "x.png", "--plot", "x.png"],
+            2,
+            "--plot x.png: is given twice (--json and --plot)",
+        ),
         (["estimate.tum", "second.tum", "reference.tum", "--align", "all"], 2, "choose none, yaw or se3"),
         (["estimate.tum", "absent.tum", "reference.tum"], 3, "absent.tum"),
     ],

@@ -277,8 +277,10 @@ def test_a_reference_of_another_time_and_a_wrong_name_are_refused(simulated: Pat
         call("report", simulated / "out", "--reference", tmp_path / "other.tum")
     with pytest.raises(RecordingError, match=r"none\.tum: no such file"):
         call("report", simulated / "out", "--reference", tmp_path / "none.tum")
-    with pytest.raises(RecordingError, match=r"imu_bias\.csv: no such file"):
+    with pytest.raises(RecordingError, match=r"holds no truth .allowed: a TUM file, or the truth/ folder of a simul"):
         call("report", simulated / "out", "--reference", tmp_path)
+    with pytest.raises(RecordingError, match=rf"; is {simulated / 'truth'} meant\?$"):
+        call("report", simulated / "out", "--reference", simulated)
     with pytest.raises(HoldfastError, match=r"must end in \.html"):
         call("report", simulated / "out", "-o", tmp_path / "report.pdf")
 

@@ -13,7 +13,7 @@ from click.core import ParameterSource
 from holdfast.cli.claimed import as_json, claimed_consistency, print_consistency
 from holdfast.cli.terminal import guarded_console
 from holdfast.errors import ConfigError, RecordingError
-from holdfast.output_folder import add_results, check_output_file
+from holdfast.output_folder import add_results, check_distinct, check_output_file
 from holdfast.whole_file import write_whole
 
 if TYPE_CHECKING:
@@ -96,6 +96,8 @@ def evaluate(
         raise click.UsageError("Missing argument 'REFERENCE': give at least one estimate, and the reference last.")
     _check_tolerances(context, options["association"])
     metrics = _metrics(**options)
+    options_of = {"--json": json_file, "--plot": plot_file}
+    check_distinct((option, file) for option, file in options_of.items() if file is not None)
     written = [file for file in (json_file, plot_file) if file is not None]
     for file in written:
         check_output_file(file, trajectories)
@@ -133,9 +135,9 @@ def _evaluate_several(  # noqa: PLR0917
     from holdfast.cli.names import names_of
     from holdfast.evaluation.plot_systems import plot_systems
 
-    if len(set(estimates)) < len(estimates):
-        twice = next(one for one in estimates if estimates.count(one) > 1)
-        raise ConfigError(f"{twice}: is given twice")
+    places = [one.resolve() for one in estimates]
+    if twice := [one for one, place in zip(estimates, places, strict=True) if places.count(place) > 1]:
+        raise ConfigError(f"{twice[-1]}: is given twice")
     named = dict(zip(names_of(*estimates), estimates, strict=True))
     systems = judge_systems(named, reference, alignment, metrics, lengths_m)
     for system in systems:

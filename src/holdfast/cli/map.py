@@ -14,7 +14,7 @@ from holdfast.cli.writing import write_json
 from holdfast.errors import ConfigError, HoldfastError, RecordingError
 from holdfast.extras import needing
 from holdfast.mapping.options import SiteMapOptions
-from holdfast.output_folder import add_results, check_output_file, naming_the_output
+from holdfast.output_folder import add_results, check_distinct, check_output_file, naming_the_output
 from holdfast.whole_file import whole
 
 if TYPE_CHECKING:
@@ -120,6 +120,8 @@ def check_files(files: Iterable[Path], reads: Iterable[Path]) -> None:
     Raises:
         ConfigError: names the file, or the package that is missing.
     """
+    files = tuple(files)
+    check_distinct(("-o", file) for file in files)
     for file in files:
         suffix = file.suffix.lower()
         if suffix not in SUFFIXES:
