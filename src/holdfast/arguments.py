@@ -1,5 +1,6 @@
 """Arguments of the functions that a program calls: another type or range is an error that names the argument."""
 
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 
@@ -32,6 +33,16 @@ def check_flag(name: str, value: object) -> None:
     """
     if not isinstance(value, bool | np.bool_):
         raise ConfigError(f"{name}: must be True or False, {got(value)}")
+
+
+def check_choice(name: str, value: object, allowed: Sequence[str]) -> None:
+    """Refuse what is none of some words.
+
+    Raises:
+        ConfigError: names the argument, and what came.
+    """
+    if not isinstance(value, str) or value not in allowed:  # an array is equal to them one by one
+        raise ConfigError(f"{name}: must be one of {', '.join(allowed)}, {got(value)}")
 
 
 def check_seconds(name: str, value: object, least_s: float = 0.0) -> None:
