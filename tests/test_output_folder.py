@@ -55,7 +55,21 @@ def test_earlier_results_come_back_if_a_run_fails_before_it_has_any(out):
 
 def test_an_interrupt_names_the_folder(out):
     with pytest.raises(KeyboardInterrupt, match=f"what was done until then is in {out}"), replaced(out, "replay"):
+        (out / "a.tum").write_text(RESULT)
         raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("is_there", [False, True])
+def test_a_run_that_ends_before_it_has_any_result_leaves_nothing(out, is_there):
+    """Ctrl-C while the recording was being opened left a folder of headers without a summary."""
+    out.parent.mkdir()
+    if is_there:
+        out.mkdir()
+    with pytest.raises(KeyboardInterrupt, match=r"^nothing was done yet$"), replaced(out, "replay"):
+        (out / "a.tum").write_text("header")
+        (out / "causal").mkdir()
+        raise KeyboardInterrupt
+    assert [one.name for one in out.parent.rglob("*")] == ["out"] * is_there
 
 
 def test_what_holdfast_did_not_write_is_named_and_kept(out):
@@ -204,6 +218,19 @@ def test_results_may_stand_in_the_folder_of_a_simulation_but_not_take_its_place(
     write(site / "out", "a.tum", reads=[site])
     with pytest.raises(ConfigError, match=r"site: is or holds .*, which is read: give another output"):
         write(site, "a.tum", reads=[site / "recording.mcap"])
+
+
+def test_a_simulation_does_not_go_into_the_folder_of_another_one(tmp_path):
+    """The next simulation into the outer folder was refused because of it."""
+    site = tmp_path / "site"
+    with replaced(site, "simulate"):
+        (site / "recording.mcap").touch()
+    with (
+        pytest.raises(ConfigError, match=r"again: is in .*site, the results of holdfast simulate: give another folder"),
+        replaced(site / "deep" / "again", "simulate"),
+    ):
+        pass
+    assert names(site) == {"recording.mcap"}
 
 
 def test_a_simulated_recording_is_replaced_by_another_one_only(tmp_path):

@@ -2,7 +2,8 @@
 
 Results are made where they belong, so that a run which is killed leaves there what it had computed, and nothing else.
 Those of the run before wait beside them, in `.NAME.earlier`, until the new ones are complete; they come back where the
-new run fails before it has written anything. The file `.holdfast` in a folder lists what Holdfast wrote into it.
+new run fails before it has written anything, and where there were none nothing is left. The file `.holdfast` in a
+folder lists what Holdfast wrote into it.
 """
 
 import fcntl
@@ -61,16 +62,21 @@ def replaced(folder: str | Path, command: str, reads: Iterable[str | Path] = ())
         _check_command(mark, folder, command)
     with _locked(place, folder):  # nobody else replaces what is about to be moved
         earlier = _set_aside(place)
+    is_new = earlier is None and not place.exists()
     place.mkdir(parents=True, exist_ok=True)
     try:
         with _owned(place, folder, command):
             yield
     except BaseException as error:
-        if earlier is not None and _is_bare(place):
-            rmtree(place)
-            earlier.rename(place)
+        if _is_bare(place):
+            _empty(place)
+            if earlier is not None or is_new:
+                place.rmdir()
+            if earlier is not None:
+                earlier.rename(place)
             if isinstance(error, KeyboardInterrupt):
-                raise KeyboardInterrupt(f"nothing was done yet, {folder} holds the results of before") from None
+                of_before = f", {folder} holds the results of before" * (earlier is not None)
+                raise KeyboardInterrupt(f"nothing was done yet{of_before}") from None
         raise
     finally:
         if earlier is not None:
@@ -104,24 +110,6 @@ def naming_the_output(output: str | Path) -> Iterator[None]:
         raise ConfigError(f"{error.filename or output}: cannot be written ({error.strerror or error})") from None
 
 
-def write_whole(file: Path, text: str) -> None:
-    """Write a file whole or not at all; names of other files in it may be no UTF-8.
-
-    Raises:
-        ConfigError: it cannot be written; names it, not its part, of which nobody knows.
-    """
-    part = file.with_name(f".{file.name}.part")
-    with naming_the_output(file):
-        try:
-            part.write_text(text, encoding="utf-8", errors="backslashreplace")
-            part.replace(file)
-        except OSError as error:
-            error.filename = file
-            raise
-        finally:
-            part.unlink(missing_ok=True)
-
-
 def check_folder_of(file: str | Path) -> None:
     """Refuse a file that cannot be written, before long work: a folder, or one in a folder that is not there.
 
@@ -151,6 +139,24 @@ def check_output_file(file: str | Path, reads: Iterable[str | Path] = ()) -> Non
         raise ConfigError(f"{file}: was written by holdfast {mark.command}, which keeps it: give another file")
 
 
+def check_distinct(files: Iterable[tuple[str, str | Path]]) -> None:
+    """Refuse two outputs that are one file, however it is written: the second would replace the first.
+
+    Args:
+        files: option and file of each.
+
+    Raises:
+        ConfigError: names them.
+    """
+    seen: dict[Path, str] = {}
+    for option, file in files:
+        place = _real(file)
+        if place in seen:
+            others = f" ({seen[place]} and {option})" * (seen[place] != option)
+            raise ConfigError(f"{option} {file}: is given twice{others}")
+        seen[place] = option
+
+
 def add_results(*files: Path) -> None:
     """Note files that were written into a folder of results afterwards, so that they are replaced with it."""
     for file in files:
@@ -174,7 +180,7 @@ def _checked(folder: str | Path, reads: Iterable[str | Path], command: str) -> P
         raise ConfigError(f"{folder}: is a file: the output must be a folder")
     _check_reads(place, folder, reads)
     _check_simulations(place, folder, command)
-    _check_runs_above(place, folder)
+    _check_runs_above(place, folder, command)
     strange = _strangers(place) if place.exists() else []
     others = [name for name in strange if _read_mark(place / name) is None]
     if others:
@@ -185,11 +191,15 @@ def _checked(folder: str | Path, reads: Iterable[str | Path], command: str) -> P
     return place
 
 
-def _check_runs_above(place: Path, name: str | Path) -> None:
-    """Refuse a folder in the results of another run, which go as a whole; a simulation's may stand beside its files."""
+def _check_runs_above(place: Path, name: str | Path, command: str) -> None:
+    """Refuse a folder in the results of another run, which go as a whole.
+
+    Results may stand beside the files of the simulation that they are of, but another simulation may not.
+    """
     folder, mark = _marked(place)
     is_of_its_jobs = mark.files is None and mark.command in (*OF_SEVERAL_RUNS, "")
-    if folder is not None and mark.command != SIMULATE and not is_of_its_jobs:
+    is_beside_recording = mark.command == SIMULATE != command
+    if folder is not None and not is_beside_recording and not is_of_its_jobs:
         raise ConfigError(f"{name}: is in {folder}, the results of holdfast {mark.command}: give another folder")
 
 
@@ -308,13 +318,17 @@ def _set_aside(place: Path) -> Path | None:
             raise FileExistsError
         place.rename(earlier)
     except OSError:  # a mount point, a parent that is read-only
-        for one in place.iterdir():
-            if one.is_dir() and not one.is_symlink():
-                rmtree(one)
-            else:
-                one.unlink()
+        _empty(place)
         return None
     return earlier
+
+
+def _empty(place: Path) -> None:
+    for one in place.iterdir():
+        if one.is_dir() and not one.is_symlink():
+            rmtree(one)
+        else:
+            one.unlink()
 
 
 def _is_bare(place: Path) -> bool:

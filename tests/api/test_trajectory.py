@@ -101,8 +101,12 @@ def test_covariances_of_an_earlier_trajectory_do_not_stay_beside_another(tmp_pat
     (lambda _: holdfast.Trajectory.read("a\0b"), "path: must be a path, which holds no NUL"),
     (lambda track: track.write(3), "path: must be a path, not int"),
     (lambda track: track.write("nodir/x"), r"nodir/x: cannot be written \(No such file or directory\)"),
-    (lambda track: track.to_dataframe("json"), r"library: must be one of polars, pandas, or None, got 'json' \(str\)"),
-    (lambda track: track.errors(track, max_gap_s="x"), r"max_gap_s: must be a number \[s\], got 'x'"),
+    (lambda track: track.to_dataframe("json"), r"library: must be one of polars, pandas, got 'json' \(str\)"),
+    (lambda track: track.to_dataframe(np.array(["polars", "pandas"])), "library: must be one of .*, got an array"),
+    (lambda track: track.errors(track, max_gap_s="x"), r"max_gap_s: must be a number \[s\] >= 0, got 'x'"),
+    (lambda track: track.errors(track, max_gap_s=10**400), r"max_gap_s: must be a number \[s\] >= 0, got a number of"),
+    (lambda track: track.errors(track, alignment=np.array(["yaw", "se3"])), "alignment: must be one of none, yaw"),
+    (lambda track: track.errors(track)[np.array(["up_m", "east_m"])], "errors.*: must be one of translation_m"),
     (lambda track: track.errors(track)["error"], "errors.'error'.: must be one of translation_m, horizontal_m"),
     (lambda track: track.errors(track)[["up_m"]], r"errors\[\['up_m'\]\]: must be one of translation_m"),
 ])  # fmt: skip
@@ -218,3 +222,11 @@ def test_poses_that_could_not_be_read_again_are_not_written(tmp_path, changes, w
     with pytest.raises(holdfast.MessageError, match=words):
         dataclasses.replace(turning(), **changes).write(tmp_path / "track.tum")
     assert len(holdfast.Trajectory.read(tmp_path / "track.tum")) == 50
+
+
+def test_values_that_are_masked_are_refused():
+    """What lies under a mask was taken for what is known."""
+    track = turning()
+    masked = np.ma.masked_array(track.positions, mask=track.positions > track.positions.mean())
+    with pytest.raises(holdfast.MessageError, match="positions: must not be masked"):
+        holdfast.Trajectory(track.stamps_ns, masked, track.quaternions_xyzw)

@@ -210,7 +210,7 @@ def test_update_keeps_the_factor_that_stands_in_the_file(replayed, measured, tmp
 @pytest.mark.parametrize(("text", "words"), [
     (None, "no baseline (No such file"),
     ("fast", "is no baseline"),
-    ("{}", "is no baseline"),
+    ("{}", "is no baseline (it has no 'max_factor')"),
     ("[]", "is no baseline"),
     ('{"max_factor": 0.5}', "max_factor is 0.5: must be 1 or more"),
 ])  # fmt: skip

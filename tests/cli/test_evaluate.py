@@ -209,6 +209,12 @@ def test_several_systems_are_written_and_drawn(holdfast, tracks, second):
     [
         (["estimate.tum"], 2, "Missing argument 'REFERENCE'"),
         (["estimate.tum", "estimate.tum", "reference.tum"], 2, "estimate.tum: is given twice"),
+        (["estimate.tum", "x/../estimate.tum", "reference.tum"], 2, "estimate.tum: is given twice"),
+        (
+            ["estimate.tum", "reference.tum", "--json", "x.png", "--plot", "x.png"],
+            2,
+            "--plot x.png: is given twice (--json and --plot)",
+        ),
         (["estimate.tum", "second.tum", "reference.tum", "--align", "all"], 2, "choose none, yaw or se3"),
         (["estimate.tum", "absent.tum", "reference.tum"], 3, "absent.tum"),
     ],
@@ -237,3 +243,13 @@ def test_the_judge_imports_neither_the_judged_nor_evo_nor_scipy():
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
+
+
+@pytest.mark.parametrize("several", [[], ["estimate.tum"]])
+def test_quaternions_in_the_order_w_x_y_z_are_told(holdfast, tracks, several):
+    """They were judged as they were read: errors of attitude of 100 deg, without a word."""
+    track = circle()
+    write_tum(tracks / "wxyz.tum", replace(track, quaternions=np.roll(track.quaternions, 1, axis=1)))
+    code, output, errors = holdfast("wxyz.tum", *several, "reference.tum")
+    assert code == 0 and "wxyz" in output
+    assert errors.startswith("warning: wxyz.tum or reference.tum: the quaternions look like w x y z (a TUM file has x ")

@@ -66,6 +66,7 @@ def test_a_site_grid_prints_its_residuals(tmp_path: Path):
         (["-o", "track.shp"], r"unknown kind of file \(allowed: \.csv"),
         (["-o", "none/track.csv"], "its folder does not exist"),
         (["-o", "track.csv", "-o", "track.csv"], "-o track.csv: is given twice"),
+        (["-o", "track.csv", "-o", "x/../track.csv"], "-o x/../track.csv: is given twice"),
         (["--crs", "EPSG:2056", "--site-grid", "site.csv"], "give one of them"),
         (["--site-grid", "site.csv", "--geoid", "geoid.gtx"], "the control points of a site grid give its heights"),
         (["-o", "track.las"], "LAS takes metres"),

@@ -99,7 +99,7 @@ def test_replay_and_evaluate_run_on_it_end_to_end(quick: Path, tmp_path: Path):
     assert whole["ape"]["yaw_deg"]["rms"] < 1.0
 
 
-def test_readme_and_settings_describe_what_was_done(quick: Path):
+def test_readme_and_settings_describe_what_was_done(quick: Path, tmp_path: Path):
     text = (quick / "README.md").read_text()
     assert f"holdfast simulate quick -o {quick.name} --seed 3 --scans" in text
     assert "12 to 16 s: outage of gnss, gnss_right, heading (no messages)" in text
@@ -109,7 +109,7 @@ def test_readme_and_settings_describe_what_was_done(quick: Path):
     sensor, constant, value = constants[1].split(",")
     assert (sensor, constant) == ("joint", "zero_offset_rad")
     assert f"- zero_offset_rad of joint: {float(value):.6f}" in text
-    run("simulate", str(quick / "scenario.yaml"), "-o", str(quick / "again"), "--seed", "3", "--duration", "2")
+    run("simulate", str(quick / "scenario.yaml"), "-o", str(tmp_path / "again"), "--seed", "3", "--duration", "2")
     assert (quick / "plan.png").stat().st_size > 10_000
 
 

@@ -134,5 +134,7 @@ def test_a_log_is_never_overwritten(tmp_path):
         check_destination(tmp_path / "log.mcap")
     with pytest.raises(ConfigError, match="cannot be written"):
         check_destination(tmp_path / "nowhere" / "log.mcap")
+    with pytest.raises(ConfigError, match=r"log\.bag: must end in \.mcap"):  # no command would have read it
+        check_destination(tmp_path / "log.bag")
     check_destination(tmp_path / "new.mcap")
     assert not (tmp_path / "new.mcap").exists()

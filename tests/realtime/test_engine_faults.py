@@ -14,6 +14,7 @@ from engine import bring_up, play, sigmas_m, stamps_of, wait_for, with_settings
 
 from holdfast.errors import ConfigError, EstimatorError
 from holdfast.estimator.estimator import Estimator
+from holdfast.geometry.earth import Geodetic
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntOdometry, LearntScale, LearntSnapshot
 from holdfast.messages import GnssFix, Heading, ImuSample, SensorPose
 from holdfast.realtime.engine import RealtimeEstimator
@@ -315,8 +316,15 @@ def test_a_closed_estimator_refuses_messages_but_its_log_can_be_read(drive):
     assert time.monotonic() - began < 5.0
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
-    with pytest.raises(EstimatorError, match="closed"):
-        engine.process(drive.messages[0])
+    for call in (
+        lambda: engine.process(drive.messages[0]),
+        engine.flush,
+        engine.wait_until_ready,
+        engine.reset,
+        lambda: engine.set_datum(Geodetic(47.0, 8.0, 400.0)),
+    ):
+        with pytest.raises(EstimatorError, match="closed"):
+            call()
     assert engine.counts["gnss", "used"] > 0
     assert engine.event_counts["initialised"] == 1
     assert engine.optimiser_pid is None

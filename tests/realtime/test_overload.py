@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 
+import pytest
 from engine import bring_up
 
 from holdfast.config.load import parse_config
+from holdfast.errors import ConfigError
 from holdfast.event_log import EventLog
 from holdfast.realtime.engine import RealtimeEstimator
 from holdfast.realtime.memory import Word
@@ -94,3 +96,32 @@ def test_the_engine_leaves_out_a_flood_before_the_optimiser_falls_behind(drive):
         assert engine.counts.total() - before <= 4000
         told = [event for event in engine.take_events() if event.kind is EventKind.OVERLOAD]
         assert len(told) == 1 and told[0].sensor == "gnss"
+
+
+@pytest.mark.parametrize(("call", "words"), [
+    (lambda engine: engine.shed("x", 1, 1), r"sensor: 'x' is not in the configuration \(allowed: imu, "),
+    (lambda engine: engine.shed("imu", 1, 1), "nothing of the IMU 'imu' may be left out .allowed: .*gnss"),
+    (lambda engine: engine.shed("gnss", "x", 1), "number: must be an integer >= 1, got 'x'"),
+    (lambda engine: engine.shed("gnss", 0, 1), "number: must be an integer >= 1, got 0"),
+    (lambda engine: engine.shed("gnss", 1, "x"), "arrival_ns: must be a whole number of nanoseconds within 64 bits"),
+    (lambda engine: engine.room([], 1), r"sensor: \[\] is not in the configuration"),
+    (lambda engine: engine.room("gnss", 10**30), "arrival_ns: must be a whole number of nanoseconds within 64 bits"),
+    (lambda engine: engine.flush("x"), "timeout_s: must be a number .s. >= 0, got 'x'"),
+    (lambda engine: engine.flush(float("nan")), "timeout_s: must be a number .s. >= 0, got nan"),
+    (lambda engine: engine.wait_until_ready(None), "timeout_s: must be a number .s. >= 0, got None"),
+])  # fmt: skip
+def test_an_argument_of_another_type_is_named_and_changes_nothing(quiet_engine, call, words):
+    with pytest.raises(ConfigError, match=words):
+        call(quiet_engine)
+    assert quiet_engine.room("gnss", T0) == 20 and not quiet_engine.counts
+
+
+@pytest.fixture(scope="module")
+def quiet_engine(drive):
+    with RealtimeEstimator(drive.config) as engine:
+        yield engine
+
+
+def test_in_step_is_true_or_false(drive):
+    with pytest.raises(ConfigError, match="in_step: must be True or False, got 'no'"):
+        RealtimeEstimator(drive.config, in_step="no")

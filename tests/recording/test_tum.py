@@ -80,6 +80,7 @@ def test_quaternions_of_few_digits_are_normalised(tmp_path: Path) -> None:
     ("text", "error"),
     [
         (ROW + "2.5 1 2 3\n", "t.tum:2: has 4 columns (allowed: 8, t x y z qx qy qz qw)"),
+        ("2.5,1,2,3,0,0,0,1\n", "t.tum:1: has 1 column (allowed: 8 with spaces between them, t x y z qx qy qz qw)"),
         (ROW + "2.5 1 2 x 0 0 0 1\n", "t.tum:2: is not made of 8 numbers"),
         (ROW + "now 1 2 3 0 0 0 1\n", "t.tum:2: is not made of 8 numbers"),
         (ROW + "2.5 1_0 2 3 0 0 0 1\n", "t.tum:2: is not made of 8 numbers"),

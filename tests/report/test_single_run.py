@@ -21,10 +21,8 @@ from holdfast.replay.results import read_run
 from holdfast.report.page import render
 from holdfast.report.run_record import Measurements
 from holdfast.report.single_run import single_run_page
-from holdfast.report.timeline import health_intervals, lost_intervals, trust_intervals
-from holdfast.report.words import in_words
+from holdfast.report.timeline import lost_intervals
 from holdfast.ros.messages import BIAS_KEYS
-from holdfast.state import EventKind, Health, Outcome
 
 
 def call(*arguments: str | Path) -> str:
@@ -277,71 +275,12 @@ def test_a_reference_of_another_time_and_a_wrong_name_are_refused(simulated: Pat
         call("report", simulated / "out", "--reference", tmp_path / "other.tum")
     with pytest.raises(RecordingError, match=r"none\.tum: no such file"):
         call("report", simulated / "out", "--reference", tmp_path / "none.tum")
-    with pytest.raises(RecordingError, match=r"imu_bias\.csv: no such file"):
+    with pytest.raises(RecordingError, match=r"holds no truth .allowed: a TUM file, or the truth/ folder of a simul"):
         call("report", simulated / "out", "--reference", tmp_path)
+    with pytest.raises(RecordingError, match=rf"; is {simulated / 'truth'} meant\?$"):
+        call("report", simulated / "out", "--reference", simulated)
     with pytest.raises(HoldfastError, match=r"must end in \.html"):
         call("report", simulated / "out", "-o", tmp_path / "report.pdf")
-
-
-def test_intervals_follow_the_events():
-    def event(at_s: float, kind: str, sensor: str = "", reason: str = "") -> dict:
-        return {"stamp_ns": round(at_s * 1e9), "kind": kind, "sensor": sensor, "reason": reason}
-
-    events = [
-        event(1.0, "initialised"),
-        event(1.0, "health", reason="nominal"),
-        event(5.0, "receiver_lost", "gnss", "silent"),
-        event(5.0, "gnss_lost", "", "no receiver is trusted"),
-        event(5.0, "health", reason="fallback"),
-        event(8.0, "receiver_regained", "gnss", "5 good fixes in a row"),
-        event(8.0, "gnss_regained", "", "5 fixes agree"),
-        event(8.0, "health", reason="nominal"),
-        event(9.0, "gnss_lost", "", "no receiver is trusted"),
-    ]
-    assert [s[:3] for s in health_intervals(events, 0, 10.0)] == [
-        (0.0, 1.0, "initialising"), (1.0, 5.0, "nominal"), (5.0, 8.0, "fallback"), (8.0, 10.0, "nominal"),
-    ]  # fmt: skip
-    assert [s[:3] for s in trust_intervals(events, 0, 10.0, ["gnss"])["gnss"]] == [
-        (1.0, 5.0, "trusted"), (5.0, 8.0, "lost"), (8.0, 10.0, "trusted"),
-    ]  # fmt: skip
-    assert [s[:2] for s in lost_intervals(events, 0, 10.0)] == [(5.0, 8.0), (9.0, 10.0)]
-
-
-def test_every_tested_sensor_has_its_own_trust():
-    def event(at_s: float, kind: str, sensor: str = "") -> dict:
-        return {"stamp_ns": round(at_s * 1e9), "kind": kind, "sensor": sensor, "reason": ""}
-
-    events = [event(0.0, "initialised"), event(2.0, "sensor_lost", "tracks"), event(3.0, "sensor_regained", "tracks")]
-    found = trust_intervals(events, 0, 5.0, ["tracks", "mast"])
-    assert [i[:3] for i in found["tracks"]] == [(0.0, 2.0, "trusted"), (2.0, 3.0, "lost"), (3.0, 5.0, "trusted")]
-    assert [i[:3] for i in found["mast"]] == [(0.0, 5.0, "trusted")]
-    assert trust_intervals(events[1:], 0, 5.0, ["tracks"]) == {}  # it never started
-
-
-@pytest.mark.parametrize("kind", EventKind)
-def test_every_kind_of_event_has_words(kind: EventKind):
-    words = in_words({"kind": str(kind), "sensor": "gnss", "reason": "some reason"})
-    assert "some reason" in words
-    routine = kind in (EventKind.REJECTED, EventKind.LATE, EventKind.WAITING)
-    assert routine or (not words.startswith(str(kind)) and "_" not in words)
-
-
-@pytest.mark.parametrize("health", Health)
-def test_every_health_has_words(health: Health):
-    words = in_words({"kind": "health", "sensor": "", "reason": str(health)})
-    assert health is Health.INITIALISING or "_" not in words
-
-
-@pytest.mark.parametrize("outcome", [o for o in Outcome if o not in ("used", "ignored", "before_start")])
-def test_reasons_for_which_a_receiver_is_lost_have_words(outcome: Outcome):
-    reason = f"12 {outcome}, 1 innovation; gate power 0.13 m"
-    words = in_words({"kind": "receiver_lost", "sensor": "gnss", "reason": reason})
-    assert "12 measurements" in words or outcome not in GATED
-    assert "1 measurement contradicting the estimate" in words
-    assert "any jump beyond 0.13 m" in words
-
-
-GATED = ("innovation", "too_fast", "baseline", "low_status", "no_covariance", "large_covariance", "walking", "late")
 
 
 RANGES = (

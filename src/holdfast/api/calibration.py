@@ -7,8 +7,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from holdfast.api.arguments import path_of
 from holdfast.api.progress import shown
+from holdfast.arguments import check_count, check_flag, path_of
 from holdfast.calibration.calibrate import Calibration as Found
 from holdfast.calibration.calibrate import calibrated
 from holdfast.calibration.estimated import Estimated
@@ -17,9 +17,8 @@ from holdfast.calibration.held_out import HeldOut
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
-from holdfast.measured_fields import got, is_whole
-from holdfast.output_folder import write_whole
 from holdfast.recording.source import Recording
+from holdfast.whole_file import write_whole
 
 AnyPath = str | PathLike[str]
 
@@ -93,8 +92,9 @@ def calibrate(
     paths = [recordings] if isinstance(recordings, str | PathLike) else list(recordings)
     for path in paths:
         path_of("recordings", path)
-    if not is_whole(hold_out):
-        raise ConfigError(f"hold_out: must be an integer >= 2, {got(hold_out)}")
+    check_count("hold_out", hold_out, 2)
+    for name, flag in (("lever_arms", lever_arms), ("progress", progress)):
+        check_flag(name, flag)
 
     @contextmanager
     def watch(_title: str, opened: Recording) -> Iterator[Progress]:

@@ -7,8 +7,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from holdfast.api.arguments import path_of
 from holdfast.api.trajectory import Trajectory
+from holdfast.arguments import path_of
 from holdfast.extras import needing
 from holdfast.state import Event
 

@@ -1,23 +1,25 @@
 """`holdfast.replay` and `holdfast.smooth`: a recording in, arrays out."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from holdfast.api.arguments import path_of
+import numpy as np
+
 from holdfast.api.kept import Kept
 from holdfast.api.progress import shown
 from holdfast.api.result import Result
 from holdfast.api.session import Session, run
+from holdfast.arguments import check_count, check_flag, check_seconds, path_of
 from holdfast.calibration.learnt_file import check_learnt_file
 from holdfast.config.load import config_of, load_config
 from holdfast.config.model import Config
 from holdfast.config.review import check_possible
 from holdfast.errors import ConfigError
-from holdfast.measured_fields import got, is_number, is_whole
+from holdfast.measured_fields import got, has_double, is_number
 from holdfast.output_folder import naming_the_output, replaced
 from holdfast.recording.source import open_recording
 from holdfast.recording.subscriptions import available, subscriptions
@@ -109,11 +111,13 @@ def _run(  # noqa: PLR0917 (of the two above)
     for name, path in paths.items():
         if path is not None or name == "recording":
             path_of(name, path)
+    for name, flag in (("strict", strict), ("progress", progress)):
+        check_flag(name, flag)
     for name, seconds in zip(("start_s", "duration_s"), span_s, strict=True):
-        if not is_number(seconds) and (name, seconds) != ("duration_s", None):
-            raise ConfigError(f"{name}: must be a number [s], {got(seconds)}")
+        if (name, seconds) != ("duration_s", None):
+            check_seconds(name, seconds)
     loaded, kept = resolved(config), Kept()
-    rules = _rules(hold_out or {}, outage or {}, loaded)
+    rules = _rules({} if hold_out is None else hold_out, {} if outage is None else outage, loaded)
     temporary: TemporaryDirectory[str] | None = None
     if output is None:
         temporary = TemporaryDirectory(prefix="holdfast-")
@@ -156,7 +160,7 @@ def resolved(config: AnyConfig) -> Config:
     if isinstance(config, Mapping):
         return check_possible(config_of(dict(config), "config"), "config")
     if isinstance(config, str | PathLike):
-        return check_possible(load_config(config), str(config))
+        return check_possible(load_config(path_of("config", config)), str(config))
     raise ConfigError(f"config: must be a path, a dict or a Config, not {type(config).__name__}")
 
 
@@ -166,14 +170,13 @@ def _rules(hold_out: Mapping[str, int], outage: Mapping[str, tuple[float, float]
         if not isinstance(given, Mapping):
             raise ConfigError(f"{name}: must be a dict by sensor, not {type(given).__name__}")
     for sensor, every in hold_out.items():
-        if not is_whole(every) or every < 2:
-            raise ConfigError(f"hold_out[{sensor!r}]: must be an integer >= 2, not {every!r}")
+        check_count(f"hold_out[{sensor!r}]", every, 2)
         rules.append(HoldOut(sensor, every, given=f"hold_out[{sensor!r}]"))
     for sensor, span in outage.items():
-        try:
-            start_s, end_s = () if isinstance(span, str) else map(float, span)
-        except (TypeError, ValueError):
-            raise ConfigError(f"outage[{sensor!r}]: must be (start, end) [s], {got(span)}") from None
+        times = list(span) if isinstance(span, Sequence | np.ndarray) and not isinstance(span, str) else []
+        if len(times) != 2 or not all(is_number(time_s) and has_double(time_s) for time_s in times):
+            raise ConfigError(f"outage[{sensor!r}]: must be (start, end) [s], {got(span)}")
+        start_s, end_s = map(float, times)
         if not 0.0 <= start_s < end_s:
             raise ConfigError(f"outage[{sensor!r}]: must start at 0 s or later, and end after it starts, not {span!r}")
         rules.append(HoldOut(sensor, None, start_s, end_s, f"outage[{sensor!r}]"))

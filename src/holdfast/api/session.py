@@ -18,6 +18,7 @@ from holdfast.messages import Message
 from holdfast.recording.source import Recording
 from holdfast.replay.batch_outputs import CAUSAL, BatchOutputs
 from holdfast.replay.held_out import HoldOut
+from holdfast.replay.interrupts import Uninterrupted
 from holdfast.replay.never_started import never_started
 from holdfast.replay.outputs import SUMMARY, Outputs
 from holdfast.replay.runner import Replay
@@ -25,6 +26,7 @@ from holdfast.replay.summary import summarise_replay
 from holdfast.smoothing.batch_smoother import BatchSmoother
 from holdfast.smoothing.block import Block
 from holdfast.state import Output
+from holdfast.whole_file import write_whole
 
 if TYPE_CHECKING:  # starting processes is left to whoever wants them
     from holdfast.realtime.engine import RealtimeEstimator
@@ -109,7 +111,17 @@ def run(session: Session, opened: Recording, show: ShowProgress) -> Finished:
     Raises:
         ConfigError: a file cannot be written, or is not what it should be, or something is not installed.
         RecordingError: the recording cannot be opened for its scans.
+        KeyboardInterrupt: before there was anything to write, or while it was being written, which is done first.
     """
+    ending = Uninterrupted()
+    with ExitStack() as stack:
+        ending.start()
+        stack.callback(ending.stop)
+        return _run(session, opened, show, lambda: stack.enter_context(ending))
+
+
+def _run(session: Session, opened: Recording, show: ShowProgress, begin_to_end: Callable[[], object]) -> Finished:
+    """Run the estimator; after `begin_to_end` an interrupt waits until all is written."""
     config, folder = session.config, session.folder
     causal = folder if session.batch_s is None else folder / CAUSAL
     batch: BatchSmoother | None = None
@@ -144,6 +156,7 @@ def run(session: Session, opened: Recording, show: ShowProgress) -> Finished:
                 replay.run(scanned, session.rate or (1.0 if session.realtime else None), progress)
         except (HoldfastError, KeyboardInterrupt) as error:
             failure = error
+        begin_to_end()
         replay.write_events()
     learnt = replay.estimator.learnt()
     if session.learnt is not None and replay.has_started:
@@ -169,9 +182,9 @@ def _write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
     """Write summary.json.
 
     Raises:
-        OSError: it cannot be written.
+        ConfigError: it cannot be written.
     """
-    (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    write_whole(folder / SUMMARY, json.dumps(summary, indent=2) + "\n")
 
 
 def _engine(config: Config, wanted: bool, learnt: LearntSnapshot) -> "AbstractContextManager[RealtimeEstimator | None]":

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
-from holdfast.api.arguments import path_of
 from holdfast.api.trajectory import Trajectory
+from holdfast.arguments import check_count, path_of
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
-from holdfast.measured_fields import got, is_number, is_whole
+from holdfast.measured_fields import got, is_number
 from holdfast.output_folder import SIMULATE, naming_the_output, replaced
 
 
@@ -48,8 +48,7 @@ def simulate(
         from holdfast.trial.run import CONFIG, RECORDING, write_simulation
     path_of("scenario", scenario)
     folder = path_of("output", output)
-    if not is_whole(seed) or seed < 0:
-        raise ConfigError(f"seed: must be an integer >= 0, {got(seed)}")
+    check_count("seed", seed, 0)
     if duration_s is not None and not (is_number(duration_s) and SHORTEST_S < duration_s <= LONGEST_S):
         raise ConfigError(f"duration_s: must be > {SHORTEST_S:g} and <= {LONGEST_S:g} [s], {got(duration_s)}")
     loaded = load_scenario(str(scenario), {} if duration_s is None else {"duration_s": duration_s})

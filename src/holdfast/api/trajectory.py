@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from holdfast import state
-from holdfast.api.arguments import path_of
+from holdfast.arguments import check_choice, check_seconds, path_of
 from holdfast.covariances import Covariances
 from holdfast.errors import ConfigError, MessageError
 from holdfast.evaluation import quaternions
@@ -18,11 +18,12 @@ from holdfast.evaluation.absolute import Statistics, ape, summarise
 from holdfast.evaluation.alignment import AlignmentName, align
 from holdfast.evaluation.association import Association, associate
 from holdfast.extras import needing
-from holdfast.measured_fields import LIMIT_NS, array_of, got, is_number
+from holdfast.measured_fields import LIMIT_NS, array_of, got
 from holdfast.messages import Array
 from holdfast.output_folder import naming_the_output
 from holdfast.recording.covariance_csv import CovarianceWriter, beside, read_covariances
 from holdfast.recording.tum import NORM_TOLERANCE, read_tum, write_tum
+from holdfast.whole_file import whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -57,7 +58,7 @@ class Errors:
         Raises:
             ConfigError: there is none of this name.
         """
-        if name not in [*self.values]:
+        if not isinstance(name, str) or name not in self.values:
             raise ConfigError(f"errors[{name!r}]: must be one of {', '.join(self.values)}")
         return self.values[name]
 
@@ -93,6 +94,8 @@ class Trajectory:
         object.__setattr__(self, "stamps_ns", stamps_ns)
         for name, (shape, unit) in COLUMNS.items():
             values = getattr(self, name)
+            if np.ma.is_masked(values):
+                raise MessageError(f"{name}: must not be masked, what is not known has no stamp")
             if values is not None or name in NEEDED:
                 object.__setattr__(self, name, array_of(values, (len(stamps_ns), *shape), name, unit))
 
@@ -118,12 +121,14 @@ class Trajectory:
         """
         track = path_of("path", path)
         self._check_poses()
-        with naming_the_output(track):
-            write_tum(track, self.poses)
-            beside(track).unlink(missing_ok=True)
-            if self.covariances is not None:
-                with CovarianceWriter(beside(track)) as writer:
-                    writer.extend(Covariances(self.stamps_ns, self.covariances))
+        with whole(track) as part:
+            write_tum(part, self.poses)
+        if self.covariances is None:
+            with naming_the_output(beside(track)):
+                beside(track).unlink(missing_ok=True)
+        else:
+            with whole(beside(track)) as part, CovarianceWriter(part) as writer:
+                writer.extend(Covariances(self.stamps_ns, self.covariances))
 
     def _check_poses(self) -> None:
         if not len(self):
@@ -217,9 +222,8 @@ class Trajectory:
             ConfigError: the reference is no trajectory, the alignment is none of these, or the gap is no time.
         """
         _check(reference)
-        _check_alignment(alignment)
-        if not is_number(max_gap_s):
-            raise ConfigError(f"max_gap_s: must be a number [s], {got(max_gap_s)}")
+        check_choice("alignment", alignment, get_args(AlignmentName))
+        check_seconds("max_gap_s", max_gap_s)
         pairs = associate(
             self.poses, reference.poses, Association(max_gap_s=max_gap_s, names={"max_gap_s": "max_gap_s"})
         )
@@ -232,8 +236,8 @@ class Trajectory:
         Raises:
             ConfigError: neither is installed, or not the one that is asked for; or it is none of these.
         """
-        if library not in (None, *LIBRARIES):
-            raise ConfigError(f"library: must be one of {', '.join(LIBRARIES)}, or None, {got(library)}")
+        if library is not None:
+            check_choice("library", library, LIBRARIES)
         columns: dict[str, Any] = {"stamp_ns": self.stamps_ns}
         columns |= {f"p_{axis}_m": self.positions[:, k] for k, axis in enumerate("xyz")}
         columns |= {f"q_{axis}": self.quaternions_xyzw[:, k] for k, axis in enumerate("xyzw")}
@@ -308,9 +312,3 @@ def _check(reference: object) -> None:
     if not isinstance(reference, Trajectory):
         given = type(reference).__name__
         raise ConfigError(f"reference: must be a Trajectory, such as Trajectory.read(FILE), not {given}")
-
-
-def _check_alignment(alignment: object) -> None:
-    names = get_args(AlignmentName)
-    if alignment not in names:
-        raise ConfigError(f"alignment: must be one of {', '.join(names)}, {got(alignment)}")

@@ -244,7 +244,8 @@ def read_baseline(path: str | Path) -> Result:
     except OSError as error:
         raise ConfigError(f"{path}: no baseline ({error.strerror}); --update-baseline writes one") from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ConfigError(f"{path}: is no baseline ({error!r}); --update-baseline writes one") from None
+        why = f"it has no {error}" if isinstance(error, KeyError) else str(error)
+        raise ConfigError(f"{path}: is no baseline ({why}); --update-baseline writes one") from None
     return dict(baseline)
 
 

@@ -78,6 +78,9 @@ def calibrated(
     """
     if not recordings:
         raise ConfigError("recordings: must name at least one recording")
+    paths = [Path(one).resolve() for one in recordings]
+    if twice := [one for one, path in zip(recordings, paths, strict=True) if paths.count(path) > 1]:
+        raise ConfigError(f"{twice[0]}: is given twice, and would count twice")
     if every < 2:
         raise ConfigError(f"hold_out: must be an integer >= 2, not {every}")
     draft = Draft.of(given)

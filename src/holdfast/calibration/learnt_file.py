@@ -5,12 +5,9 @@ it is the firmer word: what was learnt against the old number is dropped, and to
 """
 
 import json
-import os
 from collections.abc import Collection, Mapping
-from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
-from tempfile import NamedTemporaryFile
 from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
@@ -28,6 +25,7 @@ from holdfast.sensors.constants import priors_of, priors_of_imu
 from holdfast.sensors.learnt_joint import NOTHING_OF_JOINT
 from holdfast.sensors.mount import Mount
 from holdfast.sensors.registry import sensors_of
+from holdfast.whole_file import write_whole
 
 ALLOWED = "a file that --learnt has written"
 POSE = "pose"  # of the frame in that of the IMU, from `extrinsics`
@@ -86,23 +84,8 @@ def save_learnt(path: str | Path, learnt: LearntSnapshot, config: Config) -> Non
     Raises:
         ConfigError: it cannot be written.
     """
-    file = Path(path)
     content = LearntFile(written_by=version("holdfast"), configured=_configured(config), learnt=learnt)
-    text = json.dumps(content.model_dump(mode="json", exclude_none=True), indent=1) + "\n"
-    part: Path | None = None
-    try:
-        with NamedTemporaryFile("w", encoding="utf-8", dir=file.absolute().parent, delete=False) as written:
-            part = Path(written.name)
-            written.write(text)
-            written.flush()
-            os.fsync(written.fileno())
-        part.chmod(0o644)
-        part.replace(file)
-    except OSError as error:
-        if part is not None:
-            with suppress(OSError):
-                part.unlink(missing_ok=True)
-        raise ConfigError(f"{file}: cannot be written ({error.strerror})") from None
+    write_whole(path, json.dumps(content.model_dump(mode="json", exclude_none=True), indent=1) + "\n")
 
 
 def check_learnt_file(path: str | Path, folder: str | Path, reads: Collection[str]) -> None:

@@ -11,6 +11,7 @@ from types import FrameType
 import click
 
 from holdfast import __version__
+from holdfast.cli.given_twice import refuse_given_twice
 from holdfast.cli.terminal import drop_output, guarded, shortened
 from holdfast.errors import HoldfastError
 from holdfast.printable import quoted
@@ -62,6 +63,15 @@ class LazyGroup(click.Group):
         command: click.Command = getattr(import_module(COMMANDS[cmd_name][0]), cmd_name.replace("-", "_"))
         end_if_interrupted()
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command, and refuse an option that is given to it twice."""
+        name, command, rest = super().resolve_command(ctx, args)
+        if command is not None:
+            refuse_given_twice(command, ctx, rest)
+        return name, command, rest
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         """Print the table of commands without importing any of them."""

@@ -10,7 +10,8 @@ import click
 from holdfast.cli.progress import reading_bar
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
-from holdfast.output_folder import check_output_file, write_whole
+from holdfast.output_folder import check_output_file
+from holdfast.whole_file import write_whole
 
 if TYPE_CHECKING:
     from holdfast.calibration.calibrate import Calibration
@@ -67,9 +68,6 @@ def calibrate(  # noqa: PLR0917 (click passes the options by name)
 
 def _check(output: Path, page: Path | None, reads: tuple[str, ...], every: int, force: bool) -> None:
     """Refuse before long work what would be refused after it."""
-    paths = [Path(one).resolve() for one in reads[:-1]]
-    if twice := [one for one, path in zip(reads, paths, strict=False) if paths.count(path) > 1]:
-        raise ConfigError(f"{twice[0]}: is given twice, and would count twice")
     if every < 2:
         raise ConfigError(f"--hold-out {every}: must be an integer >= 2")
     if output.suffix.lower() not in (".yaml", ".yml"):

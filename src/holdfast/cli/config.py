@@ -5,7 +5,8 @@ from pathlib import Path
 import click
 
 from holdfast.errors import ConfigError
-from holdfast.output_folder import check_folder_of, check_output_file, naming_the_output
+from holdfast.output_folder import check_folder_of, check_output_file
+from holdfast.whole_file import write_whole
 
 
 @click.group()
@@ -74,7 +75,7 @@ def init(recording: Path, output: Path | None, minimal: bool, force: bool) -> No
     if output is None:
         click.echo(text, nl=False)
         return
-    _write(output, text)
+    write_whole(output, text)
     todo = "measure what is marked TODO, then run" if "TODO" in text else "nothing is left to measure; now run"
     click.echo(f"{output}: written; {todo} `holdfast config check {output}`")
 
@@ -99,7 +100,7 @@ def upgrade(file: Path, output: Path | None, in_place: bool, force: bool) -> Non
         click.echo(f"{file}: is of the form of now, nothing to change", err=True)
     destination = file if in_place and changes else output
     if destination is not None:
-        _write(destination, text)
+        write_whole(destination, text)
         click.echo(f"{destination}: written", err=True)
     elif not in_place:
         click.echo(text, nl=False)
@@ -111,8 +112,3 @@ def _check_output(output: Path | None, force: bool) -> None:
     check_folder_of(output)
     if output.exists() and not force:
         raise ConfigError(f"{output}: exists already: give another name, or --force to overwrite it")
-
-
-def _write(output: Path, text: str) -> None:
-    with naming_the_output(output):
-        output.write_text(text, encoding="utf-8")

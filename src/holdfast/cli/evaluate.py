@@ -3,7 +3,6 @@
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
-from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -11,16 +10,18 @@ import click
 from click.core import ParameterSource
 
 from holdfast.cli.claimed import as_json, claimed_consistency, print_consistency
+from holdfast.cli.metrics import metrics_of
 from holdfast.cli.terminal import guarded_console
 from holdfast.errors import ConfigError, RecordingError
-from holdfast.output_folder import add_results, check_output_file, naming_the_output
+from holdfast.output_folder import add_results, check_distinct, check_output_file
+from holdfast.whole_file import write_whole
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
     from holdfast.evaluation.absolute import Statistics
-    from holdfast.evaluation.accuracy import Accuracy, Interval, Metrics
+    from holdfast.evaluation.accuracy import Accuracy, Metrics
     from holdfast.evaluation.alignment import AlignmentName
     from holdfast.evaluation.association import Pairs
     from holdfast.geometry.earth import Geodetic
@@ -30,8 +31,6 @@ _FILE = click.Path(path_type=Path, dir_okay=False)
 _STATISTICS = ("mean", "std", "rms", "median", "p95", "max", "count")
 _TABLE_COLUMNS = 110  # a narrower terminal wraps lines instead of cutting off digits
 _PIPE_WIDTH = 1000
-
-ASSOCIATION = ("max_gap_s", "max_difference_s", "reference_offset_s", "reference_lever_arm")  # options
 
 
 @click.command()
@@ -94,7 +93,9 @@ def evaluate(
     if not estimates:
         raise click.UsageError("Missing argument 'REFERENCE': give at least one estimate, and the reference last.")
     _check_tolerances(context, options["association"])
-    metrics = _metrics(**options)
+    metrics = metrics_of(**options)
+    options_of = {"--json": json_file, "--plot": plot_file}
+    check_distinct((option, file) for option, file in options_of.items() if file is not None)
     written = [file for file in (json_file, plot_file) if file is not None]
     for file in written:
         check_output_file(file, trajectories)
@@ -132,11 +133,13 @@ def _evaluate_several(  # noqa: PLR0917
     from holdfast.cli.names import names_of
     from holdfast.evaluation.plot_systems import plot_systems
 
-    if len(set(estimates)) < len(estimates):
-        twice = next(one for one in estimates if estimates.count(one) > 1)
-        raise ConfigError(f"{twice}: is given twice")
+    places = [one.resolve() for one in estimates]
+    if twice := [one for one, place in zip(estimates, places, strict=True) if places.count(place) > 1]:
+        raise ConfigError(f"{twice[-1]}: is given twice")
     named = dict(zip(names_of(*estimates), estimates, strict=True))
     systems = judge_systems(named, reference, alignment, metrics, lengths_m)
+    for system in systems:
+        warn_of_order(system.accuracy.pairs, named[system.name], reference)
     print_systems(systems, reference, _console())
     json_file, plot_file = files
     if json_file is not None:
@@ -160,6 +163,7 @@ def _evaluate_one(
     except RecordingError as error:
         named = str(error) if str(estimate) in str(error) or str(reference) in str(error) else None
         raise RecordingError(named or f"{estimate} against {reference}: {error}") from error
+    warn_of_order(pairs, estimate, reference)
     consistency = claimed_consistency(estimate, pairs, metrics.association.reference_lever_arm)
     _print(verdicts, estimate, reference)
     print_consistency(consistency)
@@ -184,75 +188,17 @@ def reference_in(file: Path, datum: "Geodetic | None") -> "Trajectory":
     return reference.poses
 
 
-def _metrics(
-    *,
-    intervals: tuple[str, ...],
-    intervals_file: Path | None,
-    association: str,
-    max_gap_s: float,
-    max_difference_s: float,
-    reference_offset_s: float,
-    reference_lever_arm: tuple[float, float, float],
-    position_only: bool,
-    rpe_distance: tuple[float, ...],
-    rpe_time: tuple[float, ...],
-    rpe_pairs: str,
-    kitti: bool,
-) -> "Metrics":
-    from holdfast.evaluation.accuracy import Metrics
-    from holdfast.evaluation.association import Association
+def warn_of_order(pairs: "Pairs", estimate: Path, reference: Path) -> None:
+    """Say on stderr that quaternions look like w x y z, if they do."""
+    from holdfast.evaluation.quaternion_order import reordered
 
-    for option, lengths in (("--rpe-distance", rpe_distance), ("--rpe-time", rpe_time)):
-        for length in lengths:
-            if not 0.0 < length < inf:
-                raise ConfigError(f"{option} {length:g}: must be > 0 and finite")
-    named = [_interval(text) for text in intervals]
-    if intervals_file is not None:
-        named += _intervals_of(intervals_file)
-    return Metrics(
-        rpe_distances_m=rpe_distance,
-        rpe_times_s=rpe_time,
-        rpe_pairing="all" if rpe_pairs == "all" else "consecutive",
-        kitti=kitti,
-        intervals=tuple(named),
-        association=Association(
-            method="nearest" if association == "nearest" else "interpolate",
-            max_gap_s=max_gap_s,
-            max_difference_s=max_difference_s,
-            reference_offset_s=reference_offset_s,
-            reference_lever_arm=reference_lever_arm,
-            position_only=position_only,
-            names={name: f"--{name.replace('_', '-')}" for name in ASSOCIATION},
-        ),
-    )
-
-
-def _interval(text: str) -> "Interval":
-    from holdfast.evaluation.accuracy import Interval
-
-    name, _, span = text.rpartition("=")
-    start, _, end = span.partition(":")
-    try:
-        return Interval(name, float(start), float(end))
-    except ValueError:
-        raise ConfigError(f"--interval {text}: expected NAME=START:END in seconds, such as tunnel=120:150") from None
-    except ConfigError as error:
-        raise ConfigError(f"--interval {text}: {error}") from None
-
-
-def _intervals_of(path: Path) -> "list[Interval]":
-    from holdfast.config.document import plain
-    from holdfast.config.load import read_yaml
-    from holdfast.evaluation.accuracy import Interval
-
-    expected = "expected one `name: [start, end]` in seconds per line"
-    try:
-        content = plain(read_yaml(path, "to be given with --intervals"), str(path))
-        return [Interval(name, float(start), float(end)) for name, (start, end) in content.items()]
-    except ConfigError as error:
-        raise ConfigError(f"--intervals {error} ({expected})") from None
-    except (TypeError, ValueError):
-        raise ConfigError(f"--intervals {path}: {expected}") from None
+    files = [str({"estimate": estimate, "reference": reference}[name]) for name in reordered(pairs)]
+    if files:
+        click.echo(
+            f"warning: {' or '.join(files)}: the quaternions look like w x y z (a TUM file has x y z w): estimate and "
+            "reference do not turn alike, and would in that order",
+            err=True,
+        )
 
 
 def _verdicts(pairs: "Pairs", alignment: str, metrics: "Metrics") -> "list[Accuracy]":
@@ -292,8 +238,7 @@ def _write_json(  # noqa: PLR0917 (what is written)
         "consistency": consistency,
         "alignments": {verdict.alignment.name: verdict.to_json() for verdict in verdicts},
     }
-    with naming_the_output(path):
-        path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def _console() -> "Console":

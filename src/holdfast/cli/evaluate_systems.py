@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from holdfast.errors import ConfigError, RecordingError
-from holdfast.output_folder import naming_the_output
+from holdfast.whole_file import write_whole
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -141,5 +141,4 @@ def write_systems(
         "metrics": asdict(metrics),
         "systems": {system.name: {"file": str(files[system.name]), **system.to_json()} for system in systems},
     }
-    with naming_the_output(path):
-        path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(content, indent=1, allow_nan=False) + "\n")

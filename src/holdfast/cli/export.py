@@ -7,7 +7,7 @@ import click
 
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
-from holdfast.output_folder import add_results, check_output_file, naming_the_output
+from holdfast.output_folder import add_results, check_distinct, check_output_file, naming_the_output
 
 if TYPE_CHECKING:
     from holdfast.export.site_grid import SiteGrid
@@ -52,9 +52,8 @@ def export(  # noqa: PLR0917 (click passes the options by name)
         raise ConfigError(f"--interval {interval_s:g}: must be > 0 and <= {LONGEST_S:g}")
     files = files or (folder / "trajectory.csv",)
     reads = [folder / f"{track}.tum", *(file for file in (site_grid, geoid) if file is not None)]
+    check_distinct(("-o", file) for file in files)
     for file in files:
-        if files.count(file) > 1:
-            raise ConfigError(f"-o {file}: is given twice")
         if file.suffix.lower() not in FORMATS:
             raise ConfigError(f"-o {file}: unknown kind of file (allowed: {', '.join(FORMATS)})")
         check_output_file(file, reads)
@@ -66,8 +65,8 @@ def export(  # noqa: PLR0917 (click passes the options by name)
     target = _target(crs, site_grid, geoid, datum)
     surveyed = survey(_poses(folder, track, interval_s), LocalFrame(datum), target)
     for file in files:
+        FORMATS[file.suffix.lower()](surveyed, file)
         with naming_the_output(file):
-            FORMATS[file.suffix.lower()](surveyed, file)
             add_results(file)
     for note in filter(None, [*target.notes, target.heights.note]):
         click.echo(f"note: {note}", err=True)

@@ -14,7 +14,8 @@ from holdfast.cli.writing import write_json
 from holdfast.errors import ConfigError, HoldfastError, RecordingError
 from holdfast.extras import needing
 from holdfast.mapping.options import SiteMapOptions
-from holdfast.output_folder import add_results, check_output_file, naming_the_output
+from holdfast.output_folder import add_results, check_distinct, check_output_file, naming_the_output
+from holdfast.whole_file import whole
 
 if TYPE_CHECKING:
     from holdfast.mapping.las import Grid
@@ -119,6 +120,8 @@ def check_files(files: Iterable[Path], reads: Iterable[Path]) -> None:
     Raises:
         ConfigError: names the file, or the package that is missing.
     """
+    files = tuple(files)
+    check_distinct(("-o", file) for file in files)
     for file in files:
         suffix = file.suffix.lower()
         if suffix not in SUFFIXES:
@@ -168,7 +171,7 @@ def gather(  # noqa: PLR0917
 def write_files(  # noqa: PLR0917
     found: "SiteMap", run: "Run", colour: str, grid: "Grid | None", voxel_m: float, files: Iterable[Path]
 ) -> None:
-    """Write the map into each file, by its suffix."""
+    """Write the map into each file, by its suffix; each whole or not at all."""
     from holdfast.mapping.colours import colouring
     from holdfast.mapping.las import write_las
     from holdfast.mapping.picture import draw_above
@@ -177,17 +180,17 @@ def write_files(  # noqa: PLR0917
     colours = colouring(found, colour)
     for file in files:
         suffix = file.suffix.lower()
-        with naming_the_output(file):
+        with whole(file) as part:
             if suffix in LAS and grid is not None:
-                write_las(found, colours, grid, file)
+                write_las(found, colours, grid, part)
             elif suffix == ".ply":
-                write_ply(found, colours, file)
+                write_ply(found, colours, part)
             elif suffix == ".png":
-                draw_above(found, colours, run.trajectory, voxel_m, file)
+                draw_above(found, colours, run.trajectory, voxel_m, part)
             elif suffix == ".rrd":
                 from holdfast.viz.site_map import write_rrd
 
-                write_rrd(found, colours, run.trajectory, voxel_m, file)
+                write_rrd(found, colours, run.trajectory, voxel_m, part)
 
 
 def _site(given: Path | None, recording: Path) -> Path | None:

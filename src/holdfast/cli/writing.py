@@ -1,10 +1,11 @@
-"""What a user reads when results cannot be written: one line that names the file."""
+"""Numbers for other programs, as JSON."""
 
 import json
 from pathlib import Path
 from typing import Any
 
 from holdfast.output_folder import add_results, naming_the_output
+from holdfast.whole_file import write_whole
 
 
 def write_json(path: str | Path, content: dict[str, Any]) -> None:
@@ -14,5 +15,5 @@ def write_json(path: str | Path, content: dict[str, Any]) -> None:
         ConfigError: it cannot be written.
     """
     with naming_the_output(path):
-        Path(path).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        write_whole(path, json.dumps(content, indent=2) + "\n")
         add_results(Path(path))

@@ -10,7 +10,7 @@ from holdfast.errors import ConfigError
 from holdfast.evaluation.accuracy import WHOLE, Accuracy
 from holdfast.extras import needing
 from holdfast.messages import Array
-from holdfast.output_folder import naming_the_output
+from holdfast.whole_file import whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -68,8 +68,8 @@ def plot_accuracy(accuracy: Accuracy, path: Path, title: str) -> None:
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(12.0, 7.0), dpi=130, layout="constrained")
         _draw(figure, accuracy, title)
-        with naming_the_output(path):
-            figure.savefig(path, metadata={"Date": None} if path.suffix.lower() == ".svg" else None)
+        with whole(path) as part:
+            figure.savefig(part, metadata={"Date": None} if path.suffix.lower() == ".svg" else None)
 
 
 def _draw(figure: "Figure", accuracy: Accuracy, title: str) -> None:

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from holdfast.errors import ConfigError
 from holdfast.evaluation.plot import REFERENCE, STYLE, TEXT, broken_at_gaps, check_plot, thinned
 from holdfast.evaluation.side_by_side import System
+from holdfast.whole_file import whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,10 +38,8 @@ def plot_systems(systems: Sequence[System], path: Path, title: str) -> None:
         _draw_boxes(figure.add_subplot(grid[1, 1]), systems)
         _add_legend(figure)
         figure.suptitle(title, x=0.01, ha="left", fontsize=11)
-        try:
-            figure.savefig(path, metadata={"Date": None} if path.suffix.lower() == ".svg" else None)
-        except OSError as error:
-            raise ConfigError(f"cannot write {path}: {error.strerror}") from error
+        with whole(path) as part:
+            figure.savefig(part, metadata={"Date": None} if path.suffix.lower() == ".svg" else None)
 
 
 def _look(index: int) -> tuple[str, str]:

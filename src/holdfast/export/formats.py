@@ -1,6 +1,7 @@
 """The files: CSV and LAS in the coordinates of the target; GeoJSON and KML in WGS84, as their standards ask for.
 
-GeoJSON: RFC 7946. KML: OGC 12-007r2. LAS: ASPRS 1.4 R15, points of format 6 (laspy, the extra `export`).
+Each is written whole or not at all. GeoJSON: RFC 7946. KML: OGC 12-007r2. LAS: ASPRS 1.4 R15, points of format 6
+(laspy, the extra `export`).
 """
 
 import json
@@ -13,6 +14,7 @@ import numpy as np
 from holdfast.errors import ConfigError
 from holdfast.export.target import SurveyedTrack
 from holdfast.extras import needing
+from holdfast.whole_file import whole, write_whole
 
 LEAPS = (("2006-01-01", 14), ("2009-01-01", 15), ("2012-07-01", 16), ("2015-07-01", 17), ("2017-01-01", 18))
 GPS_EPOCH_S, ADJUSTED_S = 315_964_800, 1_000_000_000  # 1980-01-06 since 1970; what LAS takes off GPS time
@@ -25,7 +27,7 @@ def write_csv(track: SurveyedTrack, file: Path) -> None:
     target = track.target
     digits = 9 if target.columns[0].endswith("_deg") else 4
     row = f"%d.%09d,%.{digits}f,%.{digits}f,%.4f,%.4f,%.4f,%.4f\n"
-    with file.open("w", encoding="utf-8", newline="") as stream:
+    with whole(file) as part, part.open("w", encoding="utf-8", newline="") as stream:
         stream.write(f"time_s,{','.join(target.columns)},{target.heights.column},roll_deg,pitch_deg,heading_deg\n")
         for stamp_ns, at, angles in zip(
             track.stamps_ns.tolist(), track.coordinates.tolist(), track.roll_pitch_heading_deg.tolist(), strict=True
@@ -45,7 +47,7 @@ def write_geojson(track: SurveyedTrack, file: Path) -> None:
         "properties": properties,
         "geometry": {"type": "LineString", "coordinates": points},
     }
-    file.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}) + "\n", encoding="utf-8")
+    write_whole(file, json.dumps({"type": "FeatureCollection", "features": [feature]}) + "\n")
 
 
 def write_kml(track: SurveyedTrack, file: Path) -> None:
@@ -55,12 +57,12 @@ def write_kml(track: SurveyedTrack, file: Path) -> None:
     rows = zip(track.geodetic[:, 1].tolist(), track.geodetic[:, 0].tolist(), heights.tolist(), strict=True)
     text = "\n".join(f"{longitude:.9f},{latitude:.9f},{height:.3f}" for longitude, latitude, height in rows)
     times = f"<TimeSpan><begin>{_utc(track, 0)}</begin><end>{_utc(track)}</end></TimeSpan>" if _utc(track) else ""
-    file.write_text(
+    write_whole(
+        file,
         '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2">\n<Document>'
         f"<name>{escape(track.target.name)}</name>\n<Placemark><name>track</name>{times}\n<LineString>"
         f"<altitudeMode>{'absolute' if is_known else 'clampToGround'}</altitudeMode>\n<coordinates>\n{text}\n"
         "</coordinates></LineString></Placemark>\n</Document>\n</kml>\n",
-        encoding="utf-8",
     )
 
 
@@ -89,7 +91,8 @@ def write_las(track: SurveyedTrack, file: Path) -> None:
     las.gps_time = gps_seconds(track.stamps_ns) - ADJUSTED_S
     for name, values in zip(("roll", "pitch", "heading"), track.roll_pitch_heading_deg.T, strict=True):
         las[f"{name}_deg"] = values
-    las.write(str(file))
+    with whole(file) as part:
+        las.write(str(part))
 
 
 def gps_seconds(stamps_ns: np.ndarray[tuple[int], np.dtype[np.int64]]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

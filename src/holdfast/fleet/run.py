@@ -13,6 +13,7 @@ from typing import Literal
 from holdfast.errors import HoldfastError, RecordingError
 from holdfast.fleet.plan import Job
 from holdfast.output_folder import replaced
+from holdfast.whole_file import write_whole
 
 STATE, LOG, CONFIG, ESTIMATE = "run.json", "run.log", "config.yaml", "imu_in_world.tum"
 TRUTH = Path("truth") / ESTIMATE
@@ -21,7 +22,6 @@ STOP_TIMEOUT_S = 10.0  # in which an interrupted replay writes its results
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 INTERRUPTED = "the batch was interrupted"
 STOPPED = {128 + number for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-MAIN = "from holdfast.cli import main; main()"
 
 State = Literal["waiting", "running", "done", "failed", "stopped"]
 
@@ -78,14 +78,12 @@ def kept_outcome(job: Job) -> Outcome:
 
 
 def _keep(job: Job, outcome: Outcome) -> None:
-    """Write the outcome atomically: a concurrent reader finds the old one or the new one."""
-    part = job.folder / f"{STATE}.part"
-    part.write_text(json.dumps(asdict(outcome), indent=1) + "\n", encoding="utf-8")
-    part.replace(job.folder / STATE)
+    """Write the outcome whole: a concurrent reader finds the old one or the new one."""
+    write_whole(job.folder / STATE, json.dumps(asdict(outcome), indent=1) + "\n")
 
 
 def _replay(job: Job, stop_file: Path) -> tuple[State, str]:
-    command = [sys.executable, "-c", MAIN, "replay", str(job.recording)]
+    command = [sys.executable, "-m", "holdfast", "replay", str(job.recording)]
     command += ["-c", str(job.folder / CONFIG), "-o", str(job.folder), "--child", *job.arguments]
     with (
         (job.folder / LOG).open("wb") as log,

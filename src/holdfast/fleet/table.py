@@ -8,6 +8,7 @@ from holdfast.errors import HoldfastError
 from holdfast.fleet.plan import Job
 from holdfast.fleet.run import Outcome
 from holdfast.replay.summary_file import read_summary
+from holdfast.whole_file import whole
 
 TABLE = "results.csv"
 TIMES = ("median", "p99")
@@ -27,14 +28,14 @@ def write_table(rows: Sequence[Row], folder: Path) -> Path:
     columns = list(dict.fromkeys(key for row in rows for key in row))
     order = {key: index for index, key in enumerate(_fixed_columns())}
     columns.sort(key=lambda key: order.get(key, order["state"] - 0.5))
-    part, file = folder / f"{TABLE}.part", folder / TABLE
-    with part.open("w", newline="", encoding="utf-8", errors="backslashreplace") as stream:
+    file = folder / TABLE
+    with whole(file) as part, part.open("w", newline="", encoding="utf-8", errors="backslashreplace") as stream:
         writer = csv.DictWriter(stream, columns, restval="", lineterminator="\n")
         writer.writeheader()
         writer.writerows(
             {key: f"{value:.9g}" if isinstance(value, float) else value for key, value in row.items()} for row in rows
         )
-    return part.replace(file)
+    return file
 
 
 def _fixed_columns() -> list[str]:

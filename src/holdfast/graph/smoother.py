@@ -12,13 +12,13 @@ import gtsam
 import numpy as np
 
 from holdfast.config.model import Config
-from holdfast.covariances import correlation_eigenvalues
 from holdfast.graph.biases import Biases
 from holdfast.graph.chain import Chain, Motion
 from holdfast.graph.nodes import BIAS, FRAME, NODE, Link, to_grid
 from holdfast.graph.parameters import MAX_SIZE, REFRESHED_NS, Parameters, parameter_letter
 from holdfast.graph.prior import joint_prior
 from holdfast.graph.slow_errors import SLOW, SlowErrors, sizes_of
+from holdfast.graph.solution import check_solution
 from holdfast.graph.solver import Placed, Solver
 from holdfast.graph.tail import BIAS_END, Tail, node_beside
 from holdfast.graph.window import Window
@@ -39,9 +39,6 @@ NO_COVARIANCE = np.zeros((NAV_SIZE, NAV_SIZE))
 PARAMETER_THRESHOLD = 0.01  # 1 cm, 0.6 deg, 1 %: a sensor's parameter is relinearised when it has moved by more
 FORGET_NS = 1_000_000_000  # measurements that left the window are dropped this often
 MAX_VARIANCE = 1e6  # beyond it a covariance says no more, whatever its unit
-GREATEST_VARIANCE = 1e16  # no solution: no position on the Earth is as uncertain, and its squares are still numbers
-LEAST_EIGENVALUE = 1e-12  # of correlations: what is smaller is lost in rounding; half a minute of IMU alone has 3e-4
-GREATEST_SPEED_M_S = 1e4  # no solution: what is faster leaves the Earth
 MAX_STEP_M_S, MAX_STEP_SIGMA = 10.0, 10.0  # of the newest velocity, in one optimisation
 FAULT_INFLATION = 4.0  # of the covariance, when the graph is re-anchored after a failed optimisation
 
@@ -377,16 +374,7 @@ class Smoother:
         bias, covariance = self._biases.without_error(self._window, self._biases.newest_key, [key], slow_keys)
         tail = Tail(covariance)
         state = OptimisedState(stamp, nav, bias, tail.state, self._chain.angular_velocity(stamp, nav, bias))
-        if not state.is_finite():
-            raise ValueError("the optimised state is not finite")
-        if not correlation_eigenvalues(tail.state[None])[0] > LEAST_EIGENVALUE:
-            raise ValueError("the covariance of the optimised state is not positive")
-        if not (np.abs(tail.covariance) < GREATEST_VARIANCE).all():
-            raise ValueError("the covariance of the optimised state is beyond all bounds")
-        if (speed_m_s := float(np.linalg.norm(nav.velocity()))) > GREATEST_SPEED_M_S:
-            raise ValueError(f"it diverges: the speed is {speed_m_s:.0f} m/s")
-        if (np.abs(bias.vector()) > self._greatest_bias).any():
-            raise ValueError("it diverges: a bias is beyond the range of the IMU")
+        check_solution(state, tail, self._greatest_bias)
         return state, tail
 
     def _velocity_step_m_s(self) -> float:

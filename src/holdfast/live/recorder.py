@@ -12,11 +12,13 @@ FLUSH_S = 2.0
 
 
 def check_destination(path: str | Path) -> None:
-    """Refuse a file that cannot be written, or that is there already: a log is not overwritten.
+    """Refuse a file that cannot be written, or read again by its name, or that is there already.
 
     Raises:
         ConfigError: the text gives the reason.
     """
+    if Path(path).suffix != ".mcap":
+        raise ConfigError(f"--record {path}: must end in .mcap")
     try:
         with Path(path).open("xb"):
             pass

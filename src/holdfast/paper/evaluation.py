@@ -32,11 +32,11 @@ from holdfast.paper.results import (
     run_from_json,
     save,
     to_json,
-    write_whole,
 )
 from holdfast.paper.study import QUICK, TASKS, Job, plan
 from holdfast.sim.scenario import load_scenario
 from holdfast.trial.pool import processes, run_all
+from holdfast.whole_file import write_whole
 
 SETTINGS, LATENCY = "settings.json", "latency.json"
 LATENCY_S, QUICK_LATENCY_S = 120.0, 12.0
@@ -142,7 +142,8 @@ def claim(output: Path, quick: bool) -> dict[str, str]:
                 f"{output}: holds runs with other {' and '.join(changed)}; choose another folder, or remove this one"
             )
     else:
-        write_whole(path, json.dumps(mine, indent=1).encode())
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, json.dumps(mine, indent=1))
     return scenarios
 
 
@@ -166,7 +167,7 @@ def _latency(output: Path, quick: bool) -> tuple[Latency, ...]:
     if path.exists():
         return tuple(latency_from_json(one) for one in json.loads(path.read_text(encoding="utf-8")))
     measured = measure("navigation", {"duration_s": QUICK_LATENCY_S if quick else LATENCY_S, "faults": []})
-    write_whole(path, json.dumps(to_json(measured)).encode())
+    write_whole(path, json.dumps(to_json(measured)))
     return measured
 
 

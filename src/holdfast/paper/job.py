@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from holdfast.config.model import Config
 from holdfast.errors import EstimatorError
 from holdfast.paper.curves import Curves
-from holdfast.paper.results import Run, to_json, write_whole
+from holdfast.paper.results import Run, to_json
 from holdfast.paper.stream import OutcomeLog, disturbed
 from holdfast.paper.study import Job, Task
 from holdfast.paper.systems import SYSTEMS, configured
@@ -29,6 +29,7 @@ from holdfast.sim.simulation import START_NS, Simulation, simulate
 from holdfast.state import Trajectory
 from holdfast.trial.truth import truth
 from holdfast.trial.variations import VARIATIONS, changed
+from holdfast.whole_file import write_whole
 
 RUNS, POSES = "runs", ".poses.npz"
 TRAJECTORY = [field.name for field in fields(Trajectory)]
@@ -71,8 +72,7 @@ def run_job(job: Job, output: Path, scratch: Path | None = None) -> None:
         scratch: folder for the recording, which whoever started this process removes; by default one of its own.
 
     Raises:
-        OSError: a file cannot be written.
-        ConfigError: the scenario, or a variation of its configuration, cannot be.
+        ConfigError: a file cannot be written, or the scenario or a variation of its configuration cannot be.
     """
     tasks = [task for task in job.tasks if not is_done(output, job, task)]
     if not tasks:
@@ -87,11 +87,12 @@ def run_job(job: Job, output: Path, scratch: Path | None = None) -> None:
             config = configured(task.system, changed(given, VARIATIONS.get(task.variation, {})))
             result, found, poses = _run(job, task, config, simulation, recording)
             path = run_file(output, job, task)
+            path.parent.mkdir(parents=True, exist_ok=True)
             if found:
                 _write_columns(path.with_suffix(".npz"), found)
             if poses is not None:
                 _write_columns(path.with_suffix(POSES), {name: getattr(poses, name) for name in TRAJECTORY})
-            write_whole(path, json.dumps(to_json(result)).encode())
+            write_whole(path, json.dumps(to_json(result)))
 
 
 def _write_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:

@@ -20,7 +20,6 @@ from holdfast.evaluation.mapping import WHOLE, Closeness, MapOptions, MapScan, V
 from holdfast.evaluation.mesh import SurfaceIndex, read_mesh
 from holdfast.messages import Array
 from holdfast.paper.job import kept_poses, run_job
-from holdfast.paper.results import write_whole
 from holdfast.paper.study import TASKS, accuracy_job
 from holdfast.paper.systems import SYSTEMS, configured
 from holdfast.report.page import Figure
@@ -32,6 +31,7 @@ from holdfast.sim.simulation import START_NS, Simulation, simulate
 from holdfast.state import Trajectory
 from holdfast.trial.pool import processes, run_all
 from holdfast.trial.truth import true_states
+from holdfast.whole_file import write_whole
 
 FOLDER, SCORES, TRUE_POSES = "maps", "maps.json", "truth"
 QUICK_DECIMATION = 5  # one in so many scans is used where it has to be quick
@@ -193,7 +193,7 @@ def map_task(scenario_name: str, output: Path, quick: bool, scratch: Path | None
             )
             closeness = {region: asdict(near) for region, near in quality.closeness.items()}
             rows.append(about | {"scans": quality.map.scans, "left_out": quality.map.left_out, "closeness": closeness})
-    write_whole(folder / SCORES, json.dumps(rows, indent=1).encode())
+    write_whole(folder / SCORES, json.dumps(rows, indent=1))
 
 
 def _true_poses(simulation: Simulation) -> Trajectory:

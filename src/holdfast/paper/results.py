@@ -12,6 +12,7 @@ import numpy as np
 from holdfast.errors import ConfigError
 from holdfast.evaluation.absolute import Statistics
 from holdfast.messages import Array
+from holdfast.whole_file import whole, write_whole
 
 RESULTS, CURVES = "results.json", "curves.npz"
 FORMAT = 2
@@ -154,16 +155,14 @@ def save(results: Results, folder: Path) -> None:
     """Write results.json and curves.npz.
 
     Raises:
-        OSError: a file cannot be written.
+        ConfigError: a file cannot be written.
     """
     plain = {"format": FORMAT} | {f.name: to_json(getattr(results, f.name)) for f in fields(Results)}
     del plain["curves"]
     write_whole(folder / RESULTS, json.dumps(plain, indent=1).encode())
     columns = {f"{run}/{name}": values for run, table in results.curves.items() for name, values in table.items()}
-    partial = folder / f".{CURVES}"
-    with partial.open("wb") as file:
+    with whole(folder / CURVES) as part, part.open("wb") as file:
         np.savez_compressed(file, **columns)  # type: ignore[arg-type]  # the stubs take the names for keywords
-    partial.replace(folder / CURVES)
 
 
 def load(folder: str | Path) -> Results:
@@ -228,14 +227,6 @@ def _number(value: Any) -> float:
 
 def _numbers(plain: Mapping[str, Any]) -> dict[str, float]:
     return {name: _number(value) for name, value in plain.items()}
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file atomically."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}")
-    partial.write_bytes(content)
-    partial.replace(path)
 
 
 def by_system(runs: Sequence[Run]) -> Iterator[tuple[str, list[Run]]]:

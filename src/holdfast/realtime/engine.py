@@ -10,6 +10,7 @@ from time import monotonic, sleep
 from types import TracebackType
 from typing import Self
 
+from holdfast.arguments import check_count, check_flag, check_seconds, check_time
 from holdfast.config.model import Config, check_config, check_sensor
 from holdfast.errors import EstimatorError
 from holdfast.estimator.health import HealthMonitor
@@ -50,11 +51,12 @@ class RealtimeEstimator(Intake):
         learnt: what was learnt of the sensors before.
 
     Raises:
-        ConfigError: `config` or `learnt` is none, or the machine does not allow what its section `realtime` asks for.
+        ConfigError: an argument is of another type, or the machine does not allow what its section `realtime` asks for.
     """
 
     def __init__(self, config: Config, *, in_step: bool = False, learnt: LearntSnapshot | None = None) -> None:
         check_config(config)
+        check_flag("in_step", in_step)
         learnt = check_learnt(learnt)
         cores = place_caller(config.realtime)
         self.config = config
@@ -195,16 +197,22 @@ class RealtimeEstimator(Intake):
         """Wait until the optimiser process has come up; not needed, because what comes before waits for it.
 
         Raises:
-            EstimatorError: it does not come up.
+            ConfigError: the timeout is no time.
+            EstimatorError: it does not come up, or the estimator is closed.
         """
+        check_seconds("timeout_s", timeout_s)
+        self._check_open()
         self._wait(lambda: self._board.words[Word.HEARTBEAT] > 0, timeout_s, "come up")
 
     def flush(self, timeout_s: float = FLUSH_S) -> Output:
         """Wait until the optimiser has taken in all that came, and return what it led to.
 
         Raises:
-            EstimatorError: it does not answer.
+            ConfigError: the timeout is no time.
+            EstimatorError: it does not answer, or the estimator is closed.
         """
+        check_seconds("timeout_s", timeout_s)
+        self._check_open()
         return self._path.clock.output(self._flush(timeout_s))
 
     def _flush(self, timeout_s: float = FLUSH_S) -> Output:
@@ -248,8 +256,7 @@ class RealtimeEstimator(Intake):
         if name == self._answering and isinstance(message, ImuSample):
             readings = message.specific_force, message.angular_velocity
             return self._answer(message.stamp_ns, message.arrival_ns, *readings) or self._finish(message)
-        if self._is_closed:
-            raise EstimatorError("the estimator is closed")
+        self._check_open()
         if name == self._imu and isinstance(message, ImuSample):
             return self._path.clock.output(self._give(None, self._path.process(message)))
         self._kinds.check(message)
@@ -277,15 +284,33 @@ class RealtimeEstimator(Intake):
         """Return how many measurements of a sensor will be taken in now, None if there is no limit.
 
         Who knows of more leaves out the oldest and says so by `shed`, before work is spent on them.
+
+        Raises:
+            ConfigError: the sensor is not in the configuration, or the arrival is no time.
         """
+        check_sensor(self.config, sensor)
+        check_time("arrival_ns", arrival_ns)
         return self._overload.room(sensor, arrival_ns)
 
     def shed(self, sensor: str, number: int, arrival_ns: int) -> None:
-        """Count measurements that were left out because there was no `room` for them."""
+        """Count measurements that were left out because there was no `room` for them.
+
+        Raises:
+            ConfigError: the sensor is none of the configuration or an IMU, of which nothing may be left out; or the
+                number is not 1 or more, or the arrival no time.
+        """
+        self._overload.check(sensor)
+        check_count("number", number, 1)
+        check_time("arrival_ns", arrival_ns)
         self._overload.shed(sensor, number, arrival_ns, self._buffer.latest_ns)
 
     def reset(self) -> None:
-        """Forget the state and what was learnt, and begin anew; W stays where it is."""
+        """Forget the state and what was learnt, and begin anew; W stays where it is.
+
+        Raises:
+            EstimatorError: the estimator is closed.
+        """
+        self._check_open()
         self._path.forget()
         self._begin_anew(None)
 
@@ -294,10 +319,16 @@ class RealtimeEstimator(Intake):
 
         Raises:
             ConfigError: it is no position on the earth; nothing is changed.
+            EstimatorError: the estimator is closed.
         """
         check_datum(datum)
+        self._check_open()
         self._states.world.place(datum)
         self._begin_anew(datum)
+
+    def _check_open(self) -> None:
+        if self._is_closed:
+            raise EstimatorError("the estimator is closed")
 
     def _finish(self, sample: ImuSample) -> Output:
         """Do what is left to do at a sample that the path has not answered."""

@@ -6,8 +6,9 @@ grows old; so what is beyond the budget of its sensor is left out at once, count
 
 from dataclasses import dataclass
 
-from holdfast.config.model import Config
+from holdfast.config.model import Config, check_sensor
 from holdfast.config.sensors import InertialConfig, JointConfig
+from holdfast.errors import ConfigError
 from holdfast.estimator.density import Shedding
 from holdfast.event_log import EventLog
 
@@ -46,6 +47,7 @@ class Overload:
     """
 
     def __init__(self, config: Config, log: EventLog) -> None:
+        self._config = config
         rate_hz = config.realtime.max_rate_hz
         rates = {
             name: rate_hz * (ENCODER if isinstance(sensor, JointConfig) else 1)
@@ -59,6 +61,17 @@ class Overload:
         """Return how many measurements of a sensor may be taken in now; None if there is no limit."""
         budget = self._budgets.get(sensor)
         return None if budget is None else budget.fill(arrival_ns)
+
+    def check(self, sensor: object) -> None:
+        """Refuse a sensor of which nothing is left out.
+
+        Raises:
+            ConfigError: names those of which something may be.
+        """
+        check_sensor(self._config, sensor)
+        if sensor not in self._budgets:
+            allowed = ", ".join(self._budgets) or "none is configured"
+            raise ConfigError(f"sensor: nothing of the IMU {sensor!r} may be left out (allowed: {allowed})")
 
     def admits(self, sensor: str, arrival_ns: int, stamp_ns: int) -> bool:
         """Return whether one more may be taken in, and count it as left out if not.

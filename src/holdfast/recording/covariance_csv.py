@@ -30,8 +30,10 @@ def read_covariances(path: Path) -> Covariances:
     rows: list[list[float]] = []
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecordingError(f"{path}: {str(error).lower()}") from None
+    except OSError as error:
+        raise RecordingError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    except UnicodeDecodeError:
+        raise RecordingError(f"{path}: is not UTF-8 text") from None
     if not lines or lines[0].split(",") != HEADER:
         raise RecordingError(f"{path}:1: is no table of covariances (allowed: that of `holdfast smooth`)")
     for number, line in enumerate(lines[1:], start=2):

@@ -54,7 +54,9 @@ def read_tum(path: str | Path) -> Trajectory:
 
 def _parse(cells: list[str], place: str) -> tuple[int, list[float]]:
     if len(cells) != 8:
-        raise RecordingError(f"{place}: has {len(cells)} columns (allowed: 8, t x y z qx qy qz qw)")
+        found = f"{len(cells)} column{'s' * (len(cells) != 1)}"
+        spaces = " with spaces between them" if "," in cells[0] or ";" in cells[0] else ""
+        raise RecordingError(f"{place}: has {found} (allowed: 8{spaces}, t x y z qx qy qz qw)")
     try:
         check_plain(cells)
         stamp_s = Decimal(cells[0])

@@ -14,7 +14,7 @@ from gtsam import SO3
 
 from holdfast.config.document import read_document
 from holdfast.config.load import read_yaml
-from holdfast.errors import HoldfastError
+from holdfast.errors import HoldfastError, RecordingError
 from holdfast.evaluation import quaternions
 from holdfast.evaluation.mesh import Mesh, read_mesh
 from holdfast.geometry.earth import Geodetic, LocalFrame
@@ -25,7 +25,7 @@ from holdfast.replay.outputs import SUMMARY
 from holdfast.replay.summary_file import datum_in, read_summary
 from holdfast.state import Trajectory
 
-TRUTH, SCENARIO = "imu_in_world.tum", "scenario.yaml"
+TRUTH, BIASES, SCENARIO = "imu_in_world.tum", "imu_bias.csv", "scenario.yaml"
 
 
 class Reference(NamedTuple):
@@ -64,9 +64,14 @@ def read_reference(path: Path, datum: Geodetic | None) -> Reference:
         datum: of the run that is judged.
 
     Raises:
-        RecordingError: it cannot be read.
+        RecordingError: it cannot be read, or a folder is none of these; names the one in it that may have been meant.
     """
     file = path / TRUTH if path.is_dir() else path
+    if path.is_dir() and not (path / BIASES).exists():
+        meant = f"; is {path / 'truth'} meant?" if (path / "truth" / TRUTH).exists() else ""
+        raise RecordingError(
+            f"{path}: holds no truth (allowed: a TUM file, or the truth/ folder of a simulation){meant}"
+        )
     poses, its_own = read_tum(file), datum_of(file)
     if datum is None or its_own is None or datum == its_own:
         return Reference(poses, file, is_placed=datum == its_own)

@@ -18,14 +18,13 @@ from holdfast.recording.tum import read_tum
 from holdfast.replay.batch_outputs import CAUSAL
 from holdfast.replay.measurements import MEASUREMENTS, innovation_scores, read_measurements
 from holdfast.replay.outputs import ESTIMATES, EVENTS
-from holdfast.replay.reference import Reference, read_reference
+from holdfast.replay.reference import BIASES, Reference, read_reference
 from holdfast.replay.summary_file import datum_in, is_datum_given, read_summary
 from holdfast.report.run_record import Errors, Measurements, RunRecord
 from holdfast.ros.messages import BIAS_KEYS
 from holdfast.state import Trajectory
 
 SMOOTHED = "smoothed_in_world.tum"
-TRUE_BIASES = "imu_bias.csv"
 TRUE_SENSORS = (("gyroscope", "rad_s"), ("accelerometer", "m_s2"))
 DECIMATION = 10  # one in so many estimates of estimates.mcap is decoded: covariances change slowly
 SHOWN = {
@@ -63,10 +62,10 @@ def read_run(folder: Path, reference: Path | None) -> RunRecord:
     smoothed = _read_smoothed(causal / SMOOTHED)
     measurements, missing = _read_measurements(causal / MEASUREMENTS)
     truth, errors, true_bias_ns, true_biases = None, None, None, None
-    if reference is not None and reference.is_dir():
-        true_bias_ns, true_biases = _read_true_biases(reference / TRUE_BIASES)
     if reference is not None:
         truth = read_reference(reference, datum_in(summary))
+        if reference.is_dir():
+            true_bias_ns, true_biases = _read_true_biases(reference / BIASES)
         errors = errors_against(world, truth, start_ns)
         missing += [truth.note] if truth.note else _in_doubt(truth, summary)
     judged = "" if reference is None else f" --reference {reference}"

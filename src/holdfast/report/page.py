@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
-from holdfast.output_folder import write_whole
+from holdfast.whole_file import write_whole
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure as Plot

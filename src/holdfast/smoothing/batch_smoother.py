@@ -14,7 +14,7 @@ from holdfast.errors import ConfigError
 from holdfast.estimator.imu_path import Received
 from holdfast.estimator.learnt_view import LearntView
 from holdfast.estimator.tracking import Update
-from holdfast.printable import quoted
+from holdfast.measured_fields import got, has_double, is_number
 from holdfast.sensors.sensor import Joint, Measurement, Sensor
 from holdfast.smoothing.block import Block
 from holdfast.smoothing.closures import Closer
@@ -34,8 +34,8 @@ def check_lengths(window_s: float, overlap_s: float, names: tuple[str, str] = ("
         ConfigError: says which, and what is allowed.
     """
     for name, given_s, least_s, most_s in ((names[0], window_s, 10, 36_000), (names[1], overlap_s, 5, 3600)):
-        if not isinstance(given_s, int | float) or not least_s <= given_s <= most_s:
-            shown = f"{given_s:g}" if isinstance(given_s, int | float) else quoted(given_s)
+        if not is_number(given_s) or not least_s <= given_s <= most_s:
+            shown = f"{given_s:g}" if is_number(given_s) and has_double(given_s) else got(given_s).removeprefix("got ")
             raise ConfigError(f"{name} {shown}: must be from {least_s} to {most_s} s")
 
 
