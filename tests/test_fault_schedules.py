@@ -1,4 +1,7 @@
-"""Whatever goes wrong, and in whatever order: no exception, no number that is none, and O does not jump."""
+"""Whatever goes wrong, and in whatever order: no exception, no number that is none, and O does not jump.
+
+These are a few of them; benchmarks/fault_schedules.py runs as many as one likes.
+"""
 
 import sys
 from pathlib import Path
@@ -17,12 +20,11 @@ AHEAD = (
     "a measurement had led the state past a sample; over the next one O went on by constant twist, not reported as such"
 )
 ONCE_FAILED = {
-    **dict.fromkeys((7, 141, 1012), AFTER_SILENCE),
+    7: AFTER_SILENCE,
     576: "late fixes had left the window behind newer ones, and their factors were looked for at the recovery",
     717: MEAN_RATE,
     498: AHEAD,
     115: "velocity corrected by 0.3 m/s at once: O stepped by 3.1 mm",
-    120: "velocity corrected at once: O stepped",
     41: "the velocity was corrected by 0.5 m/s at once, after a jump of the lidar without GNSS",
     40: "started in motion, the heading was corrected by 9 deg; the velocity in O turned at once",
     320: "the covariance that a failed optimisation left behind was not positive, and no window could begin with it",
@@ -32,19 +34,19 @@ ONCE_FAILED = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1000, 1006))
+@pytest.mark.parametrize("seed", range(1000, 1004))
 def test_no_schedule_breaks_the_estimator(seed):
     assert complaints(seed) == []
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2000, 2005))
+@pytest.mark.parametrize("seed", range(2000, 2003))
 def test_no_hostile_schedule_breaks_the_estimator(seed):
     assert complaints(seed, hostile=True) == []
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2020, 2023))
+@pytest.mark.parametrize("seed", range(2020, 2022))
 def test_no_hostile_schedule_breaks_the_engine_whose_optimiser_is_killed(seed):
     """How late its answers are is for a quiet machine: benchmarks/fault_schedules.py --realtime."""
     assert [line for line in complaints(seed, hostile=True, rate=8.0) if "late answers" not in line] == []

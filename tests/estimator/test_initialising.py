@@ -1,9 +1,11 @@
 """The first state: what a start can be attempted with, what is missing, and where W is without GNSS."""
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
-from motion import ARM, Drive, G, at, imu, machine, ns, poses
+from motion import ARM, Drive, G, at, fixes, imu, machine, ns, poses
 from rig import position
 
 from holdfast.estimator.initialisation import Initialising
@@ -11,6 +13,7 @@ from holdfast.geometry.world import World
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.odometry import TrackPose
 from holdfast.sensors.registry import sensors_of
+from holdfast.state import Outcome
 
 STILL = Drive(start_s=100.0)
 MARKER = {"marker": {"kind": "pose", "mount": at([0.0, 0.0, 0.0])}}
@@ -55,6 +58,15 @@ def test_an_imu_that_has_come_is_not_what_is_waited_for():
     assert waiting_for(2.0, ["imu", "lidar"]) == lidar
     assert waiting_for(-1.0, ["imu", "lidar"]) == f"no usable IMU sample has come, and {lidar}"
     assert waiting_for(2.0, ["imu"]).startswith("no sensor beside the IMU is configured that can start it (needed: pos")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("variance", "claim"), [(4.0, ", it claims 2 m"), (-1.0, ""), (np.nan, "")])
+def test_a_fix_that_was_refused_is_told_with_its_claim_if_that_is_one(variance, claim):
+    initialiser, _ = begun()
+    (fix,) = fixes(STILL, 1.0, 1.05, 10.0, np.random.default_rng(1))
+    initialiser.refuse(replace(fix, covariance=np.eye(3) * variance), Outcome.LARGE_COVARIANCE)
+    assert initialiser.waiting_for.endswith(f"the last of gnss was refused: large_covariance{claim}")
 
 
 def test_at_standstill_the_state_is_that_of_gravity_the_heading_and_the_lever_arm():

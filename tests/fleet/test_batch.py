@@ -177,13 +177,14 @@ def replays_of(folder: Path) -> list[str]:
 
 
 def test_a_mistake_ends_in_one_line_and_exit_code_2(simulated: Path, tmp_path: Path):
+    right = ("-c", simulated / "config.yaml")
     for wrong, printed in (
-        (("--vary", "graph.lag_s=no"), "graph.lag_s"),
-        (("--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"), "--jobs"),
+        ((*right, "--vary", "graph.lag_s=no"), "graph.lag_s"),
+        ((*right, "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"), "--jobs"),
         (("-c", tmp_path / "none.yaml"), "none.yaml"),
-        (("--hold-out", "gps=2"), "--hold-out gps=2: sensor 'gps' is not configured"),
+        ((*right, "--hold-out", "gps=2"), "--hold-out gps=2: sensor 'gps' is not configured"),
     ):
-        result = run(simulated, "-c", simulated / "config.yaml", "-o", tmp_path / "out", *wrong)
+        result = run(simulated, "-o", tmp_path / "out", *wrong)
         assert result.code == 2
         assert printed in result.err
         assert len(result.err.splitlines()) == 1

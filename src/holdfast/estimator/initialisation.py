@@ -164,7 +164,8 @@ class Initialising:
         """Note a message that cannot be used: as long as no position could be, it is the reason."""
         if message.sensor in self._points and not self._positions and self.reason.startswith(NO_POSITION):
             covariance = getattr(message, "covariance", None)
-            claim = "" if covariance is None else f", it claims {np.sqrt(covariance.diagonal()[:2].max()):.3g} m"
+            variance = -1.0 if covariance is None else covariance.diagonal()[:2].max()
+            claim = f", it claims {np.sqrt(variance):.3g} m" if variance >= 0.0 else ""
             self.reason = f"{NO_POSITION}; the last of {message.sensor} was refused: {outcome}{claim}"
 
     def _forget_before(self, horizon_ns: int) -> None:
