@@ -19,13 +19,10 @@ from holdfast.config.model import Config
 from holdfast.estimator.estimator import Estimator
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.geometry.rotations import exponentials
-from holdfast.geometry.world import World
 from holdfast.messages import GnssFix, GnssVelocity, ImuSample, Message
 from holdfast.recording.source import open_recording
 from holdfast.recording.subscriptions import subscriptions
 from holdfast.replay.held_out import HoldOut, HoldOutFilter
-from holdfast.sensors.registry import sensors_of
-from holdfast.state import Outcome
 
 AXIS = np.array([0.6, -0.5, 0.62])  # of what happens to the IMU: no axis of any car
 KNOCKED = exponentials(np.radians(60.0) * AXIS[None] / np.linalg.norm(AXIS))[0].T
@@ -161,10 +158,9 @@ def judge(drive: Path, name: str) -> dict[str, Any]:
 
 def those_not_used(config: Config, rules: list[HoldOut], messages: list[Message]) -> set[int]:
     """Return the identities of the fixes that are held out or of no use: no fault is to change which these are."""
-    held_out, sensors = HoldOutFilter(rules, config), sensors_of(config)
-    used = [one for one in held_out.split(messages) if isinstance(one, GnssFix)]
-    of_no_use = [one for one in used if isinstance(sensors[one.sensor].convert(one, World()), Outcome)]
-    return {id(one) for one, _ in held_out.held} | {id(one) for one in of_no_use}
+    held_out = HoldOutFilter(rules, config)
+    of_no_use = {id(one) for one in held_out.split(messages) if not held_out.is_usable(one)}
+    return of_no_use | {id(one) for one, _ in held_out.held}
 
 
 def main() -> None:

@@ -93,14 +93,19 @@ def refuse(values: object, shape: tuple[int, ...], name: str, unit: str) -> NoRe
 
 
 def got(value: object) -> str:
-    """Return what came, in a few words."""
+    """Return that a value came, in a few words."""
+    return f"got {in_words(value)}"
+
+
+def in_words(value: object) -> str:
+    """Return what a value is, in a few words."""
     if isinstance(value, np.ndarray):
-        return f"got an array {value.shape} of {value.dtype}"
+        return f"an array {value.shape} of {value.dtype}"
     if isinstance(value, list | tuple):
-        return f"got a {type(value).__name__} of {len(value)}: {_cut(repr(value[:4]))}"
+        return f"a {type(value).__name__} of {len(value)}: {_cut(repr(value[:4]))}"
     if isinstance(value, int) and abs(value) >= LIMIT_NS:
-        return "got a number of more than 64 bits"
-    return f"got {_cut(repr(value))} ({type(value).__name__})"
+        return "a number of more than 64 bits"
+    return f"{_cut(repr(value))} ({type(value).__name__})"
 
 
 def _cut(text: str) -> str:

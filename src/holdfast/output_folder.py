@@ -158,14 +158,19 @@ def check_distinct(files: Iterable[tuple[str, str | Path]]) -> None:
 
 
 def add_results(*files: Path) -> None:
-    """Note files that were written into a folder of results afterwards, so that they are replaced with it."""
+    """Note files that were written into a folder of results afterwards, so that they are replaced with it.
+
+    Raises:
+        ConfigError: that cannot be written.
+    """
     for file in files:
         place = _real(file)
         folder, mark = _marked(place)
         if folder is not None and mark.files is not None:
             added = {*mark.added, str(place.relative_to(folder))}
             names = {*mark.files, place.name} if place.parent == folder else mark.files
-            _write_mark(folder, Mark(mark.command, tuple(sorted(names)), tuple(sorted(added))))
+            with naming_the_output(file):
+                _write_mark(folder, Mark(mark.command, tuple(sorted(names)), tuple(sorted(added))))
 
 
 def _marked(place: Path) -> tuple[Path | None, Mark]:

@@ -11,14 +11,14 @@ from holdfast.output_folder import naming_the_output
 STREAMS = Path("/dev"), Path("/proc")  # where a name may be that of a pipe, which cannot be replaced
 
 
-def write_whole(file: str | Path, content: str | bytes) -> None:
-    """Write a file whole or not at all; names of other files in a text may be no UTF-8.
+def write_whole(file: str | Path, text: str) -> None:
+    """Write a file whole or not at all; names of other files in it may be no UTF-8.
 
     Raises:
         ConfigError: it cannot be written; names it, not its part, of which nobody knows.
     """
     with whole(file) as part:
-        part.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8", "backslashreplace"))
+        part.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 @contextmanager
@@ -31,23 +31,32 @@ def whole(file: str | Path) -> Iterator[Path]:
     Raises:
         ConfigError: it cannot be written; names it, not its part.
     """
-    named, place = Path(file), Path(os.path.realpath(file))
-    is_stream = (named.exists() and not named.is_file()) or any(
-        named.absolute().is_relative_to(folder) for folder in STREAMS
-    )
-    part = named if is_stream else place.with_name(f".{place.stem}.{os.getpid()}.part{place.suffix}")
     with naming_the_output(file):
         try:
-            yield part
-            if not is_stream:
-                _put(part, place)
+            if _is_stream(Path(file)):
+                yield Path(file)
+            else:
+                with _part_of(Path(os.path.realpath(file))) as part:
+                    yield part
         except OSError as error:
             error.filename = file
             raise
-        finally:
-            if not is_stream:
-                with suppress(OSError):
-                    part.unlink(missing_ok=True)
+
+
+def _is_stream(file: Path) -> bool:
+    is_there = any(file.absolute().is_relative_to(folder) for folder in STREAMS)
+    return is_there or (file.exists() and not file.is_file())
+
+
+@contextmanager
+def _part_of(place: Path) -> Iterator[Path]:
+    part = place.with_name(f".{place.stem}.{os.getpid()}.part{place.suffix}")
+    try:
+        yield part
+        _put(part, place)
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
 
 
 def _put(part: Path, place: Path) -> None:

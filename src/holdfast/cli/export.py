@@ -7,7 +7,7 @@ import click
 
 from holdfast.errors import ConfigError
 from holdfast.extras import needing
-from holdfast.output_folder import add_results, check_distinct, check_output_file, naming_the_output
+from holdfast.output_folder import add_results, check_distinct, check_output_file
 
 if TYPE_CHECKING:
     from holdfast.export.site_grid import SiteGrid
@@ -66,8 +66,7 @@ def export(  # noqa: PLR0917 (click passes the options by name)
     surveyed = survey(_poses(folder, track, interval_s), LocalFrame(datum), target)
     for file in files:
         FORMATS[file.suffix.lower()](surveyed, file)
-        with naming_the_output(file):
-            add_results(file)
+        add_results(file)
     for note in filter(None, [*target.notes, target.heights.note]):
         click.echo(f"note: {note}", err=True)
     for file in files:

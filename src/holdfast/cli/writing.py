@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from holdfast.output_folder import add_results, naming_the_output
+from holdfast.output_folder import add_results
 from holdfast.whole_file import write_whole
 
 
@@ -14,6 +14,5 @@ def write_json(path: str | Path, content: dict[str, Any]) -> None:
     Raises:
         ConfigError: it cannot be written.
     """
-    with naming_the_output(path):
-        write_whole(path, json.dumps(content, indent=2) + "\n")
-        add_results(Path(path))
+    write_whole(path, json.dumps(content, indent=2) + "\n")
+    add_results(Path(path))

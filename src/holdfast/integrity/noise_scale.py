@@ -114,9 +114,9 @@ class NoiseScale:
         information = np.linalg.inv(H @ state.covariance @ H.T + R)
         ratio = min(float(y @ information @ y) / len(y), MAX_RATIO)
         share = float((information * R).sum()) / len(y)  # trace(S^-1 R): what is not the noise of the state
-        # an excess may be the state's; of a slow error the state has as much as the measurement, and it cancels
         weight_s = min(since_s, MAX_WEIGHT_S)
         self._mean += weight_s / MEAN_S * (ratio - self._mean)
+        # an excess may be the state's; of a slow error the state has as much as the measurement, and it cancels
         excess = share * (ratio - 1.0) if ratio > 1.0 else min(ratio - 1.0, log(max(self._mean, LEAST_MEAN)))
         self._move(excess * weight_s / MEMORY_S, lowest)
         if abs(self._level - self._told) > NEWS:

@@ -1,20 +1,17 @@
 """Runs one job in a process of its own: simulate once, run every task on it, and write each result when it is there."""
 
 import json
-from collections.abc import Mapping
 from dataclasses import fields
-from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from holdfast.config.model import Config
 from holdfast.errors import EstimatorError
 from holdfast.paper.curves import Curves
-from holdfast.paper.results import Run, to_json
+from holdfast.paper.results import Run, to_json, write_columns
 from holdfast.paper.stream import OutcomeLog, disturbed
 from holdfast.paper.study import Job, Task
 from holdfast.paper.systems import SYSTEMS, configured
@@ -89,16 +86,10 @@ def run_job(job: Job, output: Path, scratch: Path | None = None) -> None:
             path = run_file(output, job, task)
             path.parent.mkdir(parents=True, exist_ok=True)
             if found:
-                _write_columns(path.with_suffix(".npz"), found)
+                write_columns(path.with_suffix(".npz"), found)
             if poses is not None:
-                _write_columns(path.with_suffix(POSES), {name: getattr(poses, name) for name in TRAJECTORY})
+                write_columns(path.with_suffix(POSES), {name: getattr(poses, name) for name in TRAJECTORY})
             write_whole(path, json.dumps(to_json(result)))
-
-
-def _write_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
-    packed = BytesIO()
-    np.savez_compressed(packed, **columns)  # type: ignore[arg-type]  # names are taken for keywords
-    write_whole(path, packed.getvalue())
 
 
 def _run(job: Job, task: Task, config: Config, simulation: Simulation, recording: Path) -> Result:

@@ -20,6 +20,7 @@ from holdfast.evaluation.mapping import WHOLE, Closeness, MapOptions, MapScan, V
 from holdfast.evaluation.mesh import SurfaceIndex, read_mesh
 from holdfast.messages import Array
 from holdfast.paper.job import kept_poses, run_job
+from holdfast.paper.results import write_columns
 from holdfast.paper.study import TASKS, accuracy_job
 from holdfast.paper.systems import SYSTEMS, configured
 from holdfast.report.page import Figure
@@ -185,12 +186,12 @@ def map_task(scenario_name: str, output: Path, quick: bool, scratch: Path | None
                 continue
             write_map(quality, folder / f"{system}.ply")
             view = quality.view
-            np.savez_compressed(
-                folder / f"{system}.npz",
-                errors=view.errors.astype(np.float32),
-                corner=np.array(view.corner),
-                pixel_m=np.array(view.pixel_m),
-            )
+            columns = {
+                "errors": view.errors.astype(np.float32),
+                "corner": np.array(view.corner),
+                "pixel_m": np.array(view.pixel_m),
+            }
+            write_columns(folder / f"{system}.npz", columns)
             closeness = {region: asdict(near) for region, near in quality.closeness.items()}
             rows.append(about | {"scans": quality.map.scans, "left_out": quality.map.left_out, "closeness": closeness})
     write_whole(folder / SCORES, json.dumps(rows, indent=1))

@@ -159,9 +159,18 @@ def save(results: Results, folder: Path) -> None:
     """
     plain = {"format": FORMAT} | {f.name: to_json(getattr(results, f.name)) for f in fields(Results)}
     del plain["curves"]
-    write_whole(folder / RESULTS, json.dumps(plain, indent=1).encode())
+    write_whole(folder / RESULTS, json.dumps(plain, indent=1))
     columns = {f"{run}/{name}": values for run, table in results.curves.items() for name, values in table.items()}
-    with whole(folder / CURVES) as part, part.open("wb") as file:
+    write_columns(folder / CURVES, columns)
+
+
+def write_columns(path: Path, columns: Mapping[str, Array]) -> None:
+    """Write arrays by name, whole or not at all.
+
+    Raises:
+        ConfigError: the file cannot be written.
+    """
+    with whole(path) as part, part.open("wb") as file:
         np.savez_compressed(file, **columns)  # type: ignore[arg-type]  # the stubs take the names for keywords
 
 

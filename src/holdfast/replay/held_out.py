@@ -132,7 +132,7 @@ class HoldOutFilter:
                 yield message
                 continue
             at_s = (message.stamp_ns - self.first_ns) * 1e-9
-            rules = [rule for rule in self._rules if rule.sensor == message.sensor and self._is_usable(message)]
+            rules = [rule for rule in self._rules if rule.sensor == message.sensor and self.is_usable(message)]
             outages = [rule for rule in rules if rule.every is None and rule.start_s <= at_s < rule.end_s]
             if outages:
                 self._idle.difference_update(outages)
@@ -150,7 +150,8 @@ class HoldOutFilter:
         idle = [rule for rule in self._rules if rule in self._idle]
         return [f"{rule.sensor}: nothing was held back {rule.told()}" for rule in idle]
 
-    def _is_usable(self, message: Message) -> bool:
+    def is_usable(self, message: Message) -> bool:
+        """Return whether a message is one that can be used, as far as it tells itself; only such are counted."""
         sensor = self._sensors.get(message.sensor)
         return sensor is None or not isinstance(sensor.convert(message, World()), Outcome)
 

@@ -14,7 +14,7 @@ from holdfast.errors import ConfigError
 from holdfast.estimator.imu_path import Received
 from holdfast.estimator.learnt_view import LearntView
 from holdfast.estimator.tracking import Update
-from holdfast.measured_fields import got, has_double, is_number
+from holdfast.measured_fields import has_double, in_words, is_number
 from holdfast.sensors.sensor import Joint, Measurement, Sensor
 from holdfast.smoothing.block import Block
 from holdfast.smoothing.closures import Closer
@@ -35,7 +35,7 @@ def check_lengths(window_s: float, overlap_s: float, names: tuple[str, str] = ("
     """
     for name, given_s, least_s, most_s in ((names[0], window_s, 10, 36_000), (names[1], overlap_s, 5, 3600)):
         if not is_number(given_s) or not least_s <= given_s <= most_s:
-            shown = f"{given_s:g}" if is_number(given_s) and has_double(given_s) else got(given_s).removeprefix("got ")
+            shown = f"{given_s:g}" if is_number(given_s) and has_double(given_s) else in_words(given_s)
             raise ConfigError(f"{name} {shown}: must be from {least_s} to {most_s} s")
 
 
