@@ -104,12 +104,26 @@ def test_where_all_is_held_the_registration_claims_for_itself():
 def test_what_a_weak_direction_corrects_is_believed_as_much_as_the_guess_is_doubted_more():
     weak = Observability(np.eye(6), np.eye(6), np.array([99.0, 99.0, 99.0, WEAK / 2.0, 99.0, 99.0]))
     doubted = weak.doubted(WALKED)
-    np.testing.assert_allclose(doubted, [0.0, 0.0, 0.0, 0.5 * abs(WALKED[3]), 0.0, 0.0])
+    share = 1.0 / (1.0 + WEAK / 2.0) - 1.0 / (1.0 + WEAK)
+    np.testing.assert_allclose(doubted, [0.0, 0.0, 0.0, share * abs(WALKED[3]), 0.0, 0.0], atol=1e-12)
     correction = np.full(6, 0.01)
     surer, equal = np.diag(np.full(6, 1e-8)), np.diag(np.full(6, doubted[3] ** 2))
     np.testing.assert_allclose(weak.held_part(correction, surer, doubted)[3], 0.0, atol=1e-4)
     np.testing.assert_allclose(weak.held_part(correction, equal, doubted), [0.01] * 3 + [0.005] + [0.01] * 2)
     assert weak.joined(doubted, equal)[3] == pytest.approx(doubted[3] / np.sqrt(2.0))
+
+
+def test_the_less_a_direction_is_held_the_more_of_the_motion_is_in_doubt_without_a_step():
+    def share(ratio, mixed=1.0):
+        found = Observability(np.eye(6), np.eye(6), np.array([99.0, 99.0, 99.0, ratio, 99.0, 99.0]), mixed=mixed)
+        return found.doubted(WALKED)[3] / abs(WALKED[3])
+
+    shares = [share(ratio) for ratio in np.linspace(-1.0, WEAK + 1.0, 200)]
+    assert (np.diff(shares) <= 0.0).all()
+    assert np.abs(np.diff(shares)).max() < 0.08
+    assert shares[0] == pytest.approx(1.0 - 1.0 / (1.0 + WEAK))
+    assert shares[-1] == 0.0
+    assert share(5.0, mixed=0.1) > 2.0 * share(5.0)  # what patterns that do not repeat pull by, chance decides
 
 
 def test_a_turn_that_is_not_told_from_a_shift_is_left_to_a_gyroscope_that_knows_it():
@@ -186,4 +200,4 @@ def test_along_a_tunnel_nothing_is_said_to_have_moved():
     for number in range(5):
         odometry.register(Sweep(10**18 + number * 400_000_000, "lidar", tunnel(rng), None))
     odometry.finish()
-    assert len(odometry._free._views) == 1
+    assert len(odometry._map._free._views) == 1

@@ -94,6 +94,32 @@ def test_an_imu_that_falls_silent_and_comes_back_makes_no_jump():
     assert np.linalg.norm(guess.translation() - pose(t).translation()) < 0.02
 
 
+@pytest.mark.parametrize("jump_m", [0.05, 0.3])
+def test_a_registration_that_jumps_is_not_taken_for_a_velocity_that_the_imu_would_have_felt(jump_m):
+    machine, rng = run(60)[2], np.random.default_rng(6)
+    for number in range(60, 66):
+        t = number * INTERVAL_S
+        around = rates(t, rng)
+        machine, guess = machine.predicted(pose(t - INTERVAL_S), around, -INTERVAL_S, 0.0)
+        assert np.linalg.norm(guess.translation() - pose(t).translation()) < 0.02
+        jump = gtsam.Pose3(gtsam.Rot3(), np.array([0.0, jump_m if number == 60 else 0.0, 0.0]))
+        machine = machine.corrected(pose(t).compose(jump), around, REGISTERED, NO_AXES)
+
+
+def test_without_an_imu_it_is_a_velocity():
+    rng, errors = np.random.default_rng(7), []
+    machine = MotionFilter.beginning().placed(gtsam.Pose3(), rates(0.0, rng, forces=False))
+    for number in range(1, 30):
+        around = rates(number * INTERVAL_S, rng, forces=False)
+        at = gtsam.Pose3(gtsam.Rot3(), np.array([max(number - 15, 0) * INTERVAL_S * 2.0, 0.0, 0.0]))
+        before = gtsam.Pose3(gtsam.Rot3(), np.array([max(number - 16, 0) * INTERVAL_S * 2.0, 0.0, 0.0]))
+        machine, guess = machine.predicted(before, around, -INTERVAL_S, 0.0)
+        errors.append(np.linalg.norm(guess.translation() - at.translation()))
+        machine = machine.corrected(at, around, REGISTERED, NO_AXES)
+    assert errors[15] > 0.3  # the first step of 0.4 m is unforeseen
+    assert max(errors[17:]) < 0.05
+
+
 def test_the_covariance_holds_the_velocity():
     _, velocities, machine = run(100)
     sigma = np.sqrt(machine.covariance[3, 3])

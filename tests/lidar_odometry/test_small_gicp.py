@@ -31,12 +31,12 @@ def alignments():
 
     for _ in range(8):
         moved = gtsam.Pose3.Expmap(rng.normal(0, [0.01, 0.01, 0.3, 0.4, 0.4, 0.05]))
-        odometry._map.insert(cloud(moved), FAR.compose(moved).matrix())
+        odometry._map._voxels.insert(cloud(moved), FAR.compose(moved).matrix())
     errors, covariances = [], []
     for _ in range(40):
         moved = gtsam.Pose3.Expmap(rng.normal(0, [0.01, 0.01, 0.1, 0.3, 0.3, 0.05]))
         truth = FAR.compose(moved)
-        result = odometry._align(cloud(moved), truth.compose(gtsam.Pose3.Expmap(rng.normal(0, GUESS_SIGMAS))))
+        result = odometry._map.align(cloud(moved), truth.compose(gtsam.Pose3.Expmap(rng.normal(0, GUESS_SIGMAS))))
         errors.append(gtsam.Pose3.Logmap(truth.between(gtsam.Pose3(result.T_target_source))))
         covariances.append(covariance(result))
     return np.array(errors), np.array(covariances)

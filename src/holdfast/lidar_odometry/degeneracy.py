@@ -20,7 +20,7 @@ from holdfast.messages import Array
 
 UNHELD = 3.0  # it is 0 to 3 along smooth walls, 3 to 8 in a wood, 6 to 50 on a site or a yard with three containers
 HELD_AGAIN = 5.0  # what was lost is held from here on, if two sweeps say so: one of hundreds says it of a smooth wall
-WEAK = 15.0  # below, thick planes pull so much that the motion is in doubt
+WEAK = 15.0  # below, thick planes pull by more than is known of the motion otherwise
 LEVER_M = 10.0  # a direction that moves the lidar less than points at this distance is one of its attitude
 SAMPLES = 2000
 FINEST_M = 0.002  # the noise of thinned points is that of their neighbourhood, and not less than this
@@ -45,12 +45,14 @@ class Observability:
         duals: (6, 6) columns B V: the parts of a motion are W^T x.
         ratios: (6,) how many times more each is held than by noise, increasing.
         least: the ratio from which on a direction counts as held.
+        mixed: factor of the pull of thick planes; 1 where every sweep has the pattern of the one before.
     """
 
     directions: Array
     duals: Array
     ratios: Array
     least: float = UNHELD
+    mixed: float = 1.0
 
     @property
     def unheld(self) -> int:
@@ -72,10 +74,14 @@ class Observability:
     def doubted(self, motion: Array) -> Array:
         """Return the sigmas (6,) of what thick planes pull by along the directions, towards no motion.
 
+        What is held with r times the weight of the pull is off by 1 / (1 + r) of the motion. In one sweep the pull may
+        be as large as in any, also where the mean over patterns is smaller.
+
         Args:
             motion: (6,) since the pose before.
         """
-        doubted: Array = np.clip(1.0 - self.ratios / WEAK, 0.0, 1.0) * np.abs(self.duals.T @ motion)
+        pulled = 1.0 / (1.0 + self.mixed * np.clip(self.ratios, 0.0, WEAK))
+        doubted: Array = (pulled - 1.0 / (1.0 + self.mixed * WEAK)) * np.abs(self.duals.T @ motion)
         return doubted
 
     def held_part(self, correction: Array, guess: Array, doubted: Array) -> Array:
@@ -113,7 +119,7 @@ class Observability:
             unheld: (6, 6) covariance in directions that it does not hold.
             doubted: (6,) sigmas along the others.
         """
-        if self.ratios[0] >= max(WEAK, self.least):
+        if not doubted.any() and not self.unheld:
             return registered
         held = self.ratios >= self.least
         V, D, W = self.directions[:, held], self.directions[:, ~held], self.duals[:, ~held]
@@ -161,8 +167,8 @@ class Degeneracy:
         if before is not None:
             there = sampled @ motion[:3, :3].T + motion[:3, 3]
             sampled = sampled[before.batch_knn_search(there, 1)[1][:, 0] < PARTNER_M**2]
-        thickness = THICKNESS if pattern_repeats else MIXED * THICKNESS
-        found = observability(sampled, planes.neighbourhoods(sampled), thickness)
+        mixed = 1.0 if pattern_repeats else MIXED
+        found = replace(observability(sampled, planes.neighbourhoods(sampled), mixed * THICKNESS), mixed=mixed)
         loose, self._loose = self._loose, int((found.ratios < HELD_AGAIN).sum())
         return found.with_unheld(max(loose, self._loose)) if self.unheld_s > 0.0 else found
 

@@ -15,7 +15,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from holdfast.lidar_odometry.range_image import BINS, ROWS, Rays, lengths, pixels, with_neighbours
+from holdfast.lidar_odometry.range_image import BINS, ROWS, Pixels, Rays, lengths, pixels, with_neighbours
 from holdfast.messages import Array
 
 SPACING_S = 0.35  # between images: every second sweep at 5 Hz
@@ -42,6 +42,16 @@ class _View:
     nearest: NDArray[Any]
     farthest: NDArray[Any]
 
+    def before(self, points: NDArray[Any], T_L0_L: gtsam.Pose3) -> tuple[NDArray[Any], NDArray[Any], Pixels]:
+        """Return what points (N, 3) in L at another pose are seen by from here.
+
+        That is their distances (N,) [m], from how much on these differ from what was seen (N,) [m], and their pixels.
+        """
+        here = self.T_L0_L.between(T_L0_L)
+        there = points @ here.rotation().matrix().T.astype(SINGLE) + here.translation().astype(SINGLE)
+        distances = lengths(there)
+        return distances, np.maximum(DIFFERS_M, DIFFERS * distances), pixels(there)
+
 
 class FreeSpace:
     """Range images of the last seconds; deterministic, and of constant size."""
@@ -49,6 +59,11 @@ class FreeSpace:
     def __init__(self) -> None:
         self._views: deque[_View] = deque(maxlen=AGES[-1])
         self._rays = Rays()
+
+    @property
+    def looks_around(self) -> bool:
+        """Whether the lidar sees all directions around it, so that what it has seen it sees again."""
+        return self._rays.go_around
 
     def differing(self, points: Array, T_L0_L: gtsam.Pose3) -> NDArray[np.bool_]:
         """Return which points (N, 3) of a sweep [m], in L at a pose, were not there to be seen a moment ago."""
@@ -58,14 +73,17 @@ class FreeSpace:
             if age > len(self._views):
                 break
             view = self._views[-age]
-            before = view.T_L0_L.between(T_L0_L)
-            there = points @ before.rotation().matrix().T.astype(SINGLE) + before.translation().astype(SINGLE)
-            distances, at = lengths(there), pixels(there)
-            apart = np.maximum(DIFFERS_M, DIFFERS * distances)
+            distances, apart, at = view.before(points, T_L0_L)
             differs |= distances < view.nearest[at] - apart
             if age <= HIDDEN_AGE:
                 differs |= distances > view.farthest[at] + apart
         return differs if differs.mean() < MOST else np.zeros_like(differs)
+
+    def looked_through(self, points: Array, T_L0_L: gtsam.Pose3) -> NDArray[np.bool_]:
+        """Return which points (N, 3) of an earlier sweep [m], in L at its pose, the newest image looks through."""
+        distances, apart, at = self._views[-1].before(points.astype(SINGLE), T_L0_L)
+        through = distances < self._views[-1].nearest[at] - apart
+        return through if through.mean() < MOST else np.zeros_like(through)
 
     def add(self, points: Array, own: Array, T_L0_L: gtsam.Pose3, at_s: float) -> None:
         """Take in a sweep.

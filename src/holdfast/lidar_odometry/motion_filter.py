@@ -114,7 +114,11 @@ class MotionFilter:
         measured = R @ (measured + NOTHING_M2 * unheld @ unheld.T) @ R.T
         innovation = _position(T_L0_L, rates) - self.mean[P]
         ratio = float(innovation @ np.linalg.solve(self.covariance[P, P] + measured, innovation)) / 3.0
-        start = self._struck(innovation) if ratio > STRUCK else self
+        start = self
+        if ratio > STRUCK and rates.forces is None:
+            start = self._struck(innovation)
+        elif ratio > STRUCK:  # what accelerates the lidar is measured: the registration has jumped
+            measured = ratio / STRUCK * measured
         gain = np.linalg.solve(start.covariance[P, P] + measured, start.covariance[P]).T
         gain = _held(R, unheld) @ gain
         kept = np.eye(12)
@@ -146,7 +150,7 @@ class MotionFilter:
     def _struck(self, innovation: Array) -> Self:
         """Return the filter of a machine whose velocity has changed in a way that explains an innovation (3,) [m].
 
-        A jump of the registration looks like that, too; either way gravity and bias have nothing to do with it.
+        Without an IMU a jump of the registration looks the same.
         """
         covariance, dt = self.covariance.copy(), self.interval_s
         _widen(covariance, float(innovation @ innovation) / dt**2 * np.array([[dt**2, dt], [dt, 1.0]]))

@@ -26,12 +26,17 @@ class Rays:
         self._rows[at[0]] = True
         self._sectors[at[1] * SECTORS // BINS] = True
 
+    @property
+    def go_around(self) -> bool:
+        """Whether something was seen in all directions around the lidar: it turns."""
+        return bool(self._sectors.all())
+
     def unknown(self, at: Pixels) -> NDArray[np.bool_]:
         """Return (ROWS, BINS) where the lidar may not have looked, given the pixels of a sweep's points.
 
-        Nowhere, if something was seen in all directions around it: it turns.
+        Nowhere, if it turns.
         """
-        unknown = np.full((ROWS, BINS), not self._sectors.all())
+        unknown = np.full((ROWS, BINS), not self.go_around)
         unknown[at] = False
         return unknown
 

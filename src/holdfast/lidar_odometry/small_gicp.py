@@ -1,9 +1,9 @@
 """small_gicp: scan-to-map VGICP; what makes an odometry of the library's alignment is here.
 
-The map is a grid of Gaussians, the cloud is thinned and has a plane around each point. The settings follow from a site
-of 100 m: voxels of 0.5 m hold two rings of ground up to 20 m from a lidar 3 m high with a ray every 0.7 deg; a cabin
-that starts to slew with 0.6 rad/s^2 departs from a constant rate by 0.5 m at 20 m between two sweeps at 5 Hz, and so
-far points must look for a partner. On ray-cast sites voxels of 1 m cost a third more error where the
+The map is a grid of Gaussians (`scan_map`), the cloud is thinned and has a plane around each point. The settings follow
+from a site of 100 m: voxels of 0.5 m hold two rings of ground up to 20 m from a lidar 3 m high with a ray every
+0.7 deg; a cabin that starts to slew with 0.6 rad/s^2 departs from a constant rate by 0.5 m at 20 m between two sweeps
+at 5 Hz, and so far points must look for a partner. On ray-cast sites voxels of 1 m cost a third more error where the
 ground is bare and nothing elsewhere, and half or twice the other values change errors by less than a fifth.
 """
 
@@ -16,20 +16,17 @@ import small_gicp
 from holdfast.config.sensors import MAP_VOXEL_M, SCAN_VOXEL_M
 from holdfast.lidar_odometry.degeneracy import GYROSCOPE_RAD_S, Degeneracy, Observability
 from holdfast.lidar_odometry.deskew import STILL, Moving, Rates, deskew
-from holdfast.lidar_odometry.free_space import FreeSpace
 from holdfast.lidar_odometry.motion_filter import MotionFilter
 from holdfast.lidar_odometry.pattern import Pattern
 from holdfast.lidar_odometry.planes import Planes, points_of
 from holdfast.lidar_odometry.registration import Registered, Registration
+from holdfast.lidar_odometry.scan_map import Placed, ScanMap
 from holdfast.lidar_odometry.sweep import Sweep
 from holdfast.messages import Array
 
 COARSE = 2.0  # times that resolution is the first pass where nothing measures the rotation: it finds the motion
 DESKEWED_M = 0.01  # a velocity that errs by so much over half a sweep is worth a second pass
-PARTNER_M = 1.0
 FASTEST_M = 3.0  # between the first two sweeps: 15 m/s at 5 Hz
-EPSILON_RAD, EPSILON_M = 3e-4, 3e-3  # what scans are known by against each other: the first smaller step is the last
-MEMORY_SWEEPS = 3000  # ten minutes at 5 Hz: a machine that returns finds its map
 # neighbouring points have the error of their voxel in common, which H takes for independent: on two ray-cast sites
 # s^2 H^-1 is right for new noise at one position, and 2.3 to 3.6 times too small over positions; deskewing errors add
 CORRELATION = 3.0
@@ -44,18 +41,16 @@ class _Unmapped:
     """A sweep that has a pose and is not yet in the map.
 
     Attributes:
-        cloud: of the world that stays, thinned.
+        placed: its cloud of the world that stays.
         points: (N, 3) all of the world.
         own: (M, 3) on the machine.
-        unheld: number of directions in which its pose is guessed.
+        met: share of its cloud that met the map.
     """
 
-    cloud: small_gicp.PointCloud
+    placed: Placed
     points: Array
     own: Array
-    T_L0_L: gtsam.Pose3
-    at_ns: int
-    unheld: int = 0
+    met: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,8 +96,7 @@ class SmallGicp(Registration):
         self._T_L0_L = gtsam.Pose3()
         self._angular = np.zeros(3)
         self._motion = MotionFilter.beginning()
-        self._map = small_gicp.GaussianVoxelMap(map_voxel_m)
-        self._free = FreeSpace()
+        self._map = ScanMap(map_voxel_m, threads)
         self._unmapped: _Unmapped | None = None
         self._first: _First | None = None  # of the map, until a second one shows the velocity
         self._pattern = Pattern()
@@ -139,7 +133,7 @@ class SmallGicp(Registration):
             is_known = not is_coarse and first is None
             planes = self._planes(points, resolution_m, T_L0_L if is_known else None)
             cloud = planes.cloud
-            result = self._align(cloud, T_L0_L if first is None else first.pose_of(cloud, T_L0_L, self._threads))
+            result = self._map.align(cloud, T_L0_L if first is None else first.pose_of(cloud, T_L0_L, self._threads))
             if result.num_inliers < LOST_INLIER_FRACTION * cloud.size():
                 return self._begin(sweep, T_L0_L)
             if not is_coarse and found is None:
@@ -153,7 +147,7 @@ class SmallGicp(Registration):
                 doubted, unheld = known.doubted(way), known.unheld_axes
                 T_L0_L = guess.compose(gtsam.Pose3.Expmap(known.held_part(correction, guessed, doubted)))
                 measured = known.covariance(measured, np.zeros((6, 6)), doubted)
-            motion = predicted.corrected(T_L0_L, rates, measured[3:, 3:], unheld)
+            motion = predicted.corrected(T_L0_L if unheld.size else aligned, rates, measured[3:, 3:], unheld)
             moved = self._T_L0_L.between(T_L0_L)
             self._angular = gtsam.Rot3.Logmap(moved.rotation()) / interval_s
             corrected_by = motion.moving(T_L0_L, rates).velocity - deskewed_by.velocity
@@ -165,7 +159,8 @@ class SmallGicp(Registration):
             if np.linalg.norm(missed) * first.sweep.half_s > DESKEWED_M:
                 return self._begin_again(first.sweep, missed, sweep)
         assert found is not None
-        self._unmapped = _Unmapped(cloud, points, sweep.own, T_L0_L, at_ns, found.unheld)
+        placed = Placed(cloud, T_L0_L, at_ns, found.unheld)
+        self._unmapped = _Unmapped(placed, points, sweep.own, result.num_inliers / cloud.size())
         self._at_ns, self._T_L0_L, self._motion = at_ns, T_L0_L, motion
         self._found = found
         gone_on = self._degeneracy.guess_covariance(interval_s, found, is_guided)
@@ -173,26 +168,21 @@ class SmallGicp(Registration):
         return Registered(at_ns, T_L0_L.matrix(), claimed, unheld=found.unheld)
 
     def finish(self) -> None:
-        """Join the last sweep to the map, in which the library goes over all voxels."""
+        """Hand the last sweep to the map."""
         if self._unmapped is not None:
             last, self._unmapped = self._unmapped, None
-            self._map.insert(last.cloud, last.T_L0_L.matrix())
-            if last.unheld:  # how the lidar has moved since what it saw before is a guess
-                self._free = FreeSpace()
-            self._free.add(last.points, last.own, last.T_L0_L, last.at_ns * 1e-9)
+            self._map.add(last.placed, last.points, last.own, last.met)
 
     def _begin(self, sweep: Sweep, T_L0_L: gtsam.Pose3, velocity: Array = STILL) -> Registered:
         """Begin a map with a sweep at a pose, deskewed with a velocity (3,) in L0 [m/s]."""
         at_s = sweep.middle_s
         at_ns, restarted = sweep.stamp_ns + round(at_s * 1e9), self._at_ns > NEVER_NS
-        self._map = small_gicp.GaussianVoxelMap(self._map_voxel_m)
-        self._map.set_lru(MEMORY_SWEEPS, 100)
+        self._map = ScanMap(self._map_voxel_m, self._threads)
         rates = self._rates(sweep)
         self._motion = self._motion.placed(T_L0_L, rates, velocity)
         points = self._deskewed(sweep, at_s, self._motion.moving(T_L0_L, rates))
         planes = self._planes(points, self._scan_voxel_m, None)
-        self._free = FreeSpace()
-        self._unmapped = _Unmapped(planes.cloud, points, sweep.own, T_L0_L, at_ns)
+        self._unmapped = _Unmapped(Placed(planes.cloud, T_L0_L, at_ns), points, sweep.own)
         self._degeneracy, self._found = Degeneracy(), None
         self._degeneracy.look(planes, np.eye(4))
         self._at_ns, self._T_L0_L, self._first = at_ns, T_L0_L, _First(sweep, planes, T_L0_L)
@@ -219,19 +209,8 @@ class SmallGicp(Registration):
         thinned = small_gicp.voxelgrid_sampling(points, resolution_m, self._threads)
         if T_L0_L is not None:
             kept = points_of(thinned)
-            thinned = small_gicp.PointCloud(kept[~self._free.differing(kept, T_L0_L)])
+            thinned = small_gicp.PointCloud(kept[~self._map.differing(kept, T_L0_L)])
         return Planes.around(thinned, self._threads)
-
-    def _align(self, cloud: small_gicp.PointCloud, guess: gtsam.Pose3) -> small_gicp.RegistrationResult:
-        return small_gicp.align(
-            self._map,
-            cloud,
-            guess.matrix(),
-            max_correspondence_distance=PARTNER_M,
-            num_threads=self._threads,
-            rotation_epsilon=EPSILON_RAD,
-            translation_epsilon=EPSILON_M,
-        )
 
 
 def covariance(result: small_gicp.RegistrationResult) -> Array:
