@@ -22,7 +22,7 @@ from endurance import resident_mb
 from holdfast.config.load import load_config
 from holdfast.lidar_odometry.in_step import InStep
 from holdfast.lidar_odometry.runner import DECODE_IMU, Options, choose_topic, guide_of
-from holdfast.lidar_odometry.small_gicp import MEMORY_SWEEPS
+from holdfast.lidar_odometry.scan_map import MEMORY_SWEEPS
 from holdfast.recording.decode import stamp_ns
 from holdfast.recording.kinds.scans import point_cloud
 from holdfast.recording.raw import RawBag

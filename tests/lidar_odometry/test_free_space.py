@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from yard import BOXES, ELEVATIONS_DEG, T_W_L, cast, rays_that_return, slow_rad, through_prisms
 
-from holdfast.lidar_odometry.free_space import AGES, FreeSpace
+from holdfast.lidar_odometry.free_space import AGES, AROUND_M, FreeSpace
 
 NOTHING = np.zeros((0, 3))
 HALF_M = np.array([1.3, 3.4, 1.3])  # of a truck that drives along y
@@ -23,6 +23,12 @@ def seen(pose, truck=None, rays=RAYS):
     world = pose.translation() + directions[returned] * distances[returned, None]
     on_truck = np.zeros(len(world), bool) if truck is None else np.all(np.abs(world - truck) < HALF_M + 0.02, axis=1)
     return rays[returned] * distances[returned, None], on_truck
+
+
+def apart_m(points, pose, truck):
+    """How far points in L are from the truck."""
+    world = points @ pose.rotation().matrix().T + pose.translation()
+    return np.linalg.norm(np.maximum(np.abs(world - truck) - HALF_M, 0.0), axis=1)
 
 
 def lidar(at_s):
@@ -48,13 +54,29 @@ def passed(request):
 def test_a_truck_that_drives_by_is_not_of_the_world(passed):
     space, pose, points, on_truck = passed
     assert on_truck.sum() > 50
+    differs = space.differing(points, pose)
     low = points[:, 2] < -1.5  # there a ring of the ground beside is as near, if the next one is far
-    assert space.differing(points, pose)[on_truck & ~low].mean() > 0.9
+    assert differs[on_truck & ~low].mean() > 0.9
+    assert differs[on_truck & low].mean() > 0.7  # what is above it tells
 
 
-def test_the_world_beside_it_stays(passed):
-    space, pose, points, on_truck = passed
-    assert space.differing(points, pose)[~on_truck].mean() < 0.01
+def test_the_world_stays_but_for_what_is_around_the_truck(passed):
+    space, pose, points, _ = passed
+    far = apart_m(points, pose, drives(12)) > 2.0 * AROUND_M
+    assert space.differing(points, pose)[far].mean() < 0.01
+
+
+def test_one_point_alone_takes_nothing_with_it():
+    space, rng = FreeSpace(), np.random.default_rng(2)
+    for number in range(12):
+        space.add(seen(lidar(STEP_S * number))[0], NOTHING, lidar(STEP_S * number), STEP_S * number)
+    points, _ = seen(lidar(12 * STEP_S))
+    before = space.differing(points, lidar(12 * STEP_S))
+    alone = rng.choice(np.flatnonzero(points[:, 2] > -2.0), 8, replace=False)
+    points[alone] *= 0.7
+    came = space.differing(points, lidar(12 * STEP_S)) & ~before
+    assert came[alone].sum() >= 6
+    assert came.sum() <= len(alone)
 
 
 def test_what_the_truck_has_hidden_is_not_used_at_once():
@@ -69,7 +91,8 @@ def test_what_the_truck_has_hidden_is_not_used_at_once():
         < np.linalg.norm(bare, axis=1) - 0.1
     )
     assert hidden[behind].mean() > 0.3
-    assert not hidden[~behind].any()
+    far = np.linalg.norm(bare[:, None] - bare[hidden & behind][None], axis=2).min(axis=1) > 4.0 * AROUND_M
+    assert not hidden[~behind & far].any()
 
 
 def test_who_parks_is_of_the_world_after_the_last_view():

@@ -27,6 +27,7 @@ HIDDEN_AGE = 1  # whatever was hidden longer ago has been seen since
 DIFFERS_M, DIFFERS = 0.4, 0.02
 REACHES = 0.75  # of its longest return is what the lidar sees of any surface; without a return nothing is nearer
 SINGLE = np.float32  # half the time and memory; 10 um at 100 m
+AROUND_M, ENOUGH = 0.7, 2  # cells of half a person; one point alone is noise
 MOST = 0.3  # where more of a sweep differs, the pose that it is compared at is wrong, not the world
 
 
@@ -77,7 +78,7 @@ class FreeSpace:
             differs |= distances < view.nearest[at] - apart
             if age <= HIDDEN_AGE:
                 differs |= distances > view.farthest[at] + apart
-        return differs if differs.mean() < MOST else np.zeros_like(differs)
+        return _with_those_around(points, differs) if differs.mean() < MOST else np.zeros_like(differs)
 
     def looked_through(self, points: Array, T_L0_L: gtsam.Pose3) -> NDArray[np.bool_]:
         """Return which points (N, 3) of an earlier sweep [m], in L at its pose, the newest image looks through."""
@@ -114,3 +115,17 @@ class FreeSpace:
         np.minimum.at(nearest, pixels(own), lengths(own))
         nearest, farthest = with_neighbours(nearest, np.minimum), with_neighbours(farthest, np.maximum)
         self._views.append(_View(T_L0_L, at_s, nearest, farthest))
+
+
+def _with_those_around(points: NDArray[Any], differs: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which points (N, 3) [m] differ or are in or beside a cell in which some do.
+
+    Low on a truck the ground before it is as near, and where a person ends the image sees past.
+    """
+    cells = np.floor(points / AROUND_M).astype(np.int64)
+    strides = np.array([1 << 40, 1 << 20, 1])
+    keys = cells @ strides
+    found, counts = np.unique(keys[differs], return_counts=True)
+    beside = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), axis=-1).reshape(-1, 3) @ strides
+    around: NDArray[np.bool_] = np.isin(keys, found[counts >= ENOUGH, None] + beside)
+    return differs | around
