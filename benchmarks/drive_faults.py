@@ -13,15 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from drives import held_out_row, names_of, run_system, starter_config
+from drives import held_out_row, messages_of, names_of, recorded_in, run_system, starter_config
 
 from holdfast.config.model import Config
 from holdfast.estimator.estimator import Estimator
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.geometry.rotations import exponentials
 from holdfast.messages import GnssFix, GnssVelocity, ImuSample, Message
-from holdfast.recording.source import open_recording
-from holdfast.recording.subscriptions import subscriptions
 from holdfast.replay.held_out import HoldOut, HoldOutFilter
 
 AXIS = np.array([0.6, -0.5, 0.62])  # of what happens to the IMU: no axis of any car
@@ -149,8 +147,7 @@ def judge(drive: Path, name: str) -> dict[str, Any]:
     """Run one drive with one fault, in a process of its own."""
     config = starter_config(drive / "bag")
     rules = [HoldOut(sensor, 2) for sensor in names_of(config, "gnss")]
-    with open_recording(drive / "bag") as opened:
-        messages = list(opened.read(subscriptions(config)))
+    messages = messages_of(drive, config)
     stay = those_not_used(config, rules, messages)
     changed = [old if id(old) in stay else new for old, new in zip(messages, FAULTS[name](messages), strict=True)]
     return held_out_row(config, run_system(Estimator(config), changed, rules), changed, drive / "reference.csv")
@@ -169,7 +166,7 @@ def main() -> None:
     parser.add_argument("--only", default="", help="faults whose name holds this")
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data" / "drives")
     given = parser.parse_args()
-    drives = [drive for drive in sorted(given.data.glob("*")) if (drive / "bag").exists()]
+    drives = recorded_in(given.data)
     if not drives:
         print(f"all drives: skipped, no recording at {given.data}")
         return

@@ -13,13 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from drives import held_out_row, names_of, run_system, starter_config
+from drives import held_out_row, messages_of, names_of, recorded_in, run_system, starter_config
 
 from holdfast.estimator.estimator import Estimator
 from holdfast.geometry.rotations import exponentials
 from holdfast.messages import GnssFix, GnssVelocity, ImuSample, Message
-from holdfast.recording.source import open_recording
-from holdfast.recording.subscriptions import subscriptions
 from holdfast.replay.held_out import HoldOut
 
 Messages = list[Message]
@@ -43,6 +41,17 @@ def spans(rng: np.random.Generator, messages: Messages, most: int, lengths_s: li
     length_s = since_s(messages, messages[-1])
     starts = rng.uniform(0.1, 0.9, int(rng.integers(1, most + 1))) * length_s
     return [(float(start), float(start + rng.choice(lengths_s))) for start in starts]
+
+
+def changed(kinds: Any, messages: Messages, change: Callable[[Any], Any]) -> Messages:
+    """Return the messages with those of some kinds changed."""
+    return [change(one) if isinstance(one, kinds) else one for one in messages]
+
+
+def every_nth(kind: type[Message], messages: Messages, n: int) -> Messages:
+    """Return the messages with every n-th of one kind alone."""
+    kept = {id(one) for one in [one for one in messages if isinstance(one, kind)][::n]}
+    return [one for one in messages if not isinstance(one, kind) or id(one) in kept]
 
 
 def without(kinds: Any, messages: Messages, when: list[tuple[float, float]]) -> tuple[Messages, str]:
@@ -74,69 +83,61 @@ def late_start(rng: np.random.Generator, messages: Messages) -> tuple[Messages, 
 def any_mount(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
     """The IMU is mounted in any attitude."""
     R = exponentials(rng.uniform(0.0, np.pi) * direction(rng)[None])[0]
-    turned = [
-        replace(one, angular_velocity=R @ one.angular_velocity, specific_force=R @ one.specific_force)
-        if isinstance(one, ImuSample)
-        else one
-        for one in messages
-    ]
-    return turned, "any mount"
+
+    def turned(one: ImuSample) -> ImuSample:
+        return replace(one, angular_velocity=R @ one.angular_velocity, specific_force=R @ one.specific_force)
+
+    return changed(ImuSample, messages, turned), "any mount"
 
 
 def few_fixes(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
     """Of the fixes every n-th comes."""
     every = int(rng.choice([2, 5]))
-    kept = {id(one) for one in [one for one in messages if isinstance(one, GnssFix)][::every]}
-    return [one for one in messages if not isinstance(one, GnssFix) or id(one) in kept], f"a fix of {every}"
+    return every_nth(GnssFix, messages, every), f"a fix of {every}"
 
 
 def worse_imu(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
     """The IMU has biases of up to 2 deg/s and 0.4 m/s^2, and more noise."""
     rate, force = np.radians(rng.uniform(0.0, 2.0)) * direction(rng), rng.uniform(0.0, 0.4) * direction(rng)
     noise_rad_s, noise_m_s2 = [(0.0, 0.0), (0.005, 0.05), (0.02, 0.3)][int(rng.integers(3))]
-    worse = [
-        replace(
+
+    def worse(one: ImuSample) -> ImuSample:
+        return replace(
             one,
             angular_velocity=one.angular_velocity + rate + noise_rad_s * rng.standard_normal(3),
             specific_force=one.specific_force + force + noise_m_s2 * rng.standard_normal(3),
         )
-        if isinstance(one, ImuSample)
-        else one
-        for one in messages
-    ]
-    return worse, f"noise {noise_rad_s:g} rad/s"
+
+    return changed(ImuSample, messages, worse), f"noise {noise_rad_s:g} rad/s"
 
 
 def jump(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
     """The gyroscope's bias jumps by up to 3 deg/s."""
     at_s, by_deg_s = rng.uniform(0.2, 0.8) * since_s(messages, messages[-1]), rng.uniform(0.5, 3.0)
     by = np.radians(by_deg_s) * direction(rng)
-    jumped = [
-        replace(one, angular_velocity=one.angular_velocity + by)
-        if isinstance(one, ImuSample) and since_s(messages, one) > at_s
-        else one
-        for one in messages
-    ]
-    return jumped, f"gyroscope {by_deg_s:.1f} deg/s at {at_s:.0f} s"
+
+    def jumped(one: ImuSample) -> ImuSample:
+        is_later = since_s(messages, one) > at_s
+        return replace(one, angular_velocity=one.angular_velocity + by) if is_later else one
+
+    return changed(ImuSample, messages, jumped), f"gyroscope {by_deg_s:.1f} deg/s at {at_s:.0f} s"
 
 
 def clock(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
     """The clock of the receiver is off by up to 0.3 s."""
     by_ns = int(rng.uniform(-3e8, 3e8))
-    shifted = [replace(one, stamp_ns=one.stamp_ns + by_ns) if isinstance(one, GNSS) else one for one in messages]
+    shifted = changed(GNSS, messages, lambda one: replace(one, stamp_ns=one.stamp_ns + by_ns))
     return shifted, f"clock {by_ns * 1e-9:+.2f} s"
 
 
 def claims(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
     """Fixes claim a tenth or a third of their sigma."""
     factor = float(rng.choice([0.1, 0.3]))
-    changed = [
-        replace(one, covariance=one.covariance * factor**2)
-        if isinstance(one, GnssFix) and one.covariance is not None
-        else one
-        for one in messages
-    ]
-    return changed, f"claims {factor:g} times"
+
+    def claiming(one: GnssFix) -> GnssFix:
+        return one if one.covariance is None else replace(one, covariance=one.covariance * factor**2)
+
+    return changed(GnssFix, messages, claiming), f"claims {factor:g} times"
 
 
 def no_velocities(_: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
@@ -147,8 +148,7 @@ def no_velocities(_: np.random.Generator, messages: Messages) -> tuple[Messages,
 def slow_imu(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
     """Of the samples every second or fourth comes."""
     every = int(rng.choice([2, 4]))
-    kept = {id(one) for one in [one for one in messages if isinstance(one, ImuSample)][::every]}
-    return [one for one in messages if not isinstance(one, ImuSample) or id(one) in kept], f"IMU rate / {every}"
+    return every_nth(ImuSample, messages, every), f"IMU rate / {every}"
 
 
 MISHAPS: tuple[Mishap, ...] = (
@@ -166,14 +166,12 @@ MISHAPS: tuple[Mishap, ...] = (
 )
 
 
-def run(data: Path, seed: int) -> tuple[str, list[str], dict[str, Any]]:
+def run(drives: list[Path], seed: int) -> tuple[str, list[str], dict[str, Any]]:
     """Return which drive it was, what happened and the errors."""
     rng = np.random.default_rng(seed)
-    drives = [drive for drive in sorted(data.glob("*")) if (drive / "bag").exists()]
     drive = drives[int(rng.integers(len(drives)))]
     config = starter_config(drive / "bag")
-    with open_recording(drive / "bag") as opened:
-        messages = list(opened.read(subscriptions(config)))
+    messages = messages_of(drive, config)
     happened = []
     for number in sorted(rng.choice(len(MISHAPS), 3, replace=False)):
         messages, what = MISHAPS[number](rng, messages)
@@ -190,14 +188,15 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=24)
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data" / "drives")
     given = parser.parse_args()
-    if not any((drive / "bag").exists() for drive in given.data.glob("*")):
+    drives = recorded_in(given.data)
+    if not drives:
         print(f"all drives: skipped, no recording at {given.data}")
         return
     print("Horizontal errors at held-out fixes [m]; the line is that between the fixes used\n")
     print("| seed | drive | mishaps | RMS | to the line | largest | NEES / 3 |\n|---:|---|---|---:|---:|---:|---:|")
     seeds = range(given.first, given.first + given.count)
     with ProcessPoolExecutor(2) as pool:
-        futures = [pool.submit(run, given.data, seed) for seed in seeds]
+        futures = [pool.submit(run, drives, seed) for seed in seeds]
         for seed, future in zip(seeds, futures, strict=True):
             drive, happened, row = future.result()
             cells = [f"{row[key]:.2f}" if key in row else "never started" for key in ("rms", "ratio", "max", "nees")]

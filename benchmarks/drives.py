@@ -61,6 +61,17 @@ def starter_config(bag: Path) -> Config:
         return parse_config(first_config(opened))
 
 
+def recorded_in(data: Path) -> list[Path]:
+    """Return the drives below a folder that have a recording."""
+    return [drive for drive in sorted(data.glob("*")) if (drive / "bag").exists()]
+
+
+def messages_of(drive: Path, config: Config) -> list[Message]:
+    """Return all messages of a drive."""
+    with open_recording(drive / "bag") as opened:
+        return list(opened.read(subscriptions(config)))
+
+
 def run_system(system: Any, messages: list[Message], rules: Sequence[HoldOut], from_ns: int = 0) -> Run:
     """Replay messages; fixes that the rules hold back are judged. Messages before `from_ns` are passed over."""
     run, held_out = Run(), HoldOutFilter(rules, system.config)
@@ -212,8 +223,7 @@ def outage_rows(
 def judge_drive(drive: Path, length_s: float | None, baselines: bool) -> dict[str, Any]:
     """Run all systems on one drive; with a length, GNSS is cut. Runs in a process of its own."""
     config = starter_config(drive / "bag")
-    with open_recording(drive / "bag") as opened:
-        messages = list(opened.read(subscriptions(config)))
+    messages = messages_of(drive, config)
     rules, starts = [HoldOut(name, 2) for name in names_of(config, "gnss")], np.zeros(0)
     if length_s is not None:
         starts = outage_starts(messages, length_s)
@@ -290,9 +300,7 @@ def print_outages(drives: Sequence[str], length_s: float, results: Sequence[dict
 
 def print_drives(data: Path, only: Sequence[str] = (), outages: bool = True, baselines: bool = True) -> None:
     """Run and print the drives below a folder: all of them, or those that are named."""
-    drives = [
-        drive for drive in sorted(data.glob("*")) if (drive / "bag").exists() and drive.name in (only or [drive.name])
-    ]
+    drives = [drive for drive in recorded_in(data) if drive.name in (only or [drive.name])]
     names = [drive.name for drive in drives]
     for missing in sorted(set(only) - set(names)) or ([] if drives else ["all drives"]):
         print(f"\n{missing}: skipped, no recording at {data}")

@@ -16,14 +16,12 @@ from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
-from drives import starter_config
+from drives import messages_of, recorded_in, starter_config
 
 from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig
 from holdfast.estimator.estimator import Estimator
 from holdfast.messages import FixStatus, GnssFix, GnssVelocity, Message
-from holdfast.recording.source import open_recording
-from holdfast.recording.subscriptions import subscriptions
 
 FRACTIONS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)  # of the drive, at which it is begun
 GIVEN_UP_S, SETTLED_NS = 150.0, 30_000_000_000
@@ -102,8 +100,7 @@ def start(config: Config, messages: Sequence[Message], stamps: np.ndarray, attit
 def starts(drive: Path) -> dict[str, list[Start]]:
     """Return the starts of one drive by variant. Runs in a process of its own."""
     config = tolerant(starter_config(drive / "bag"))
-    with open_recording(drive / "bag") as opened:
-        messages = list(opened.read(subscriptions(config)))
+    messages = messages_of(drive, config)
     estimator = Estimator(config)
     track = [one for one in (estimator.process(message).estimate for message in messages) if one is not None]
     stamps = np.array([one.stamp_ns for one in track])
@@ -124,7 +121,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data" / "drives")
     parser.add_argument("--jobs", type=int, default=2)
     given = parser.parse_args()
-    drives = [drive for drive in sorted(given.data.glob("*")) if (drive / "bag").exists()]
+    drives = recorded_in(given.data)
     if not drives:
         print(f"all drives: skipped, no recording at {given.data}")
         return

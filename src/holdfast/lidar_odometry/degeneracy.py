@@ -168,7 +168,7 @@ class Degeneracy:
             there = sampled @ motion[:3, :3].T + motion[:3, 3]
             sampled = sampled[before.batch_knn_search(there, 1)[1][:, 0] < PARTNER_M**2]
         mixed = 1.0 if pattern_repeats else MIXED
-        found = replace(observability(sampled, planes.neighbourhoods(sampled), mixed * THICKNESS), mixed=mixed)
+        found = observability(sampled, planes.neighbourhoods(sampled), mixed)
         loose, self._loose = self._loose, int((found.ratios < HELD_AGAIN).sum())
         return found.with_unheld(max(loose, self._loose)) if self.unheld_s > 0.0 else found
 
@@ -186,14 +186,14 @@ class Degeneracy:
         return np.diag(np.repeat([turn, shift], 3))
 
 
-def observability(points: Array, neighbours: Array, thickness: float = THICKNESS) -> Observability:
+def observability(points: Array, neighbours: Array, mixed: float = 1.0) -> Observability:
     """Return what points hold.
 
     Args:
         points: (N, 3) in L [m].
         neighbours: (N, k, 3) the points around each, nearest first [m]. The first NEIGHBOURS are used, and all where
             those lie on a line: what is small and yet has many points holds more than a wide plane says.
-        thickness: by how much of what a plane is held across itself it is pulled along itself.
+        mixed: factor of THICKNESS, by how much of what a plane is held across itself it is pulled along itself.
     """
     variances, frames = spread(neighbours[:, :NEIGHBOURS])
     wider = are_lines(variances) & (neighbours.shape[1] > NEIGHBOURS)
@@ -207,12 +207,12 @@ def observability(points: Array, neighbours: Array, thickness: float = THICKNESS
         across = np.maximum(variances[:, axis], noise)
         tilt = np.clip(noise * across / (count * np.maximum(across - noise, 1e-9) ** 2), 0.0, 1.0)
         held -= _information(points, frames[:, :, axis], weights * tilt)
-        pull += _information(points, frames[:, :, axis], weights * np.maximum(tilt, thickness))
+        pull += _information(points, frames[:, :, axis], weights * np.maximum(tilt, mixed * THICKNESS))
     pull += max(1e-9 * np.trace(pull), 1e-12) * np.eye(6)  # without points nothing is held
     root = np.linalg.cholesky(pull)
     whitened = np.linalg.solve(root, np.linalg.solve(root, held).T)
     ratios, axes = np.linalg.eigh(0.5 * (whitened + whitened.T))
-    return Observability(np.linalg.solve(root.T, axes), root @ axes, ratios)
+    return Observability(np.linalg.solve(root.T, axes), root @ axes, ratios, mixed=mixed)
 
 
 def _limited(guess: Array) -> Array:

@@ -7,7 +7,9 @@ at 5 Hz, and so far points must look for a partner. On ray-cast sites voxels of 
 ground is bare and nothing elsewhere, and half or twice the other values change errors by less than a fifth.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import gtsam
 import numpy as np
@@ -34,23 +36,6 @@ LOST_INLIER_FRACTION = 0.4  # it is 0.7 at the edge of the map and 1 within; fla
 MAX_GAP_S = 1.0  # the motion in a longer one is unknown
 BLIND = 1e6 * np.eye(6)  # a guess without an IMU is nothing to weigh a registration by
 NEVER_NS = -(1 << 62)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Unmapped:
-    """A sweep that has a pose and is not yet in the map.
-
-    Attributes:
-        placed: its cloud of the world that stays.
-        points: (N, 3) all of the world.
-        own: (M, 3) on the machine.
-        met: share of its cloud that met the map.
-    """
-
-    placed: Placed
-    points: Array
-    own: Array
-    met: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +82,7 @@ class SmallGicp(Registration):
         self._angular = np.zeros(3)
         self._motion = MotionFilter.beginning()
         self._map = ScanMap(map_voxel_m, threads)
-        self._unmapped: _Unmapped | None = None
+        self._join: Callable[[], None] | None = None  # the last sweep to the map
         self._first: _First | None = None  # of the map, until a second one shows the velocity
         self._pattern = Pattern()
         self._degeneracy = Degeneracy()
@@ -160,7 +145,7 @@ class SmallGicp(Registration):
                 return self._begin_again(first.sweep, missed, sweep)
         assert found is not None
         placed = Placed(cloud, T_L0_L, at_ns, found.unheld)
-        self._unmapped = _Unmapped(placed, points, sweep.own, result.num_inliers / cloud.size())
+        self._join = partial(self._map.add, placed, points, sweep.own, result.num_inliers / cloud.size())
         self._at_ns, self._T_L0_L, self._motion = at_ns, T_L0_L, motion
         self._found = found
         gone_on = self._degeneracy.guess_covariance(interval_s, found, is_guided)
@@ -169,9 +154,9 @@ class SmallGicp(Registration):
 
     def finish(self) -> None:
         """Hand the last sweep to the map."""
-        if self._unmapped is not None:
-            last, self._unmapped = self._unmapped, None
-            self._map.add(last.placed, last.points, last.own, last.met)
+        if self._join is not None:
+            join, self._join = self._join, None
+            join()
 
     def _begin(self, sweep: Sweep, T_L0_L: gtsam.Pose3, velocity: Array = STILL) -> Registered:
         """Begin a map with a sweep at a pose, deskewed with a velocity (3,) in L0 [m/s]."""
@@ -182,7 +167,7 @@ class SmallGicp(Registration):
         self._motion = self._motion.placed(T_L0_L, rates, velocity)
         points = self._deskewed(sweep, at_s, self._motion.moving(T_L0_L, rates))
         planes = self._planes(points, self._scan_voxel_m, None)
-        self._unmapped = _Unmapped(Placed(planes.cloud, T_L0_L, at_ns), points, sweep.own)
+        self._join = partial(self._map.add, Placed(planes.cloud, T_L0_L, at_ns), points, sweep.own, 1.0)
         self._degeneracy, self._found = Degeneracy(), None
         self._degeneracy.look(planes, np.eye(4))
         self._at_ns, self._T_L0_L, self._first = at_ns, T_L0_L, _First(sweep, planes, T_L0_L)
