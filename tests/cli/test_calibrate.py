@@ -2,10 +2,11 @@
 
 import json
 import os
+import pty
 import signal
 import subprocess
 import sys
-import time
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -125,14 +126,16 @@ def test_a_recording_that_lacks_the_imu_is_named(drive, tmp_path):
 def test_ctrl_c_leaves_nothing_half_written(drive, tmp_path):
     recording, config = drive
     output = tmp_path / "out.yaml"
-    command = [sys.executable, "-c", "from holdfast.cli import main; main()", "calibrate"]
-    process = subprocess.Popen(
-        [*command, str(recording), "-c", str(config), "-o", str(output)], stderr=subprocess.PIPE, env=os.environ
-    )
-    time.sleep(2.0)  # after the imports, before a quick machine has ended
+    terminal, other_end = pty.openpty()
+    command = [sys.executable, "-m", "holdfast", "calibrate", recording, "-c", config, "-o", output]
+    process = subprocess.Popen(list(map(str, command)), stderr=other_end, env=os.environ | {"TERM": "xterm"})
+    os.close(other_end)
+    printed = os.read(terminal, 1)  # its progress has begun
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=120)
-    assert process.returncode == 130 and b"interrupted" in err
+    with suppress(OSError):  # a terminal ends so when nobody writes to it any more
+        while part := os.read(terminal, 1 << 16):
+            printed += part
+    assert process.wait(timeout=120) == 130 and b"interrupted" in printed
     assert list(tmp_path.iterdir()) == []
 
 

@@ -105,8 +105,9 @@ def test_ctrl_c_in_a_replay_writes_what_came_and_ends_both(drive, tmp_path):
     )
     track = tmp_path / "imu_in_world.tum"
     updates = tmp_path / "optimized_in_world.tum"
-    for file in (track, updates):
-        wait_for(lambda file=file: file.exists() and file.stat().st_size > 0, timeout_s=60.0)
+    wait_for(lambda: track.exists() and track.stat().st_size > 0, timeout_s=60.0)
+    # the report of an update, with its counts, comes before the update that follows
+    wait_for(lambda: updates.exists() and updates.read_bytes().count(b"\n") >= 3, timeout_s=60.0)
     others = children(process.pid)
     assert others
     process.send_signal(signal.SIGINT)
