@@ -130,17 +130,34 @@ def test_a_state_that_was_thrown_away_is_found_also_beside_a_lidar_that_had_agre
     assert_found(estimator, outputs, sent, RTK, back, patience_s + 4.0)
 
 
+def jumped(sent, at_s):
+    """A gyroscope whose bias jumps by 2 deg/s."""
+    by = np.radians([0.0, 0.0, 2.0])
+    return [
+        replace(one, angular_velocity=one.angular_velocity + by) if one.stamp_ns > ns(at_s) else one for one in sent
+    ]
+
+
 @RECEIVERS
 def test_a_gyroscope_whose_bias_jumps_is_found_out(sigma, hz, doppler):
-    """By 2 deg/s. Each beginning took the bias of the first standstill for right, and was wrong again."""
+    """Each beginning took the bias of the first standstill for right, and was wrong again."""
     sent = streams(sigma, hz, doppler, 60.0)
-    jumped = np.radians([0.0, 0.0, 2.0])
-    sent["imu"] = [
-        replace(one, angular_velocity=one.angular_velocity + jumped) if one.stamp_ns > ns(20.0) else one
-        for one in sent["imu"]
-    ]
+    sent["imu"] = jumped(sent["imu"], 20.0)
     _, outputs = run(machine(lidar=False, more=DOPPLER if doppler else None), in_order(*sent.values()))
     assert max(errors_m(outputs, 50.0)) < max(0.5, 5.0 * np.hypot(*sigma[:2]))
+
+
+@pytest.mark.parametrize("hz", [1.0, 0.2])
+def test_velocities_that_have_proven_right_tell_at_once_that_the_gyroscope_jumped(hz):
+    """With a position every 5 s the estimate ran 1.6 km away until enough of them had come since."""
+    sent = streams(CONSUMER, hz, True, 90.0)
+    sent["imu"] = jumped(sent["imu"], 60.0)
+    estimator, outputs = run(machine(lidar=False, more=DOPPLER), in_order(*sent.values()))
+    (begun,) = [event for event in estimator.events if event.kind is EventKind.BEGUN_ANEW]
+    assert "the bias of the gyroscope has jumped by" in begun.reason
+    assert 60.0 < seconds(begun.stamp_ns) < 70.0
+    assert max(errors_m(outputs, 30.0)) < 10.0
+    assert max(errors_m(outputs, 75.0)) < 3.0 * np.hypot(*CONSUMER[:2])
 
 
 def by(change):

@@ -1,10 +1,11 @@
 """What the estimator begins anew from: the batch if it tells the heading, else the fixes and a heading in doubt."""
 
+from dataclasses import replace
 from time import process_time
 
 import gtsam
 import numpy as np
-from motion import ARM, Drive, G, machine, ns
+from motion import ARM, Drive, G, imu, machine, ns
 from rig import NO_BIAS, buffered, position
 
 from holdfast.estimator.initialisation import Initialising
@@ -16,6 +17,7 @@ from holdfast.state import OptimisedState
 
 ROAD = Drive(start_s=4.0, ramp_s=4.0, radius_m=20.0, speed=0.3, tilt=0.0, heave_m=0.0)  # 6 m/s
 END_S = 12.0
+DOPPLER = {"doppler": {"kind": "gnss_velocity", "frame": "gnss"}}
 
 
 def begun(motion=ROAD, end_s=END_S, **config):
@@ -91,7 +93,7 @@ def test_what_has_begun_and_is_contradicted_again_doubts_the_biases():
 
 
 def test_a_measured_velocity_is_used():
-    successor = drive(begun(more={"doppler": {"kind": "gnss_velocity", "frame": "gnss"}}), END_S - 1.0)
+    successor = drive(begun(more=DOPPLER), END_S - 1.0)
     velocity = np.array([1.0, 2.0, 3.0])
     successor.add(Velocity(ns(END_S - 0.1), "doppler", velocity, np.eye(3) * 0.01))
     np.testing.assert_allclose(successor.begin(astray(), ns(0.0)).state.nav.velocity(), velocity)
@@ -146,9 +148,51 @@ def test_the_biases_walk_faster_for_a_while_if_what_has_begun_with_a_heading_is_
 
 
 def test_what_led_astray_because_of_velocities_is_no_reason_to_doubt_the_imu():
-    successor = drive(begun(more={"doppler": {"kind": "gnss_velocity", "frame": "gnss"}}))
+    successor = drive(begun(more=DOPPLER))
     assert successor.begin(astray(), ns(0.0))
     for t in np.arange(6.0, END_S, 0.2):  # backwards
         successor.add(Velocity(ns(t), "doppler", -ROAD.nav(t).velocity(), np.eye(3) * 0.01))
     assert successor.begin(astray(END_S), ns(0.0))
     assert successor.walk_scale == 1.0 and successor.start.lying == {"doppler"}
+
+
+def jumped(until_s, *, has_doppler=True):
+    """What is collected until a time where the gyroscope jumps by 3 deg/s after 30 s; velocities have proven right."""
+    rng, by = np.random.default_rng(2), np.radians([0.0, 0.0, 3.0])  # the noise of what was before stays the same
+    config = machine(lidar=False, heading_deg=None, more=DOPPLER if has_doppler else None)
+    samples = [
+        replace(one, angular_velocity=one.angular_velocity + by) if one.stamp_ns > ns(30.0) else one
+        for one in imu(ROAD, 0.0, until_s, 100.0, np.random.default_rng(3))
+    ]
+    start = Initialising(config, buffered(ROAD, until_s, config, samples=samples), sensors_of(config), G)
+    for t in np.arange(0.1, until_s, 0.5):
+        start.add(position(ROAD, t, ARM, rng.normal(0.0, 0.3, 3), sigma_m=0.3))
+        if has_doppler:
+            rate = ROAD.nav(t).attitude().rotate(np.cross(ROAD.readings(t)[1], ARM))
+            start.add(Velocity(ns(t), "doppler", ROAD.nav(t).velocity() + rate, np.eye(3) * 0.01))
+        start.mistaken()
+    return Successor(start)
+
+
+def test_a_jump_is_believed_when_more_has_come_that_says_so():
+    early, late = jumped(35.0), jumped(36.0)
+    assert early.after_jump(ns(35.0)) is None
+    late._suspected = early._suspected
+    beginning = late.after_jump(ns(36.0))
+    assert "the bias of the gyroscope has jumped by" in beginning.reason
+    off = beginning.state.bias.gyroscope() - np.radians([0.0, 0.0, 3.0])
+    assert off @ np.linalg.solve(beginning.state.covariance[12:, 12:], off) < 14.2  # 3 sigma of three numbers
+    assert_explained(beginning.state)
+
+
+def test_the_same_said_twice_is_no_more():
+    successor = jumped(36.0)
+    assert successor.after_jump(ns(36.0)) is None
+    assert successor.after_jump(ns(37.0)) is None
+
+
+def test_without_velocities_it_is_not_asked_before_the_positions_contradict():
+    """Positions that wander look like a bias that jumps."""
+    successor = jumped(42.0, has_doppler=False)
+    assert successor.after_jump(ns(42.0)) is None and successor._suspected is None
+    assert "the bias of the gyroscope has jumped" in successor.begin(astray(42.0), ns(39.0)).reason

@@ -6,7 +6,9 @@ import pytest
 from motion import ARM, Drive, G, machine, ns
 from rig import NO_BIAS, buffered, position
 
-from holdfast.graph.alignment import BatchAligner, BiasPrior, Evidence, level_attitude
+from holdfast.graph.alignment import BatchAligner
+from holdfast.graph.alignment_problem import BiasPrior, Evidence
+from holdfast.graph.first_guess import level_attitude
 from holdfast.sensors.preintegration import ImuNoise
 from holdfast.sensors.registry import sensors_of
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from holdfast.baselines.intake import Intake, PositionFix
 from holdfast.config.model import Config
-from holdfast.graph.alignment import level_attitude
+from holdfast.graph.first_guess import level_attitude
 from holdfast.messages import Array, Message
 from holdfast.sensors.heading import AxisYaw
 from holdfast.sensors.imu import ImuBuffer

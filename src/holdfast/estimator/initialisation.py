@@ -19,9 +19,12 @@ from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig
 from holdfast.estimator.course import Course, course_of
 from holdfast.estimator.first_heading import Antennas, baseline_heading, pose_heading
+from holdfast.estimator.known_biases import KnownBiases
 from holdfast.estimator.pose_as_point import PoseAsPoint, as_position
 from holdfast.estimator.velocity_check import Company, VelocityCheck
-from holdfast.graph.alignment import BatchAligner, BiasPrior, Evidence, level_attitude, thin
+from holdfast.graph.alignment import BatchAligner, Jump
+from holdfast.graph.alignment_problem import Evidence, thin
+from holdfast.graph.first_guess import level_attitude
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array, Message
 from holdfast.sensors.imu import ImuBuffer
@@ -31,7 +34,6 @@ from holdfast.sensors.sensor import Measurement, Position, Role, Sensor, Velocit
 from holdfast.sensors.standstill import (
     ENGINE,
     fixes_stand,
-    gyro_bias_sigma_rad_s,
     quiet_window,
     standstill_covariance,
     velocities_stand,
@@ -42,11 +44,9 @@ PLAUSIBLE_FORCE_M_S2 = (7.0, 13.0)  # mean specific force of a machine on the gr
 MIN_TRAVEL_M, MIN_TRAVEL_SIGMAS = 2.0, 5.0
 RETRY_NS = 1_000_000_000
 MIN_POSITIONS = 3
-SAME_BIAS_RAD_S = 5e-3  # two standstills differ by no more
-BIAS_DRIFT_RAD_S = 1e-3  # from a standstill to the motion after it, with temperature and vibration
-MOST_STANDSTILLS = 30
-DOUBTED = 3.0  # times the sigma at power-on: of the bias of a gyroscope that has jumped
+JUMPED_RAD = radians(30.0)  # to which the heading must be known after a jump: without it the estimate runs away
 STANDING_S = 5.0, 15.0  # over which positions tell whether the machine stands, longer ones if the first cannot
+COURSE_S = 8.0, 3.0  # over which positions and velocities are averaged: two positions, or all of the shorter time
 Point = TypeVar("Point", Position, Velocity)
 NO_POSITION, NO_IMU = "no usable position has come", "no usable IMU sample has come"
 NO_OTHER = "no usable measurement of a sensor other than the IMU has come"
@@ -67,6 +67,7 @@ class Initialising:
         imu = config.imu
         self._config, self._buffer, self._gravity = config, buffer, gravity
         self._sensors = sensors
+        self.jump: Jump | None = None  # of the biases, as of the last attempt
         self._points = of_role(sensors, Role.POSITION)
         poses = of_role(sensors, Role.POSE)
         self._poses = {name: one for name, one in poses.items() if not self._points or one.parameter is None}
@@ -80,10 +81,7 @@ class Initialising:
         self._positions: deque[Position] = deque()
         self._velocities: deque[Velocity] = deque()
         self._others: dict[str, deque[Any]] = {}  # headings, poses and tracks, by sensor
-        self._bias = gtsam.imuBias.ConstantBias()
-        self._standstills = 0  # that have this bias, less those that have another
-        self._at_power_on = np.repeat([imu.accelerometer_bias_sigma, imu.gyroscope_bias_sigma], 3)
-        self._bias_sigmas = self._at_power_on
+        self.biases = KnownBiases(imu, config.initialisation.standstill_s)
         self.misfit = inf  # of the last attempt: squared residuals over what is claimed
         self._velocity_check = VelocityCheck(self._points, of_role(sensors, Role.VELOCITY))
         self._last_try_ns = self._newest_ns = NEVER_NS
@@ -145,20 +143,21 @@ class Initialising:
         positions = [one for one in self._positions if one.sensor == receiver]
         return self._velocity_check.company(witnesses, positions, since_ns)
 
+    @property
+    def has_witness(self) -> bool:
+        """Whether there are velocities that have led where the positions do, and none of which that is not known."""
+        sensors = {one.sensor for one in self._velocities}
+        return bool(sensors & self._velocity_check.proven) and not self._velocity_check.are_unsettled(self._velocities)
+
     def forget_before(self, stamp_ns: int) -> None:
         """Forget what was measured before a time."""
         self._forget_before(stamp_ns)
         self._last_try_ns = NEVER_NS
 
-    def doubt_biases(self) -> None:
-        """Doubt what standstills have told of the biases: what it led to has proved wrong."""
-        self._standstills = 0
-        self._bias_sigmas = self._at_power_on * np.repeat([1.0, DOUBTED], 3)
-
-    @property
-    def biases(self) -> BiasPrior:
-        """What is known of the biases."""
-        return BiasPrior(self._bias, self._bias_sigmas)
+    def believe_jump(self, jump: Jump, bias: gtsam.imuBias.ConstantBias) -> None:
+        """Know the biases after they have jumped: what was measured before is forgotten."""
+        self.forget_before(jump.stamp_ns)
+        self.biases.doubt(bias)
 
     def refuse(self, message: Message, outcome: Outcome) -> None:
         """Note a message that cannot be used: as long as no position could be, it is the reason."""
@@ -174,8 +173,13 @@ class Initialising:
             while series and series[0].stamp_ns < horizon_ns:
                 series.popleft()
 
-    def attempt(self) -> OptimisedState | None:
-        """Return the first state, or None with `reason` set."""
+    def attempt(self, *, may_have_jumped: bool = False) -> OptimisedState | None:
+        """Return the first state, or None with `reason` set.
+
+        Args:
+            may_have_jumped: whether the biases may have jumped since the first position; `jump` tells when.
+        """
+        self.misfit, self.jump = inf, None
         now = self._buffer.latest_ns
         standstill_s = self._config.initialisation.standstill_s
         recent = self._buffer.window(now - round(standstill_s * 1e9), now)
@@ -192,7 +196,7 @@ class Initialising:
         quiet = quiet_window(self._config.standstill, self._buffer, now, standstill_s, ENGINE)
         if quiet is not None and self._is_standing(now):
             return self._at_standstill(now, *quiet)
-        return self._in_motion(now)
+        return self._in_motion(now, may_have_jumped=may_have_jumped)
 
     # --- at standstill -----------------------------------------------------------------------------------------------
 
@@ -219,10 +223,10 @@ class Initialising:
             return by_velocity if by_position is None else by_position
         return by_velocity and by_position
 
-    def course(self, stamp_ns: int, duration_s: float) -> Course | None:
-        """Return where the newest positions of the first receiver, no older than that, lead at a time."""
-        since_ns = stamp_ns - round(duration_s * 1e9)
-        positions = sorted(self._of_first_receiver(since_ns), key=lambda one: one.stamp_ns)
+    def course(self, stamp_ns: int) -> Course | None:
+        """Return where the newest positions of the first receiver lead at a time; None if there were none of late."""
+        longest, shortest = (self._of_first_receiver(stamp_ns - round(s * 1e9)) for s in COURSE_S)
+        positions = sorted(longest, key=lambda one: one.stamp_ns)[-max(len(shortest), 2) :]
         velocities, _ = self._credible_velocities(positions, max(stamp_ns, self._buffer.latest_ns))
         arm = self._points[positions[-1].sensor].p_I_P if positions else np.zeros(3)
         return course_of(positions, velocities, stamp_ns, arm)
@@ -240,7 +244,7 @@ class Initialising:
         level = level_attitude(force)
         excess = (np.linalg.norm(force) - self._gravity) * force / np.linalg.norm(force)
         bias = gtsam.imuBias.ConstantBias(excess, rate)
-        self._note_bias(bias)
+        self.biases.note_standstill(bias)
         self.reason = "standing still without a heading: give initialisation.heading_deg, a heading topic, or move"
         heading = self._heading(now_ns, level)
         if heading is None:
@@ -253,19 +257,6 @@ class Initialising:
         self.reason, self.misfit = "standstill", 0.0
         nav = gtsam.NavState(R_W_I, position, np.zeros(3))
         return OptimisedState(now_ns, nav, bias, covariance, np.zeros(3))
-
-    def _note_bias(self, bias: gtsam.imuBias.ConstantBias) -> None:
-        """Keep the mean over standstills for a start in motion; what most others contradict was an even motion."""
-        imu = self._config.imu
-        change: Array = (bias - self._bias).vector()
-        if self._standstills and np.linalg.norm(change[3:]) > SAME_BIAS_RAD_S:
-            self._standstills -= 1
-            return
-        self._standstills = min(self._standstills + 1, MOST_STANDSTILLS)
-        mean: Array = self._bias.vector() + change / self._standstills
-        self._bias = gtsam.imuBias.ConstantBias(mean[:3], mean[3:])
-        sigma = gyro_bias_sigma_rad_s(imu, self._config.initialisation.standstill_s) + BIAS_DRIFT_RAD_S
-        self._bias_sigmas = np.repeat([imu.accelerometer_bias_sigma, sigma], 3)
 
     def _position(self, now_ns: int, R_W_I: gtsam.Rot3) -> tuple[Array, Array, Array]:
         """Return p_W_I, its covariance in W, and the lever arm through which it was found."""
@@ -309,7 +300,7 @@ class Initialising:
 
     # --- in motion ---------------------------------------------------------------------------------------------------
 
-    def _in_motion(self, now_ns: int) -> OptimisedState | None:
+    def _in_motion(self, now_ns: int, *, may_have_jumped: bool) -> OptimisedState | None:
         if not self._points:
             self.reason = "moving, and no source of positions is configured: start at standstill"
             return None
@@ -325,18 +316,26 @@ class Initialising:
         if travel < needed:
             self.reason = f"moved {travel:.1f} m; a heading from motion needs {needed:.1f} m"
             return None
-        if fixes[-1].stamp_ns - self._last_try_ns < RETRY_NS:
-            return None
-        self._last_try_ns = fixes[-1].stamp_ns
-        velocities, lying = self._credible_velocities(fixes, fixes[-1].stamp_ns)
+        if not may_have_jumped:
+            if fixes[-1].stamp_ns - self._last_try_ns < RETRY_NS:
+                return None
+            self._last_try_ns = fixes[-1].stamp_ns
+        velocities, lying = self._credible_velocities(fixes, now_ns)
         evidence = Evidence(fixes, thin(velocities))
         evidence = evidence._replace(motions=self._odometry_factors(evidence.stamps))
-        limit_rad = radians(self._config.initialisation.max_heading_sigma_deg)
-        alignment = self._aligner.solve(evidence, self.biases, limit_rad)
-        self.misfit = alignment.misfit
+        limit_rad, jump_sigmas = radians(self._config.initialisation.max_heading_sigma_deg), None
+        if may_have_jumped and not self._velocity_check.are_unsettled(self._velocities):
+            limit_rad, jump_sigmas = max(limit_rad, JUMPED_RAD), self.biases.doubted
+        alignment = self._aligner.solve(evidence, self.biases.prior, limit_rad, jump_sigmas)
+        self.misfit, self.jump = alignment.misfit, alignment.jump
         without = f", without {', '.join(lying)}, which leads elsewhere than the positions" if lying else ""
         self.reason = f"{alignment.reason}{without}"
-        return None if alignment.state is None else self._by_any_clock(alignment.state, fixes[-1])
+        if alignment.state is None:
+            return None
+        if self.jump is not None and self.jump.is_believed:
+            by_deg_s, ago_s = np.degrees(self.jump.by_rad_s), (now_ns - self.jump.stamp_ns) * 1e-9
+            self.reason += f"; the bias of the gyroscope has jumped by {by_deg_s:.2g} deg/s {ago_s:.0f} s ago"
+        return self._by_any_clock(alignment.state, fixes[-1])
 
     def _credible_velocities(self, fixes: Sequence[Position], end_ns: int) -> tuple[list[Velocity], list[str]]:
         """Return velocities since the first of some positions, and the sensors that are left out."""

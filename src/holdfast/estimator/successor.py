@@ -12,6 +12,7 @@ import gtsam
 import numpy as np
 
 from holdfast.estimator.initialisation import Initialising
+from holdfast.graph.alignment import Jump
 from holdfast.measured_fields import NEVER_NS
 from holdfast.sensors.sensor import Measurement
 from holdfast.state import OptimisedState
@@ -19,7 +20,8 @@ from holdfast.state import OptimisedState
 AGAIN_NS = 60_000_000_000
 FASTER, MOST_DOUBTS = 10, 3  # the biases walk for each time that what has begun is contradicted within a minute
 FITS = 4.0  # squared residuals over what is claimed
-COURSE_S = 3.0  # over which positions and velocities are averaged
+TRIED_NS = 500_000_000  # whether the biases have jumped is looked at this often
+SAME_NS, GROWN = 1_500_000_000, 10.0  # a jump is believed if it is found there again with so much more evidence
 DOUBT_RAD = radians(60.0)  # of a heading that is kept
 TILT_DOUBT_RAD = radians(15.0)
 
@@ -42,7 +44,8 @@ class Successor:
     def __init__(self, start: Initialising, *, is_in_doubt: bool = False) -> None:
         self.start = start
         self._is_in_doubt = is_in_doubt
-        self._begun_ns = NEVER_NS
+        self._begun_ns = self._tried_ns = NEVER_NS
+        self._suspected: Jump | None = None
         self._doubts, self._doubted_ns = 0, NEVER_NS
         self._lying: frozenset[str] = frozenset()  # as of the last contradiction
         self._told: set[str] = set()
@@ -75,21 +78,47 @@ class Successor:
         is_wrong_again = current.stamp_ns - self._begun_ns < AGAIN_NS and not is_explained
         if is_wrong_again and not self._is_in_doubt:
             self._doubts, self._doubted_ns = min(self._doubts + 1, MOST_DOUBTS), current.stamp_ns
-        state = None if is_wrong_again else self.start.attempt()
+        state = None if is_wrong_again else self.start.attempt(may_have_jumped=True)
         if state is None or self.start.misfit > FITS:
             self.start.forget_before(since_ns)
             if is_wrong_again:  # a bias may have jumped
-                self.start.doubt_biases()
+                self.start.biases.doubt()
             state = self.start.attempt()
         self._is_in_doubt = state is None
         if state is not None:
-            self._begun_ns = state.stamp_ns
-            return Beginning(state, self.start.reason)
+            return self._begun(state)
         moved = self._moved(current, doubt_biases=is_wrong_again)
         if moved is None:
             return None
         self._begun_ns = current.stamp_ns
         return Beginning(moved, "position and velocity of the fixes, the heading in doubt")
+
+    def after_jump(self, now_ns: int) -> Beginning | None:
+        """Return a state to begin from if the biases have jumped, and what came later says so of the same time.
+
+        What an IMU without a fault leaves unexplained looks like a jump, too, but later like another one. And positions
+        that wander do: so velocities that have proven right must say the same.
+        """
+        if now_ns - self._tried_ns < TRIED_NS or not self.start.has_witness:
+            return None
+        self._tried_ns = now_ns
+        state, jump, before = self.start.attempt(may_have_jumped=True), self.start.jump, self._suspected
+        if jump is None or before is None or abs(jump.stamp_ns - before.stamp_ns) > SAME_NS:
+            self._suspected = jump
+            return None
+        if not jump.is_believed or jump.evidence - before.evidence < GROWN:
+            return None
+        if state is None or self.start.misfit > FITS:
+            return None
+        self._is_in_doubt = False
+        return self._begun(state)
+
+    def _begun(self, state: OptimisedState) -> Beginning:
+        jump = self.start.jump
+        if jump is not None and jump.is_believed:
+            self.start.believe_jump(jump, state.bias)
+        self._begun_ns, self._suspected = state.stamp_ns, None
+        return Beginning(state, self.start.reason)
 
     def newly_mistaken(self) -> set[str]:
         """Return the sensors of velocity that have been found mistaken since this was asked last."""
@@ -111,14 +140,14 @@ class Successor:
 
     def _moved(self, current: OptimisedState, *, doubt_biases: bool) -> OptimisedState | None:
         """Return the estimate with position and velocity of the positions, its attitude in doubt."""
-        course = self.start.course(current.stamp_ns, COURSE_S)
+        course = self.start.course(current.stamp_ns)
         if course is None:
             return None
         nav, R = current.nav, current.nav.attitude().matrix()
         covariance = np.zeros((15, 15))
         bias, covariance[9:, 9:] = current.bias, current.covariance[9:, 9:]
         if doubt_biases:
-            bias, covariance[9:, 9:] = self.start.biases.bias, np.diag(self.start.biases.sigmas**2)
+            bias, covariance[9:, 9:] = self.start.biases.prior.bias, np.diag(self.start.biases.prior.sigmas**2)
         in_W = np.diag([TILT_DOUBT_RAD**2, TILT_DOUBT_RAD**2, DOUBT_RAD**2])
         covariance[:3, :3] = current.covariance[:3, :3] + R.T @ in_W @ R
         across = gtsam.SO3.Hat(course.p_I_P)

@@ -269,6 +269,8 @@ class Tracking:
         beginning = self.successor.settle_doubt()
         if beginning is None and contradiction is not None:
             beginning = self.successor.begin(published.newest, contradiction.since_ns)
+        if beginning is None and self._is_astray() and not self._odometries.has_agreed():
+            beginning = self.successor.after_jump(now_ns)
         if beginning is not None:
             self._log.report(
                 EventKind.BEGUN_ANEW, now_ns, "" if contradiction is None else contradiction.sensor, beginning.reason
@@ -277,6 +279,10 @@ class Tracking:
         if is_recovery:
             self._monitor.recovered(now_ns)
         return Update(published.newest, published.settled(), is_recovery, standing=standing)
+
+    def _is_astray(self) -> bool:
+        """Whether positions or velocities are not what the estimate expects, several in a row."""
+        return self._positions.are_unexpected or bool(self._states.contradicting(Role.VELOCITY))
 
     def _hold_mistaken(self, now_ns: int) -> None:
         """Keep velocities out that are late, of another sign or in other axes."""

@@ -119,6 +119,10 @@ class VelocityCheck:
         found = {_company(series, track) for _, series, track in self._pairs(proven, positions, since_ns - PIECE_NS)}
         return next((one for one in (Company.ASTRAY, Company.BESIDE) if one in found), Company.UNKNOWN)
 
+    def are_unsettled(self, velocities: Iterable[Velocity]) -> bool:
+        """Whether sensors of some velocities have been proven neither right nor mistaken."""
+        return not {one.sensor for one in velocities} <= self.proven | self.mistaken
+
     def erring(self, velocities: Collection[Velocity], positions: Collection[Position]) -> list[str]:
         """Return the sensors whose velocities err, these or earlier ones."""
         found = self.lying & {one.sensor for one in velocities}

@@ -36,16 +36,17 @@ class Consensus:
         self._newest: deque[Position] = deque(maxlen=COMPARED)
         self._run: deque[tuple[int, bool]] = deque()  # stamp, and whether the estimate refused it
         self._refused = 0  # of them
-        self._outliers = 0
+        self._outliers = self._unexpected = 0
 
-    def add(self, position: Position, *, is_refused: bool) -> None:
-        """Take in a position, in the order of stamps."""
+    def add(self, position: Position, *, is_refused: bool, is_expected: bool) -> None:
+        """Take in a position, in the order of stamps; one that is not expected may be used all the same."""
         if self._newest and not self._follows(position):
             self._outliers += 1
             if self._outliers >= OUTLIERS:
                 self.clear()
             return
         self._outliers = 0
+        self._unexpected = 0 if is_expected else self._unexpected + 1
         self._newest.append(position)
         self._run.append((position.stamp_ns, is_refused))
         self._refused += is_refused
@@ -63,7 +64,7 @@ class Consensus:
         """End the run."""
         self._newest.clear()
         self._run.clear()
-        self._outliers = self._refused = 0
+        self._outliers = self._refused = self._unexpected = 0
 
     def is_against(self) -> bool:
         """Whether the estimate refused most of a run that is long enough."""
@@ -80,6 +81,11 @@ class Consensus:
             return False
         refused = [is_refused for _, is_refused in self._since_first_refused()]
         return len(refused) > 1 and all(refused)
+
+    @property
+    def is_unexpected(self) -> bool:
+        """Whether the newest of the run, more than one, are not what the estimate expects."""
+        return self._unexpected > 1
 
     @property
     def since_ns(self) -> int:

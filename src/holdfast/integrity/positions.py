@@ -125,7 +125,8 @@ class Positions:
                 self.take_out(graph.main, worse, Outcome.BASELINE)
         outcome = gate.judge(position, prediction, now_ns=now_ns, baseline_agrees=worse is not position)
         is_refused = outcome not in (Outcome.USED, Outcome.QUARANTINED)
-        self._consensus[name].add(position, is_refused=is_refused)
+        is_expected = prediction.nis <= gate.limit
+        self._consensus[name].add(position, is_refused=is_refused, is_expected=is_expected)
         self._note_departure(claimed, prediction.innovation, scale, is_refused=is_refused)
         if gate.trust is Trust.TRUSTED and outcome in LEARNT_FROM and len(state.parameter) < ARM_SIZE:
             lowest = LOWEST_SLOW if position.correlation_s >= SLOW_S and found.slow is None else LOWEST
@@ -220,6 +221,12 @@ class Positions:
     def suspects(self) -> dict[str, int]:
         """Return since when the estimate has refused all positions of receivers, more than one."""
         return {name: run.since_ns for name, run in self._consensus.items() if run.is_suspicious() or run.is_against()}
+
+    @property
+    def are_unexpected(self) -> bool:
+        """Whether the newest positions of all receivers agree among themselves, not with the estimate."""
+        runs = [run for name, run in self._consensus.items() if name not in self.wandering]
+        return bool(runs) and all(run.is_unexpected for run in runs)
 
     def is_rough(self, name: str) -> bool:
         """Whether the positions of a receiver depart from the estimate otherwise than from one that is wrong."""
