@@ -141,9 +141,9 @@ def test_the_biases_walk_faster_for_a_while_if_what_has_begun_with_a_heading_is_
     assert successor.begin(astray(), ns(0.0)) and successor.walk_scale == 1.0
     successor.begin(astray(END_S), ns(0.0))
     assert successor.walk_scale == FASTER
-    successor.calm(ns(END_S + 30.0))
+    successor.calm(ns(END_S + 15.0))
     assert successor.walk_scale == FASTER
-    successor.calm(ns(END_S + 61.0))
+    successor.calm(ns(END_S + 21.0))
     assert successor.walk_scale == 1.0
 
 

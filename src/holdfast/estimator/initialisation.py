@@ -145,9 +145,9 @@ class Initialising:
 
     @property
     def has_witness(self) -> bool:
-        """Whether there are velocities that have led where the positions do, and none of which that is not known."""
+        """Whether there are velocities that have proven right, and none of which nothing is known."""
         sensors = {one.sensor for one in self._velocities}
-        return bool(sensors & self._velocity_check.proven) and not self._velocity_check.are_unsettled(self._velocities)
+        return bool(sensors & self._velocity_check.proven) and self._velocity_check.are_explained(self._velocities)
 
     def forget_before(self, stamp_ns: int) -> None:
         """Forget what was measured before a time."""
@@ -324,7 +324,7 @@ class Initialising:
         evidence = Evidence(fixes, thin(velocities))
         evidence = evidence._replace(motions=self._odometry_factors(evidence.stamps))
         limit_rad, jump_sigmas = radians(self._config.initialisation.max_heading_sigma_deg), None
-        if may_have_jumped and not self._velocity_check.are_unsettled(self._velocities):
+        if may_have_jumped and self._velocity_check.are_explained(self._velocities, lying):
             limit_rad, jump_sigmas = max(limit_rad, JUMPED_RAD), self.biases.doubted
         alignment = self._aligner.solve(evidence, self.biases.prior, limit_rad, jump_sigmas)
         self.misfit, self.jump = alignment.misfit, alignment.jump

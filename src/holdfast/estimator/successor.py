@@ -17,11 +17,11 @@ from holdfast.measured_fields import NEVER_NS
 from holdfast.sensors.sensor import Measurement
 from holdfast.state import OptimisedState
 
-AGAIN_NS = 60_000_000_000
+AGAIN_NS, CALM_NS = 60_000_000_000, 20_000_000_000
 FASTER, MOST_DOUBTS = 10, 3  # the biases walk for each time that what has begun is contradicted within a minute
 FITS = 4.0  # squared residuals over what is claimed
 TRIED_NS = 500_000_000  # whether the biases have jumped is looked at this often
-SAME_NS, GROWN = 1_500_000_000, 10.0  # a jump is believed if it is found there again with so much more evidence
+GROWN = 10.0  # a jump is believed if it is found again with so much more evidence
 DOUBT_RAD = radians(60.0)  # of a heading that is kept
 TILT_DOUBT_RAD = radians(15.0)
 
@@ -103,7 +103,7 @@ class Successor:
             return None
         self._tried_ns = now_ns
         state, jump, before = self.start.attempt(may_have_jumped=True), self.start.jump, self._suspected
-        if jump is None or before is None or abs(jump.stamp_ns - before.stamp_ns) > SAME_NS:
+        if jump is None or before is None or not jump.is_same(before):
             self._suspected = jump
             return None
         if not jump.is_believed or jump.evidence - before.evidence < GROWN:
@@ -127,7 +127,7 @@ class Successor:
 
     def calm(self, now_ns: int) -> None:
         """Doubt the IMU less if nothing has contradicted it for a while."""
-        if self._doubts and now_ns - self._doubted_ns > AGAIN_NS:
+        if self._doubts and now_ns - self._doubted_ns > CALM_NS:
             self._doubts, self._doubted_ns = self._doubts - 1, now_ns
 
     def settle_doubt(self) -> Beginning | None:

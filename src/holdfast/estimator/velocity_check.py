@@ -119,9 +119,9 @@ class VelocityCheck:
         found = {_company(series, track) for _, series, track in self._pairs(proven, positions, since_ns - PIECE_NS)}
         return next((one for one in (Company.ASTRAY, Company.BESIDE) if one in found), Company.UNKNOWN)
 
-    def are_unsettled(self, velocities: Iterable[Velocity]) -> bool:
-        """Whether sensors of some velocities have been proven neither right nor mistaken."""
-        return not {one.sensor for one in velocities} <= self.proven | self.mistaken
+    def are_explained(self, velocities: Iterable[Velocity], left_out: Collection[str] = ()) -> bool:
+        """Whether all sensors of some velocities have proven right or mistaken; none of the former is left out."""
+        return {one.sensor for one in velocities} <= (self.proven - set(left_out)) | self.mistaken
 
     def erring(self, velocities: Collection[Velocity], positions: Collection[Position]) -> list[str]:
         """Return the sensors whose velocities err, these or earlier ones."""

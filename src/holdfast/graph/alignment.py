@@ -33,7 +33,8 @@ HEADINGS = 3  # the first guess, and others evenly beside it
 ITERATIONS = 15
 DISTINCT = 9.0  # difference of the objective (half a chi-square) by which the best heading must win
 JUMPED = 20.0  # evidence: chance leaves twelve or so
-SAME_BIAS_RAD_S = 5e-3  # two standstills differ by no more
+SAME_BIAS_RAD_S, MOST_RAD_S = 5e-3, 0.09  # two standstills differ by no more; what jumps by more has been knocked
+SAME_NS, SAME_RATIO = 1_500_000_000, 2.0
 COARSE = 3  # nodes: the time of a jump is looked for in such steps, then from node to node
 REWEIGHTED = 2  # times: how residuals fall to positions and velocities depends on what they weigh
 Solution = tuple[float, gtsam.Values]  # half the sum of squares that is left, and where
@@ -54,8 +55,13 @@ class Jump(NamedTuple):
 
     @property
     def is_believed(self) -> bool:
-        """Whether it is more than a drift, and explains more than six numbers and a time do by chance."""
-        return self.by_rad_s > SAME_BIAS_RAD_S and self.evidence >= JUMPED
+        """Whether it is no drift and no knock, and explains more than six numbers and a time do by chance."""
+        return SAME_BIAS_RAD_S < self.by_rad_s < MOST_RAD_S and self.evidence >= JUMPED
+
+    def is_same(self, other: "Jump") -> bool:
+        """Whether another, found later or earlier, is of about the same time and size."""
+        ratio = self.by_rad_s / max(other.by_rad_s, 1e-9)
+        return abs(self.stamp_ns - other.stamp_ns) <= SAME_NS and 1.0 / SAME_RATIO < ratio < SAME_RATIO
 
 
 @dataclass(frozen=True, slots=True, eq=False)
