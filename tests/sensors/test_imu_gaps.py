@@ -92,6 +92,14 @@ def test_samples_that_come_in_bursts_are_no_drop_outs_and_one_burst_that_is_miss
     assert gaps(fed(lost)[0], 2.1, 7.7) == [pytest.approx((4.0, 4.4), abs=size * 0.01)]
 
 
+@pytest.mark.parametrize("share", [0.3, 0.6])
+def test_samples_that_are_lost_by_chance_are_no_drop_outs(share):
+    """With a third of them lost no half minute was without one, and the estimator never started in motion."""
+    rng = np.random.default_rng(4)
+    samples = [one for one in noisy(end_s=60.0) if rng.random() > share]
+    assert len(gaps(fed(samples)[0], 2.0, 59.0)) <= 3
+
+
 def test_a_few_long_drop_outs_do_not_make_shorter_ones_usual():
     samples = noisy(end_s=8.0)
     silent = [one for k, one in enumerate(samples) if not 300 <= k < 340 and not 360 <= k < 400]

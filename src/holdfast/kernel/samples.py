@@ -10,7 +10,7 @@ from holdfast.kernel.types import INT64, READING, TRIPLE, UNTIL, VOID
 SUSPECT_LINE = 3  # so many steps on one line happen by chance once in a long while
 FROZEN_FACTOR = 10  # a reading that does not change at all for this many gap lengths is a dead sensor
 PERIOD_WINDOW, EXCEPTIONS = 64, 2  # samples that tell how often they come; longer intervals than the others
-MOST_GAP_NS = 250_000_000  # that bursts explain
+MOST_GAP_NS = 250_000_000  # that bursts or losses explain
 LINE_TOLERANCE = 1e-3  # of the change per sample; six channels of a living sensor never agree that well
 KEPT_ROWS, KEPT_NS = 1000, 10_000_000_000  # so many samples, or so long, are dropped at once
 DELAY_WINDOW = 64  # samples over whose shortest delay the next are judged; twice as many at most
@@ -68,7 +68,7 @@ def _learn_delay(buffer: Any, delay_ns: int) -> None:
 def _learn_period(buffer: Any, dt_ns: int) -> None:
     """Keep the periods sorted, and take 2.5 times the usual one where that is more than the configured gap.
 
-    Usual is their median or, where samples come in bursts, the period between these: half of the time lies in it.
+    Usual is their median and, where samples come in bursts or many are lost, the longest but for a few exceptions.
     """
     periods, at = buffer.periods_ns, buffer.periods
     while at > 0 and periods[at - 1] > dt_ns:
@@ -78,13 +78,8 @@ def _learn_period(buffer: Any, dt_ns: int) -> None:
     buffer.periods += 1
     if buffer.periods == PERIOD_WINDOW:
         median_ns = 0.5 * (periods[PERIOD_WINDOW // 2 - 1] + periods[PERIOD_WINDOW // 2])
-        last = PERIOD_WINDOW - 1 - EXCEPTIONS
-        longer_ns, all_ns = periods[last], periods[: last + 1].sum()
-        while 2 * longer_ns < all_ns:
-            last -= 1
-            longer_ns += periods[last]
-        burst_ns = min(round(2.5 * periods[last]), MOST_GAP_NS)
-        buffer.max_gap_ns = max(buffer.least_gap_ns, round(2.5 * median_ns), burst_ns)
+        often_ns = min(round(2.5 * periods[PERIOD_WINDOW - 1 - EXCEPTIONS]), MOST_GAP_NS)
+        buffer.max_gap_ns = max(buffer.least_gap_ns, round(2.5 * median_ns), often_ns)
         buffer.periods = 0
 
 
