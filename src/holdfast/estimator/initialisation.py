@@ -44,7 +44,6 @@ PLAUSIBLE_FORCE_M_S2 = (7.0, 13.0)  # mean specific force of a machine on the gr
 MIN_TRAVEL_M, MIN_TRAVEL_SIGMAS = 2.0, 5.0
 RETRY_NS = 1_000_000_000
 MIN_POSITIONS = 3
-JUMPED_RAD = radians(30.0)  # to which the heading must be known after a jump: without it the estimate runs away
 STANDING_S = 5.0, 15.0  # over which positions tell whether the machine stands, longer ones if the first cannot
 COURSE_S = 8.0, 3.0  # over which positions and velocities are averaged: two positions, or all of the shorter time
 Point = TypeVar("Point", Position, Velocity)
@@ -323,9 +322,9 @@ class Initialising:
         velocities, lying = self._credible_velocities(fixes, now_ns)
         evidence = Evidence(fixes, thin(velocities))
         evidence = evidence._replace(motions=self._odometry_factors(evidence.stamps))
-        limit_rad, jump_sigmas = radians(self._config.initialisation.max_heading_sigma_deg), None
-        if may_have_jumped and self._velocity_check.are_explained(self._velocities, lying):
-            limit_rad, jump_sigmas = max(limit_rad, JUMPED_RAD), self.biases.doubted
+        is_explained = may_have_jumped and self._velocity_check.are_explained(self._velocities, lying)
+        jump_sigmas = self.biases.doubted if is_explained else None
+        limit_rad = radians(self._config.initialisation.max_heading_sigma_deg)
         alignment = self._aligner.solve(evidence, self.biases.prior, limit_rad, jump_sigmas)
         self.misfit, self.jump = alignment.misfit, alignment.jump
         without = f", without {', '.join(lying)}, which leads elsewhere than the positions" if lying else ""

@@ -6,7 +6,7 @@ Heading may have other minima, so the batch is solved from other headings as wel
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import inf, log, sqrt
+from math import inf, log, radians, sqrt
 from typing import NamedTuple
 
 import gtsam
@@ -33,8 +33,10 @@ HEADINGS = 3  # the first guess, and others evenly beside it
 ITERATIONS = 15
 DISTINCT = 9.0  # difference of the objective (half a chi-square) by which the best heading must win
 JUMPED = 20.0  # evidence: chance leaves twelve or so
+JUMPED_RAD = radians(30.0)  # to which the heading must be known after a jump: without it the estimate runs away
 SAME_BIAS_RAD_S, MOST_RAD_S = 5e-3, 0.09  # two standstills differ by no more; what jumps by more has been knocked
 SAME_NS, SAME_RATIO = 1_500_000_000, 2.0
+BEYOND, WIDENED = 3.0, 10.0  # sigmas by which a bias departs from what was known of it, which then was so much less
 COARSE = 3  # nodes: the time of a jump is looked for in such steps, then from node to node
 REWEIGHTED = 2  # times: how residuals fall to positions and velocities depends on what they weigh
 Solution = tuple[float, gtsam.Values]  # half the sum of squares that is left, and where
@@ -85,6 +87,22 @@ class Alignment:
     jump: Jump | None = None
 
 
+class Explained(NamedTuple):
+    """Biases with which a batch was solved.
+
+    Attributes:
+        spells: of biases, as they were known.
+        deltas: what the IMU measured between the nodes.
+        solutions: the best first.
+        jump: that was looked for.
+    """
+
+    spells: list[Spell]
+    deltas: Sequence[gtsam.PreintegratedImuMeasurements]
+    solutions: list[Solution]
+    jump: Jump | None
+
+
 class BatchAligner:
     """Solves the batch again and again while its window moves on; one instance per start.
 
@@ -118,26 +136,35 @@ class BatchAligner:
             max_heading_sigma_rad: what is wanted.
             jump_sigmas: (6,) as in `BiasPrior`, by how much the biases may have jumped within the window; None: not.
         """
-        deltas, noise, spells, jump = (
-            self._problems.preintegrate(evidence.stamps, prior.bias),
-            Noise(),
-            [Spell(0, prior)],
-            None,
-        )
-        problem = self._problems.problem(evidence, deltas, spells, noise)
-        solutions = _solved(problem.graph, list(self._starts(evidence, deltas, prior.bias)))
-        if solutions and jump_sigmas is not None:
-            jump, after = self._jump(evidence, deltas, prior, BiasPrior(prior.bias, jump_sigmas), solutions[0])
-            if jump.is_believed:
-                spells.append(Spell(jump.stamp_ns, BiasPrior(prior.bias, jump_sigmas)))
-                problem, solutions = self._problems.problem(evidence, deltas, spells, noise), [after]
+        spells, deltas, solutions, jump = self._explained(evidence, prior, jump_sigmas)
+        noise, problem = Noise(), self._problems.problem(evidence, deltas, spells, Noise())
         for _ in range(REWEIGHTED if solutions else 0):
             noise = problem.noise(solutions[0][1], noise, evidence.freedom)
             problem = self._problems.problem(evidence, deltas, spells, noise)
             solutions = _solved(problem.graph, [values for _, values in solutions])
         if not solutions:
             return Alignment(None, "the batch of GNSS and IMU has no solution")
+        if len(spells) > 1:
+            max_heading_sigma_rad = max(max_heading_sigma_rad, JUMPED_RAD)
         return replace(self._judge(problem, evidence, solutions, noise, max_heading_sigma_rad), jump=jump)
+
+    def _explained(self, evidence: Evidence, prior: BiasPrior, jump_sigmas: Array | None) -> Explained:
+        """Solve for biases that are constant, that have jumped if they may, or that were not what was known of them."""
+        deltas, spells, jump = self._problems.preintegrate(evidence.stamps, prior.bias), [Spell(0, prior)], None
+        problem = self._problems.problem(evidence, deltas, spells, Noise())
+        solutions = _solved(problem.graph, list(self._starts(evidence, deltas, prior.bias)))
+        if solutions and jump_sigmas is not None:
+            after = BiasPrior(prior.bias, jump_sigmas)
+            jump, solution = self._jump(evidence, deltas, prior, after, solutions[0])
+            if jump.is_believed:
+                return Explained([*spells, Spell(jump.stamp_ns, after)], deltas, [solution], jump)
+        if solutions and _is_beyond(solutions[0], prior):
+            spells = [Spell(0, BiasPrior(prior.bias, WIDENED * prior.sigmas))]
+            found = solutions[0][1].atConstantBias(gtsam.symbol("b", 0))
+            deltas = self._problems.preintegrate(evidence.stamps, found)
+            problem = self._problems.problem(evidence, deltas, spells, Noise())
+            solutions = _solved(problem.graph, [values for _, values in solutions])
+        return Explained(spells, deltas, solutions, jump)
 
     def _jump(
         self,
@@ -230,6 +257,12 @@ class BatchAligner:
         rate = self._buffer.angular_velocity(stamps[-1]) - bias.gyroscope()
         state = OptimisedState(stamps[-1], nav, bias, covariance, rate)
         return Alignment(state, f"heading from motion, {np.degrees(sigma):.1f} deg", sigma, excess, max(excess, *noise))
+
+
+def _is_beyond(solution: Solution, prior: BiasPrior) -> bool:
+    """Whether a bias is so far from what was known of it that this must have been wrong."""
+    off: Array = (solution[1].atConstantBias(gtsam.symbol("b", 0)) - prior.bias).vector()
+    return bool((np.abs(off) > BEYOND * prior.sigmas).any())
 
 
 def _solved(graph: gtsam.NonlinearFactorGraph, starts: Sequence[gtsam.Values]) -> list[Solution]:

@@ -20,6 +20,7 @@ MAX_EXCESS = 400.0  # of the squared residuals over their expectation: claims th
 LEAST_NOISE = 0.01  # of the variance that is claimed, where residuals show less
 CLAIMED_DEGREES = 30.0  # of freedom, that residuals must have to count as much as a claim: neighbours err alike
 BUCKET_NS = 1_000_000_000  # of each sensor one measurement in so long: errors of neighbours are alike
+FAR_RAD_S = 0.02  # over a second what is linear about a bias is right to 2e-4 rad
 FREE = 1e6
 Point = TypeVar("Point", Position, Velocity)
 
@@ -123,17 +124,25 @@ class Problems:
         estimated = [(name, one.parameter) for name, one in positions.items() if one.parameter is not None]
         self.arms = {name: (gtsam.symbol("a", k), prior) for k, (name, prior) in enumerate(estimated)}
         self._deltas: dict[tuple[int, int], gtsam.PreintegratedImuMeasurements] = {}
+        self._bias = gtsam.imuBias.ConstantBias()  # about which they are linear
 
     def preintegrate(
         self, stamps: Sequence[int], bias: gtsam.imuBias.ConstantBias
     ) -> list[gtsam.PreintegratedImuMeasurements]:
-        """Return what leads from each stamp to the next; most of it is known from the attempt before."""
-        known, self._deltas = self._deltas, {}
+        """Return what leads from each stamp to the next, linear about a bias or one near it.
+
+        Most of it is known from the attempt before.
+        """
+        is_far = np.abs(bias.gyroscope() - self._bias.gyroscope()).max() > FAR_RAD_S
+        known, self._deltas = {} if is_far else self._deltas, {}
+        if not known:
+            self._bias = bias
         for start, end in pairwise(stamps):
             pim = known.get((start, end))
             if pim is None:
                 steps, seen = self._buffer.steps(start, end), self._buffer.density(start, end)
-                pim = preintegrate(steps, self._noise, level_attitude(steps[0].specific_force), bias, seen)
+                attitude = level_attitude(steps[0].specific_force)
+                pim = preintegrate(steps, self._noise, attitude, self._bias, seen)
             self._deltas[start, end] = pim
         return list(self._deltas.values())
 
