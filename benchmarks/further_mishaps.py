@@ -91,9 +91,10 @@ def late(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
     return arrived, f"{share:.0%} of GNSS {by_s:g} s late"
 
 
-def twice(_: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
-    """All that the receiver says comes twice."""
-    return [again for one in messages for again in ([one, one] if isinstance(one, GNSS) else [one])], "GNSS twice"
+def twice(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
+    """A third of what the receiver says comes twice."""
+    repeated = [one for one in messages for _ in range(1 + (isinstance(one, GNSS) and rng.random() < 1 / 3))]
+    return repeated, "GNSS in part twice"
 
 
 def no_claims(_: np.random.Generator, messages: Messages) -> tuple[Messages, str]:

@@ -58,7 +58,7 @@ class InertialConfig(MountedConfig):
     gyroscope_bias_sigma: float = quantity("rad/s", 0.01, gt=0, le=1, doc="bias at power-on, from the datasheet")
     accelerometer_range: float = quantity("m/s^2", 160.0, gt=10, doc="samples beyond are refused")
     gyroscope_range: float = quantity("rad/s", 35.0, gt=0.1, doc="samples beyond are refused")
-    max_gap_s: float = quantity("s", 0.05, gt=0, le=1, doc="longer silence (or 2.5 periods or bursts) is a drop-out")
+    max_gap_s: float = quantity("s", 0.05, gt=0, le=1, doc="longer silence (or 2.5 usual periods) is a drop-out")
 
 
 class PositionConfig(MountedConfig):

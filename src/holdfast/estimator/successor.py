@@ -17,7 +17,8 @@ from holdfast.measured_fields import NEVER_NS
 from holdfast.sensors.sensor import Measurement
 from holdfast.state import OptimisedState
 
-AGAIN_NS, CALM_NS = 60_000_000_000, 20_000_000_000
+AGAIN_NS = 60_000_000_000
+CALM_NS = 20_000_000_000  # after which the IMU is doubted less: such a walk is what an outage is lost by
 FASTER, MOST_DOUBTS = 10, 3  # the biases walk for each time that what has begun is contradicted within a minute
 FITS = 4.0  # squared residuals over what is claimed
 TRIED_NS = 500_000_000  # whether the biases have jumped is looked at this often
