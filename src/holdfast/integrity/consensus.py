@@ -12,6 +12,7 @@ import numpy as np
 
 from holdfast.messages import Array
 from holdfast.sensors.sensor import Position
+from holdfast.state import Outcome
 
 MAX_ACCELERATION_M_S2 = 10.0  # what tyres and tracks hold
 SIGMA = 4.0
@@ -37,9 +38,11 @@ class Consensus:
         self._run: deque[tuple[int, bool]] = deque()  # stamp, and whether the estimate refused it
         self._refused = 0  # of them
         self._outliers = self._unexpected = 0
+        self._kept_out: list[int] = []  # stamps of the newest that were not expected and not used
 
-    def add(self, position: Position, *, is_refused: bool, is_expected: bool) -> None:
-        """Take in a position, in the order of stamps; one that is not expected may be used all the same."""
+    def add(self, position: Position, outcome: Outcome, *, is_expected: bool) -> None:
+        """Take in a position, in the order of stamps; one that is not expected may be used all the same, or wait."""
+        is_refused = outcome not in (Outcome.USED, Outcome.QUARANTINED)
         if self._newest and not self._follows(position):
             self._outliers += 1
             if self._outliers >= OUTLIERS:
@@ -47,6 +50,10 @@ class Consensus:
             return
         self._outliers = 0
         self._unexpected = 0 if is_expected else self._unexpected + 1
+        if is_expected or outcome is Outcome.USED:
+            self._kept_out.clear()
+        else:
+            self._kept_out.append(position.stamp_ns)
         self._newest.append(position)
         self._run.append((position.stamp_ns, is_refused))
         self._refused += is_refused
@@ -64,6 +71,7 @@ class Consensus:
         """End the run."""
         self._newest.clear()
         self._run.clear()
+        self._kept_out.clear()
         self._outliers = self._refused = self._unexpected = 0
 
     def is_against(self) -> bool:
@@ -76,9 +84,9 @@ class Consensus:
         return sum(is_refused for _, is_refused in run) >= REFUSED_FRACTION * len(run)
 
     def is_suspicious(self) -> bool:
-        """Whether the estimate refused the newest of the run, more than one: too few on their own."""
-        if self._refused < 2:  # as a rule
-            return False
+        """Whether the estimate refused the newest of the run, or has them wait, more than one: too few on their own."""
+        if self._refused < 2 or len(self._kept_out) > 1:  # as a rule
+            return len(self._kept_out) > 1
         refused = [is_refused for _, is_refused in self._since_first_refused()]
         return len(refused) > 1 and all(refused)
 
@@ -89,8 +97,9 @@ class Consensus:
 
     @property
     def since_ns(self) -> int:
-        """Stamp of the first position of the run that the estimate refused; it must be against it."""
-        return self._since_first_refused()[0][0]
+        """Stamp of the first position of the run that the estimate refused or had wait; there must be one."""
+        refused = self._since_first_refused()
+        return refused[0][0] if refused else self._kept_out[0]
 
     def _since_first_refused(self) -> list[tuple[int, bool]]:
         return list(dropwhile(lambda one: not one[1], self._run))

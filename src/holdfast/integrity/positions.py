@@ -126,7 +126,7 @@ class Positions:
         outcome = gate.judge(position, prediction, now_ns=now_ns, baseline_agrees=worse is not position)
         is_refused = outcome not in (Outcome.USED, Outcome.QUARANTINED)
         is_expected = prediction.nis <= gate.limit
-        self._consensus[name].add(position, is_refused=is_refused, is_expected=is_expected)
+        self._consensus[name].add(position, outcome, is_expected=is_expected)
         self._note_departure(claimed, prediction.innovation, scale, is_refused=is_refused)
         if gate.trust is Trust.TRUSTED and outcome in LEARNT_FROM and len(state.parameter) < ARM_SIZE:
             lowest = LOWEST_SLOW if position.correlation_s >= SLOW_S and found.slow is None else LOWEST
