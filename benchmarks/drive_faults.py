@@ -148,8 +148,7 @@ def judge(drive: Path, name: str) -> dict[str, Any]:
     config = starter_config(drive / "bag")
     rules = [HoldOut(sensor, 2) for sensor in names_of(config, "gnss")]
     messages = messages_of(drive, config)
-    stay = those_not_used(config, rules, messages)
-    changed = [old if id(old) in stay else new for old, new in zip(messages, FAULTS[name](messages), strict=True)]
+    changed = where_used(config, rules, messages, FAULTS[name](messages))
     return held_out_row(config, run_system(Estimator(config), changed, rules), changed, drive / "reference.csv")
 
 
@@ -158,6 +157,12 @@ def those_not_used(config: Config, rules: list[HoldOut], messages: list[Message]
     held_out = HoldOutFilter(rules, config)
     of_no_use = {id(one) for one in held_out.split(messages) if not held_out.is_usable(one)}
     return of_no_use | {id(one) for one, _ in held_out.held}
+
+
+def where_used(config: Config, rules: list[HoldOut], before: list[Message], after: list[Message]) -> list[Message]:
+    """Return changed messages, but those of before of what is not used: no fault is to change what judges."""
+    stay = those_not_used(config, rules, before)
+    return [old if id(old) in stay else new for old, new in zip(before, after, strict=True)]
 
 
 def main() -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from drive_faults import those_not_used
+from drive_faults import where_used
 from drives import held_out_row, messages_of, names_of, recorded_in, run_system, starter_config
 from further_mishaps import FURTHER, LYING
 from mishaps import MISHAPS, Mishap
@@ -32,11 +32,8 @@ def run(drives: list[Path], mishaps: Sequence[Mishap], seed: int) -> tuple[str, 
     happened = []
     chosen = [mishaps[number] for number in sorted(rng.choice(len(mishaps), 3, replace=False))]
     for mishap in sorted(chosen, key=lambda one: one in LYING):
-        stay = those_not_used(config, rules, messages) if mishap in LYING else set()
         after, what = mishap(rng, messages)
-        if stay:
-            after = [old if id(old) in stay else new for old, new in zip(messages, after, strict=True)]
-        messages = after
+        messages = where_used(config, rules, messages, after) if mishap in LYING else after
         happened.append(what)
     tried = run_system(Estimator(config), messages, rules)
     return drive.name, happened, held_out_row(config, tried, messages, drive / "reference.csv")

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from drive_faults import moved
-from mishaps import GNSS, Messages, Mishap, changed, direction, every_nth, since_s
+from mishaps import GNSS, Messages, Mishap, changed, claiming, direction, every_nth, read_as, since_s
 
 from holdfast.messages import GnssFix, GnssVelocity, ImuSample, Message
 
@@ -22,51 +22,35 @@ def rare_samples(rng: np.random.Generator, messages: Messages) -> tuple[Messages
     return every_nth(ImuSample, messages, every), f"IMU rate / {every}"
 
 
-def read_as(force: np.ndarray, rate: np.ndarray, messages: Messages) -> Messages:
-    """Return the messages with other scales of the axes of accelerometer (3,) and gyroscope (3,)."""
-
-    def change(one: ImuSample) -> ImuSample:
-        return replace(one, specific_force=one.specific_force * force, angular_velocity=one.angular_velocity * rate)
-
-    return changed(ImuSample, messages, change)
-
-
 def scales(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
     """The IMU's axes have scale errors of up to 4 and 6 %."""
-    force, rate = 1.0 + rng.uniform(-0.04, 0.04, 3), 1.0 + rng.uniform(-0.06, 0.06, 3)
-    return read_as(force, rate, messages), "scale errors"
+    of_force, of_rate = 1.0 + rng.uniform(-0.04, 0.04, 3), 1.0 + rng.uniform(-0.06, 0.06, 3)
+    return read_as(lambda force, rate: (force * of_force, rate * of_rate), messages), "scale errors"
 
 
 def biases(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
     """The IMU has biases of 3 to 8 deg/s and 0.5 to 1.5 m/s^2, ten times what is believed at power-on."""
     rate_deg_s, force_m_s2 = rng.uniform(3.0, 8.0), rng.uniform(0.5, 1.5)
-    rate, force = np.radians(rate_deg_s) * direction(rng), force_m_s2 * direction(rng)
-
-    def change(one: ImuSample) -> ImuSample:
-        return replace(one, specific_force=one.specific_force + force, angular_velocity=one.angular_velocity + rate)
-
-    return changed(ImuSample, messages, change), f"biases {rate_deg_s:.0f} deg/s {force_m_s2:.1f} m/s^2"
+    of_rate, of_force = np.radians(rate_deg_s) * direction(rng), force_m_s2 * direction(rng)
+    biased = read_as(lambda force, rate: (force + of_force, rate + of_rate), messages)
+    return biased, f"biases {rate_deg_s:.0f} deg/s {force_m_s2:.1f} m/s^2"
 
 
 def coarse(_: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
     """The IMU reads in steps of 0.3 deg/s and 0.08 m/s^2."""
-
-    def change(one: ImuSample) -> ImuSample:
-        force, rate = np.round(one.specific_force / 0.08) * 0.08, np.round(one.angular_velocity / 0.005) * 0.005
-        return replace(one, specific_force=force, angular_velocity=rate)
-
-    return changed(ImuSample, messages, change), "IMU coarse"
+    return read_as(
+        lambda force, rate: (np.round(force / 0.08) * 0.08, np.round(rate / 0.005) * 0.005), messages
+    ), "IMU coarse"
 
 
 def vibration(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
     """The machine shakes."""
-    of_force = float(rng.choice([1.0, 5.0]))
+    shakes = float(rng.choice([1.0, 5.0]))
 
-    def change(one: ImuSample) -> ImuSample:
-        force, rate = of_force * rng.standard_normal(3), 0.05 * of_force * rng.standard_normal(3)
-        return replace(one, specific_force=one.specific_force + force, angular_velocity=one.angular_velocity + rate)
+    def shaken(force: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return force + shakes * rng.standard_normal(3), rate + 0.05 * shakes * rng.standard_normal(3)
 
-    return changed(ImuSample, messages, change), f"vibration {of_force:g} m/s^2"
+    return read_as(shaken, messages), f"vibration {shakes:g} m/s^2"
 
 
 def clock_step(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
@@ -105,11 +89,7 @@ def no_claims(_: np.random.Generator, messages: Messages) -> tuple[Messages, str
 def claims_of_velocity(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
     """Doppler velocities claim ten times too much or too little."""
     factor = float(rng.choice([0.1, 10.0]))
-
-    def claiming(one: GnssVelocity) -> GnssVelocity:
-        return one if one.covariance is None else replace(one, covariance=one.covariance * factor**2)
-
-    return changed(GnssVelocity, messages, claiming), f"Doppler claims {factor:g} times"
+    return claiming(GnssVelocity, factor, messages), f"Doppler claims {factor:g} times"
 
 
 def outliers(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:

@@ -37,6 +37,25 @@ def changed(kinds: Any, messages: Messages, change: Callable[[Any], Any]) -> Mes
     return [change(one) if isinstance(one, kinds) else one for one in messages]
 
 
+def read_as(change: Callable[[Any, Any], tuple[Any, Any]], messages: Messages) -> Messages:
+    """Return the messages with other readings of the IMU: of (3,) specific force and (3,) angular velocity."""
+
+    def other(one: ImuSample) -> ImuSample:
+        force, rate = change(one.specific_force, one.angular_velocity)
+        return replace(one, specific_force=force, angular_velocity=rate)
+
+    return changed(ImuSample, messages, other)
+
+
+def claiming(kind: type[Message], factor: float, messages: Messages) -> Messages:
+    """Return the messages with so many times the sigma in the claims of one kind."""
+
+    def other(one: Any) -> Any:
+        return one if one.covariance is None else replace(one, covariance=one.covariance * factor**2)
+
+    return changed(kind, messages, other)
+
+
 def every_nth(kind: type[Message], messages: Messages, n: int) -> Messages:
     """Return the messages with every n-th of one kind alone."""
     kept = {id(one) for one in [one for one in messages if isinstance(one, kind)][::n]}
@@ -72,11 +91,7 @@ def late_start(rng: np.random.Generator, messages: Messages) -> tuple[Messages, 
 def any_mount(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
     """The IMU is mounted in any attitude."""
     R = exponentials(rng.uniform(0.0, np.pi) * direction(rng)[None])[0]
-
-    def turned(one: ImuSample) -> ImuSample:
-        return replace(one, angular_velocity=R @ one.angular_velocity, specific_force=R @ one.specific_force)
-
-    return changed(ImuSample, messages, turned), "any mount"
+    return read_as(lambda force, rate: (R @ force, R @ rate), messages), "any mount"
 
 
 def few_fixes(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
@@ -87,17 +102,14 @@ def few_fixes(rng: np.random.Generator, messages: Messages) -> tuple[Messages, s
 
 def worse_imu(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
     """The IMU has biases of up to 2 deg/s and 0.4 m/s^2, and more noise."""
-    rate, force = np.radians(rng.uniform(0.0, 2.0)) * direction(rng), rng.uniform(0.0, 0.4) * direction(rng)
+    of_rate, of_force = np.radians(rng.uniform(0.0, 2.0)) * direction(rng), rng.uniform(0.0, 0.4) * direction(rng)
     noise_rad_s, noise_m_s2 = [(0.0, 0.0), (0.005, 0.05), (0.02, 0.3)][int(rng.integers(3))]
 
-    def worse(one: ImuSample) -> ImuSample:
-        return replace(
-            one,
-            angular_velocity=one.angular_velocity + rate + noise_rad_s * rng.standard_normal(3),
-            specific_force=one.specific_force + force + noise_m_s2 * rng.standard_normal(3),
-        )
+    def worse(force: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        rate = rate + of_rate + noise_rad_s * rng.standard_normal(3)
+        return force + of_force + noise_m_s2 * rng.standard_normal(3), rate
 
-    return changed(ImuSample, messages, worse), f"noise {noise_rad_s:g} rad/s"
+    return read_as(worse, messages), f"noise {noise_rad_s:g} rad/s"
 
 
 def jump(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
@@ -122,11 +134,7 @@ def clock(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
 def claims(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
     """Fixes claim a tenth or a third of their sigma."""
     factor = float(rng.choice([0.1, 0.3]))
-
-    def claiming(one: GnssFix) -> GnssFix:
-        return one if one.covariance is None else replace(one, covariance=one.covariance * factor**2)
-
-    return changed(GnssFix, messages, claiming), f"claims {factor:g} times"
+    return claiming(GnssFix, factor, messages), f"claims {factor:g} times"
 
 
 def no_velocities(_: np.random.Generator, messages: Messages) -> tuple[Messages, str]:

@@ -7,7 +7,7 @@ from motion import ARM, Drive, G, machine, ns
 from rig import NO_BIAS, buffered, position
 
 from holdfast.graph.alignment import BatchAligner
-from holdfast.graph.alignment_problem import BiasPrior, Evidence
+from holdfast.graph.alignment_problem import BiasPrior, Evidence, Problems
 from holdfast.graph.first_guess import level_attitude
 from holdfast.sensors.preintegration import ImuNoise
 from holdfast.sensors.registry import sensors_of
@@ -21,7 +21,7 @@ STRAIGHT = Drive(start_s=-10.0, radius_m=1e5, speed=1e-5, tilt=0.0, heave_m=0.0)
 def aligned(motion, times, *, offset=lambda _: (0.0, 0.0, 0.0), limit_rad=LIMIT_RAD, motions=(), claim_m=0.01):
     sensors = {"gnss": sensors_of(CONFIG)["gnss"]}
     noise = ImuNoise(CONFIG.imu, CONFIG.graph.position_integration_sigma, G)
-    aligner = BatchAligner(buffered(motion, times[-1] + 0.1), noise, sensors, {})
+    aligner = BatchAligner(Problems(buffered(motion, times[-1] + 0.1), noise, sensors, {}))
     fixes = [position(motion, t, ARM, offset(t), sigma_m=claim_m) for t in times]
     return aligner.solve(Evidence(fixes, [], motions), PRIOR, limit_rad)
 

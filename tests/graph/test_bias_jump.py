@@ -8,7 +8,7 @@ from motion import ARM, Drive, G, imu, machine, ns
 from rig import NO_BIAS, buffered, position
 
 from holdfast.graph.alignment import BatchAligner
-from holdfast.graph.alignment_problem import BiasPrior, Evidence
+from holdfast.graph.alignment_problem import BiasPrior, Evidence, Problems
 from holdfast.sensors.preintegration import ImuNoise
 from holdfast.sensors.registry import sensors_of
 
@@ -32,7 +32,7 @@ def aligned(
     ]
     noise = ImuNoise(CONFIG.imu, CONFIG.graph.position_integration_sigma, G)
     buffer = buffered(motion, END_S, samples=samples)
-    aligner = BatchAligner(buffer, noise, {"gnss": sensors_of(CONFIG)["gnss"]}, {})
+    aligner = BatchAligner(Problems(buffer, noise, {"gnss": sensors_of(CONFIG)["gnss"]}, {}))
     times = np.arange(0.5, END_S, 1.0)
     fixes = [position(motion, t, ARM, rng.normal(0.0, noise_m, 3), sigma_m=claim_m) for t in times]
     return aligner.solve(Evidence(fixes, []), BiasPrior(NO_BIAS, known), np.radians(30.0), jump_sigmas)

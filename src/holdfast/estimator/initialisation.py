@@ -23,7 +23,7 @@ from holdfast.estimator.known_biases import KnownBiases
 from holdfast.estimator.pose_as_point import PoseAsPoint, as_position
 from holdfast.estimator.velocity_check import Company, VelocityCheck
 from holdfast.graph.alignment import BatchAligner, Jump
-from holdfast.graph.alignment_problem import Evidence, thin
+from holdfast.graph.alignment_problem import Evidence, Problems, thin
 from holdfast.graph.first_guess import level_attitude
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array, Message
@@ -86,7 +86,7 @@ class Initialising:
         self._last_try_ns = self._newest_ns = NEVER_NS
         self._window_ns = round(config.initialisation.window_s * 1e9)
         noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
-        self._aligner = BatchAligner(buffer, noise, self._points, of_role(sensors, Role.VELOCITY))
+        self._aligner = BatchAligner(Problems(buffer, noise, self._points, of_role(sensors, Role.VELOCITY)))
         has_messages = any(one.message is not None for one in sensors.values())
         self.reason = NO_POSITION if self._points else NO_OTHER if has_messages else NO_SENSOR
 

@@ -265,11 +265,12 @@ class Tracking:
         self.successor.calm(now_ns)
         published = self.graph.published
         published.imu_noise.walk_scale = self.successor.walk_scale
-        contradiction = None if self._odometries.has_agreed() else self._contradiction()
+        is_alone = not self._odometries.has_agreed()  # else it is the positions that have begun to err
+        contradiction = self._contradiction() if is_alone else None
         beginning = self.successor.settle_doubt()
         if beginning is None and contradiction is not None:
             beginning = self.successor.begin(published.newest, contradiction.since_ns)
-        if beginning is None and self._is_astray() and not self._odometries.has_agreed():
+        if beginning is None and is_alone and self._is_astray():
             beginning = self.successor.after_jump(now_ns)
         if beginning is not None:
             self._log.report(

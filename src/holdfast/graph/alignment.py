@@ -4,7 +4,7 @@ The first guess turns the increments of velocity that the IMU measured into thos
 Heading may have other minima, so the batch is solved from other headings as well, and the best must stand out.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import inf, log, radians, sqrt
 from typing import NamedTuple
@@ -24,9 +24,6 @@ from holdfast.graph.alignment_problem import (
 )
 from holdfast.graph.first_guess import course, first_attitudes
 from holdfast.messages import Array
-from holdfast.sensors.imu import ImuBuffer
-from holdfast.sensors.preintegration import ImuNoise
-from holdfast.sensors.sensor import PositionSensor, VelocitySensor
 from holdfast.state import OptimisedState
 
 HEADINGS = 3  # the first guess, and others evenly beside it
@@ -71,7 +68,7 @@ class Alignment:
     """The outcome of one batch.
 
     Attributes:
-        state: at the last fix, or None where the heading is not yet certain.
+        state: at the last measurement, or None where the heading is not yet certain.
         reason: what was found, in words.
         heading_sigma_rad: standard deviation of the heading, if a single best solution was found.
         excess: squared residuals over their expectation.
@@ -93,12 +90,14 @@ class Explained(NamedTuple):
     Attributes:
         spells: of biases, as they were known.
         deltas: what the IMU measured between the nodes.
-        solutions: the best first.
+        problem: made of them, with the noise that is claimed.
+        solutions: its own, the best first.
         jump: that was looked for.
     """
 
     spells: list[Spell]
     deltas: Sequence[gtsam.PreintegratedImuMeasurements]
+    problem: Problem
     solutions: list[Solution]
     jump: Jump | None
 
@@ -107,23 +106,11 @@ class BatchAligner:
     """Solves the batch again and again while its window moves on; one instance per start.
 
     Args:
-        buffer: of the IMU's samples.
-        noise: of the IMU.
-        positions: their sensors, by name.
-        velocities: their sensors, by name.
+        problems: make its graphs.
     """
 
-    def __init__(
-        self,
-        buffer: ImuBuffer,
-        noise: ImuNoise,
-        positions: Mapping[str, PositionSensor],
-        velocities: Mapping[str, VelocitySensor],
-    ) -> None:
-        self._buffer = buffer
-        self._gravity = noise.gravity
-        self._positions = positions
-        self._problems = Problems(buffer, noise, positions, velocities)
+    def __init__(self, problems: Problems) -> None:
+        self._problems = problems
 
     def solve(
         self, evidence: Evidence, prior: BiasPrior, max_heading_sigma_rad: float, jump_sigmas: Array | None = None
@@ -136,8 +123,8 @@ class BatchAligner:
             max_heading_sigma_rad: what is wanted.
             jump_sigmas: (6,) as in `BiasPrior`, by how much the biases may have jumped within the window; None: not.
         """
-        spells, deltas, solutions, jump = self._explained(evidence, prior, jump_sigmas)
-        noise, problem = Noise(), self._problems.problem(evidence, deltas, spells, Noise())
+        spells, deltas, problem, solutions, jump = self._explained(evidence, prior, jump_sigmas)
+        noise = Noise()
         for _ in range(REWEIGHTED if solutions else 0):
             noise = problem.noise(solutions[0][1], noise, evidence.freedom)
             problem = self._problems.problem(evidence, deltas, spells, noise)
@@ -157,14 +144,16 @@ class BatchAligner:
             after = BiasPrior(prior.bias, jump_sigmas)
             jump, solution = self._jump(evidence, deltas, prior, after, solutions[0])
             if jump.is_believed:
-                return Explained([*spells, Spell(jump.stamp_ns, after)], deltas, [solution], jump)
+                spells.append(Spell(jump.stamp_ns, after))
+                problem = self._problems.problem(evidence, deltas, spells, Noise())
+                return Explained(spells, deltas, problem, [solution], jump)
         if solutions and _is_beyond(solutions[0], prior):
             spells = [Spell(0, BiasPrior(prior.bias, WIDENED * prior.sigmas))]
             found = solutions[0][1].atConstantBias(gtsam.symbol("b", 0))
             deltas = self._problems.preintegrate(evidence.stamps, found)
             problem = self._problems.problem(evidence, deltas, spells, Noise())
             solutions = _solved(problem.graph, [values for _, values in solutions])
-        return Explained(spells, deltas, solutions, jump)
+        return Explained(spells, deltas, problem, solutions, jump)
 
     def _jump(
         self,
@@ -205,8 +194,8 @@ class BatchAligner:
     ) -> Iterator[gtsam.Values]:
         """Yield where the search begins: the first guess of the heading, and others evenly beside it."""
         track, speeds = course(evidence.stamps, evidence.positions, evidence.velocities)
-        first, attitudes = first_attitudes(evidence.stamps, deltas, speeds, self._gravity)
-        arm = self._positions[evidence.positions[0].sensor].p_I_P
+        first, attitudes = first_attitudes(evidence.stamps, deltas, speeds, self._problems.noise.gravity)
+        arm = self._problems.positions[evidence.positions[0].sensor].p_I_P
         for k in range(HEADINGS):
             turned = gtsam.Rot3.Yaw(2.0 * np.pi * k / HEADINGS).compose(first)
             values = gtsam.Values()
@@ -254,7 +243,7 @@ class BatchAligner:
         # a slow error of the positions is still that of the newest
         covariance[3:6, 3:6] += R.T @ evidence.positions[-1].covariance @ R * max(0.0, 1.0 - noise.of_positions)
         bias = best.atConstantBias(of_bias)
-        rate = self._buffer.angular_velocity(stamps[-1]) - bias.gyroscope()
+        rate = self._problems.buffer.angular_velocity(stamps[-1]) - bias.gyroscope()
         state = OptimisedState(stamps[-1], nav, bias, covariance, rate)
         return Alignment(state, f"heading from motion, {np.degrees(sigma):.1f} deg", sigma, excess, max(excess, *noise))
 

@@ -44,7 +44,7 @@ class Evidence(NamedTuple):
 
     Attributes:
         positions: thinned, sorted by stamp.
-        velocities: of antennas, thinned, within the span of the positions.
+        velocities: of antennas, thinned, since the first of the positions.
         motions: relative factors of odometries between keys x(0), x(1), ... of the stamps of the others.
     """
 
@@ -108,6 +108,7 @@ class Problems:
         velocities: their sensors, by name.
 
     Attributes:
+        buffer: as given, as are `noise` and `positions`.
         arms: key and prior of the lever arms that are estimated, by sensor.
     """
 
@@ -118,9 +119,8 @@ class Problems:
         positions: Mapping[str, PositionSensor],
         velocities: Mapping[str, VelocitySensor],
     ) -> None:
-        self._buffer = buffer
-        self._noise = noise
-        self._positions, self._velocities = positions, velocities
+        self.buffer, self.noise = buffer, noise
+        self.positions, self._velocities = positions, velocities
         estimated = [(name, one.parameter) for name, one in positions.items() if one.parameter is not None]
         self.arms = {name: (gtsam.symbol("a", k), prior) for k, (name, prior) in enumerate(estimated)}
         self._deltas: dict[tuple[int, int], gtsam.PreintegratedImuMeasurements] = {}
@@ -140,9 +140,9 @@ class Problems:
         for start, end in pairwise(stamps):
             pim = known.get((start, end))
             if pim is None:
-                steps, seen = self._buffer.steps(start, end), self._buffer.density(start, end)
+                steps, seen = self.buffer.steps(start, end), self.buffer.density(start, end)
                 attitude = level_attitude(steps[0].specific_force)
-                pim = preintegrate(steps, self._noise, attitude, self._bias, seen)
+                pim = preintegrate(steps, self.noise, attitude, self._bias, seen)
             self._deltas[start, end] = pim
         return list(self._deltas.values())
 
@@ -167,7 +167,7 @@ class Problems:
             spell = sum(one.since_ns <= start for one in spells) - 1
             graph.add(gtsam.ImuFactor2(keys[start], keys[end], gtsam.symbol("b", spell), pim))
         first = graph.size()
-        for name, sensor in self._positions.items():
+        for name, sensor in self.positions.items():
             own = [one for one in evidence.positions if one.sensor == name]
             arm_keys = [self.arms[name][0]] if name in self.arms else []
             gaps_s = [(b.stamp_ns - a.stamp_ns) * 1e-9 for a, b in pairwise(own)]
@@ -193,7 +193,7 @@ class Problems:
     def _velocity_factor(self, key: int, velocity: Velocity, noise: float) -> gtsam.NonlinearFactor:
         """Return a prior on the velocity of I; while the heading is unknown, the lever arm adds to the noise."""
         sensor = self._velocities[velocity.sensor]
-        turning = np.cross(self._buffer.angular_velocity(velocity.stamp_ns), sensor.p_I_P)
+        turning = np.cross(self.buffer.angular_velocity(velocity.stamp_ns), sensor.p_I_P)
         correlated = correlation_inflation(sensor.settings.correlation_s, BUCKET_NS * 1e-9)
         variance = np.diag(velocity.covariance) * correlated * noise
         sigmas = np.sqrt(np.minimum(variance + turning @ turning, FREE**2))

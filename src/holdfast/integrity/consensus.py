@@ -38,7 +38,7 @@ class Consensus:
         self._run: deque[tuple[int, bool]] = deque()  # stamp, and whether the estimate refused it
         self._refused = 0  # of them
         self._outliers = self._unexpected = 0
-        self._kept_out: list[int] = []  # stamps of the newest that were not expected and not used
+        self._kept_out: list[int] = []  # stamps of the newest that were neither expected nor used: the first two
 
     def add(self, position: Position, outcome: Outcome, *, is_expected: bool) -> None:
         """Take in a position, in the order of stamps; one that is not expected may be used all the same, or wait."""
@@ -52,7 +52,7 @@ class Consensus:
         self._unexpected = 0 if is_expected else self._unexpected + 1
         if is_expected or outcome is Outcome.USED:
             self._kept_out.clear()
-        else:
+        elif len(self._kept_out) < 2:
             self._kept_out.append(position.stamp_ns)
         self._newest.append(position)
         self._run.append((position.stamp_ns, is_refused))
@@ -85,8 +85,10 @@ class Consensus:
 
     def is_suspicious(self) -> bool:
         """Whether the estimate refused the newest of the run, or has them wait, more than one: too few on their own."""
-        if self._refused < 2 or len(self._kept_out) > 1:  # as a rule
-            return len(self._kept_out) > 1
+        if len(self._kept_out) > 1:
+            return True
+        if self._refused < 2:  # as a rule
+            return False
         refused = [is_refused for _, is_refused in self._since_first_refused()]
         return len(refused) > 1 and all(refused)
 
