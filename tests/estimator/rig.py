@@ -64,7 +64,7 @@ class Rig:
         self.headings = Headings(of(Role.HEADING), scales, self.log)
         self.odometries = Odometries(config, of(Role.ODOMETRY), self.log, self.witness, carried.odometries)
         self.states = States(of(Role.STATE, Role.VELOCITY, Role.POSE), scales, lambda _: None, self.log)
-        self.recovery = Recovery(config.gate, self.positions, self.headings, self.odometries, after_s, self.log)
+        self.recovery = Recovery(config.gate, self.positions, self.headings, self.odometries, self.log)
         self.buffer = buffered(motion, end_s, config, start_s=start_s, samples=samples)
         self.graph = DualGraph(config, self.buffer, G, self.odometries.new_tracks(), truth(motion, start_s))
         self.world = World()

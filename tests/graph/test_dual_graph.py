@@ -80,7 +80,7 @@ def test_a_trial_that_is_adopted_is_main_and_published_and_the_fallback_is_given
     rig.graph.adopt(trial)
     assert rig.graph.main is rig.graph.published is trial
     assert not rig.graph.is_lost
-    assert drive_on(rig, 4.1) == (Outcome.USED, False)
+    assert drive_on(rig, 4.1) == (Outcome.USED, None)
     assert rig.error_m() < 0.02
 
 

@@ -64,8 +64,8 @@ def test_a_jump_is_found_by_the_imu_and_begins_a_new_frame(mode):
     for t in np.arange(0.1, 2.0, 0.2):
         add(one, smoother, seen(t))
     joined = add(one, smoother, seen(2.1, JUMP))
-    assert joined.has_jumped
-    assert not any(add(one, smoother, seen(t, JUMP)).has_jumped for t in np.arange(2.3, 4.0, 0.2))
+    assert joined.jump is not None
+    assert all(add(one, smoother, seen(t, JUMP)).jump is None for t in np.arange(2.3, 4.0, 0.2))
     assert apart(smoother.newest.nav, DRIVE.nav(3.9))[0] < 0.02
 
 
@@ -124,7 +124,7 @@ def test_begun_anew_it_knows_no_pose_and_compares_with_none():
     add(one, smoother, seen(0.1))
     fresh = one.begin_anew()
     assert fresh.newest is None and one.newest is not None
-    assert not add(fresh, smoother, seen(0.3, JUMP)).has_jumped
+    assert add(fresh, smoother, seen(0.3, JUMP)).jump is None
 
 
 def test_the_frame_of_an_odometry_drifts_as_configured():
@@ -147,6 +147,6 @@ def test_a_direction_that_the_odometry_claims_not_to_know_is_left_to_the_imu(mod
     for t in np.arange(2.1, 4.1, 0.2):
         slid = slid * DRIVE.pose(t - 0.2).between(DRIVE.pose(t)) * slip
         pose = TrackPose(ns(t), "lidar", slid, free)
-        assert not add(one, smoother, pose).has_jumped
+        assert add(one, smoother, pose).jump is None
     off = DRIVE.nav(3.9).pose().between(smoother.newest.nav.pose()).translation()
     assert np.linalg.norm(off) < 0.3

@@ -21,7 +21,7 @@ def begun(count=5, duration_s=1.0, max_speed_m_s=40.0):
 
 def drive(run, times, *, refused=lambda _: True, x_m=lambda t: 5.0 * t):
     for t in times:
-        run.add(at(t, x_m(t)), REFUSED if refused(t) else Outcome.USED, is_expected=not refused(t))
+        run.add(at(t, x_m(t)), REFUSED if refused(t) else Outcome.USED, np.zeros(3), is_expected=not refused(t))
     return run
 
 
@@ -57,7 +57,7 @@ def test_it_lasts_as_long_as_is_asked_from_the_first_that_was_refused(duration_s
     run = drive(begun(duration_s=duration_s), np.arange(0.0, 60.0, 0.1), refused=lambda _: False)
     since = 60.0
     for t in np.arange(since, since + 2.0 * duration_s, 0.1):
-        run.add(at(t, 5.0 * t), REFUSED, is_expected=False)
+        run.add(at(t, 5.0 * t), REFUSED, np.zeros(3), is_expected=False)
         if run.is_against():
             break
     assert t - since == pytest.approx(duration_s, abs=0.15)
@@ -67,7 +67,7 @@ def test_positions_that_jump_about_never_make_a_run():
     rng = np.random.default_rng(1)
     run = begun()
     for t in np.arange(0.0, 20.0, 0.1):
-        run.add(at(t, rng.uniform(-100.0, 100.0)), REFUSED, is_expected=False)
+        run.add(at(t, rng.uniform(-100.0, 100.0)), REFUSED, np.zeros(3), is_expected=False)
         assert not run.is_against()
 
 
@@ -75,7 +75,7 @@ def test_a_speed_that_changes_faster_than_a_machine_can_ends_the_run():
     """A zigzag of 2 m at 10 Hz: each step is slower than 40 m/s, but no machine does it."""
     run = begun()
     for k in range(100):
-        run.add(at(0.1 * k, 2.0 * (k % 2)), REFUSED, is_expected=False)
+        run.add(at(0.1 * k, 2.0 * (k % 2)), REFUSED, np.zeros(3), is_expected=False)
         assert not run.is_against()
 
 
@@ -88,8 +88,8 @@ def test_one_or_two_outliers_are_left_out_and_a_third_begins_anew():
     for outliers, is_against in ((1, True), (2, True), (3, False)):
         run = drive(begun(), np.arange(0.0, 2.0, 0.1))
         for k in range(outliers):
-            run.add(at(2.0 + 0.1 * k, 1000.0 + 300.0 * k), REFUSED, is_expected=False)
-        run.add(at(2.3, 11.5), REFUSED, is_expected=False)
+            run.add(at(2.0 + 0.1 * k, 1000.0 + 300.0 * k), REFUSED, np.zeros(3), is_expected=False)
+        run.add(at(2.3, 11.5), REFUSED, np.zeros(3), is_expected=False)
         assert run.is_against() == is_against
 
 
@@ -131,11 +131,11 @@ def test_two_that_were_refused_in_a_row_are_suspicious_and_one_that_was_accepted
 def test_two_in_a_row_that_are_not_expected_are_noticed_though_both_are_used():
     run = begun()
     for t, is_expected in ((0.0, True), (0.1, False)):
-        run.add(at(t, 5.0 * t), Outcome.USED, is_expected=is_expected)
+        run.add(at(t, 5.0 * t), Outcome.USED, np.zeros(3), is_expected=is_expected)
     assert not run.is_unexpected
-    run.add(at(0.2, 1.0), Outcome.USED, is_expected=False)
+    run.add(at(0.2, 1.0), Outcome.USED, np.zeros(3), is_expected=False)
     assert run.is_unexpected and not run.is_suspicious()
-    run.add(at(0.3, 1.5), Outcome.USED, is_expected=True)
+    run.add(at(0.3, 1.5), Outcome.USED, np.zeros(3), is_expected=True)
     assert not run.is_unexpected
 
 
@@ -144,7 +144,7 @@ def test_two_that_have_to_wait_because_they_are_not_expected_are_suspicious_thou
     run = drive(begun(), [0.0], refused=lambda _: False)
     for t in (0.5, 1.0):
         assert not run.is_suspicious()
-        run.add(at(t, 5.0 * t), Outcome.QUARANTINED, is_expected=False)
+        run.add(at(t, 5.0 * t), Outcome.QUARANTINED, np.zeros(3), is_expected=False)
     assert run.is_suspicious() and run.since_ns == ns(0.5) and not run.is_against()
-    run.add(at(1.5, 7.5), Outcome.QUARANTINED, is_expected=True)
+    run.add(at(1.5, 7.5), Outcome.QUARANTINED, np.zeros(3), is_expected=True)
     assert not run.is_suspicious()

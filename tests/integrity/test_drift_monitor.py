@@ -9,7 +9,7 @@ from holdfast.integrity.drift_monitor import FRESH_NS, DriftMonitor
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
 
 CONFIG = OdometryConfig(kind="odometry", topic="/lidar")
-KNOWN = np.eye(9) * 0.01**2
+KNOWN = np.diag(np.repeat([0.002, 0.01, 0.01], 3) ** 2)
 SPEED_M_S = 1.5
 
 

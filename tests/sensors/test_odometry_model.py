@@ -190,8 +190,8 @@ def test_a_pseudo_global_pose_leaves_roll_and_pitch_to_the_imu():
 def test_a_jump_is_distinguished_from_noise_by_the_motion_of_the_imu():
     motion = gtsam.Pose3(gtsam.Rot3.Yaw(0.1), np.array([0.3, 0.0, 0.0]))
     noise = gtsam.Pose3.Expmap(3.0 * np.repeat([0.002, 0.02], 3))
-    assert not NOISE.has_jumped(motion * noise, motion)
-    assert NOISE.has_jumped(motion * gtsam.Pose3(gtsam.Rot3(), np.array([0.5, 0.0, 0.0])), motion)
+    assert NOISE.jump(motion * noise, motion) is None
+    assert NOISE.jump(motion * gtsam.Pose3(gtsam.Rot3(), np.array([0.5, 0.0, 0.0])), motion) is not None
 
 
 def test_an_odometry_that_proves_to_be_worse_is_trusted_less_up_to_a_bound():

@@ -22,7 +22,7 @@ from holdfast.estimator.first_heading import Antennas, baseline_heading, pose_he
 from holdfast.estimator.known_biases import KnownBiases
 from holdfast.estimator.pose_as_point import PoseAsPoint, as_position
 from holdfast.estimator.velocity_check import Company, VelocityCheck
-from holdfast.graph.alignment import BatchAligner, Jump
+from holdfast.graph.alignment import FITS, BatchAligner, Jump
 from holdfast.graph.alignment_problem import Evidence, Problems, thin
 from holdfast.graph.first_guess import level_attitude
 from holdfast.measured_fields import NEVER_NS
@@ -42,6 +42,8 @@ from holdfast.state import OptimisedState, Outcome
 
 PLAUSIBLE_FORCE_M_S2 = (7.0, 13.0)  # mean specific force of a machine on the ground
 MIN_TRAVEL_M, MIN_TRAVEL_SIGMAS = 2.0, 5.0
+DOUBTFUL = 2.0  # squared residuals over what is claimed, where an odometry is among them
+ALIKE = 0.05  # of the way: a turn into which the estimate bends it is not in the way that an odometry measures
 RETRY_NS = 1_000_000_000
 MIN_POSITIONS = 3
 STANDING_S = 5.0, 15.0  # over which positions tell whether the machine stands, longer ones if the first cannot
@@ -142,6 +144,17 @@ class Initialising:
         positions = [one for one in self._positions if one.sensor == receiver]
         return self._velocity_check.company(witnesses, positions, since_ns)
 
+    def odometry_moves_as(self, positions: Sequence[Position]) -> bool:
+        """Whether an odometry has moved in the shape of some positions of one receiver, wherever it sees them."""
+        at = [positions[k] for k in (0, len(positions) // 2, -1)]
+        arm = self._points[at[0].sensor].p_I_P
+        for name in self._odometries:
+            track = self._others.get(name, deque())
+            poses = [_track_at(track, one.stamp_ns) for one in at]
+            if all(_moved_alike(at[a], at[b], poses[a], poses[b], arm) for a, b in ((0, 1), (1, 2), (0, 2))):
+                return True
+        return False
+
     @property
     def has_witness(self) -> bool:
         """Whether there are velocities that have proven right, and none of which nothing is known."""
@@ -152,6 +165,10 @@ class Initialising:
         """Forget what was measured before a time."""
         self._forget_before(stamp_ns)
         self._last_try_ns = NEVER_NS
+
+    def forget(self, sensor: str) -> None:
+        """Forget what a heading, a pose or an odometry has said."""
+        self._others.pop(sensor, None)
 
     def believe_jump(self, jump: Jump, bias: gtsam.imuBias.ConstantBias) -> None:
         """Know the biases after they have jumped: what was measured before is forgotten."""
@@ -326,8 +343,12 @@ class Initialising:
         jump_sigmas = self.biases.doubted if is_explained else None
         limit_rad = radians(self._config.initialisation.max_heading_sigma_deg)
         alignment = self._aligner.solve(evidence, self.biases.prior, limit_rad, jump_sigmas)
+        if evidence.motions and alignment.excess > DOUBTFUL:  # an odometry that is mounted otherwise, or lies
+            other = self._aligner.solve(evidence._replace(motions=()), self.biases.prior, limit_rad, jump_sigmas)
+            if other.excess <= FITS:
+                alignment, lying = other, [*lying, *(name for name in self._odometries if name in self._others)]
         self.misfit, self.jump = alignment.misfit, alignment.jump
-        without = f", without {', '.join(lying)}, which leads elsewhere than the positions" if lying else ""
+        without = f", without {', '.join(lying)}, at odds with the positions" if lying else ""
         self.reason = f"{alignment.reason}{without}"
         if alignment.state is None:
             return None
@@ -382,6 +403,18 @@ def _track_at(track: deque[Any], stamp_ns: int) -> gtsam.Pose3 | None:
             pose: gtsam.Pose3 = before.T_I0_I.slerp(fraction, after.T_I0_I)
             return pose
     return None
+
+
+def _moved_alike(
+    then: Position, now: Position, T_I0_I_then: gtsam.Pose3 | None, T_I0_I_now: gtsam.Pose3 | None, arm: Array
+) -> bool:
+    """Whether an antenna has gone as far by an odometry as by its positions, and far enough to tell."""
+    if T_I0_I_then is None or T_I0_I_now is None:
+        return False
+    gone_m = float(np.linalg.norm(T_I0_I_now.transformFrom(arm) - T_I0_I_then.transformFrom(arm)))
+    noise_m = float(np.sqrt(np.trace(then.covariance + now.covariance)))
+    apart_m = abs(float(np.linalg.norm(now.p_W_P - then.p_W_P)) - gone_m)
+    return gone_m > MIN_TRAVEL_SIGMAS * noise_m and apart_m < ALIKE * gone_m
 
 
 def _between(measurements: Iterable[Point], start_ns: int, end_ns: int) -> list[Point]:

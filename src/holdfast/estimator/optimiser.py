@@ -371,12 +371,14 @@ class Optimiser:
             self._log.report(EventKind.GNSS_REGAINED, now_ns, "", reason)
         mistaken = successor.start.mistaken()
         for name in before.lost():
-            if name in mistaken:
+            if name in mistaken or name in before.distrusted_odometries:
                 continue
             is_receiver = self._sensors[name].role is Role.POSITION
             kind = EventKind.RECEIVER_REGAINED if is_receiver else EventKind.SENSOR_REGAINED
             self._log.report(kind, now_ns, name, reason)
-        self._start(state, successor).queue = before.queue
+        tracking = self._start(state, successor)
+        tracking.queue = before.queue
+        tracking.distrust(before.distrusted_odometries)
         self.monitor.recovered(now_ns)
 
     def drop_samples(self) -> None:

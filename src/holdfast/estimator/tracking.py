@@ -97,7 +97,7 @@ class Tracking:
         self._buffer, self._log, self._monitor = buffer, log, monitor
         self._roles = {name: sensor.role for name, sensor in sensors.items()}
         self._constraints = [sensor for sensor in sensors.values() if isinstance(sensor, ConstraintSensor)]
-        believe_after_s = config.gate.patience_s(has_odometry=bool(of_role(sensors, Role.ODOMETRY)))
+        self._gate = config.gate
         sensors = {name: with_estimated_clock(sensor) for name, sensor in sensors.items()}
         receivers = of_role(sensors, Role.POSITION)
         self._positions = Positions(
@@ -106,14 +106,14 @@ class Tracking:
             scales,
             lever_arms,
             log,
-            believe_after_s=believe_after_s,
+            believe_after_s=config.gate.patience_s(has_odometry=bool(of_role(sensors, Role.ODOMETRY))),
             accelerometer=carried.accelerometer,
         )
         self._headings = Headings(of_role(sensors, Role.HEADING), scales, log)
         odometries = of_role(sensors, Role.ODOMETRY)
         self._odometries = Odometries(config, odometries, log, self._heading_witness, carried.odometries)
         self._states = States(of_role(sensors, Role.STATE, Role.VELOCITY, Role.POSE), scales, joint_at, log)
-        self._recovery = Recovery(config.gate, self._positions, self._headings, self._odometries, believe_after_s, log)
+        self._recovery = Recovery(config.gate, self._positions, self._headings, self._odometries, log)
         self._channels: dict[Role, Channel] = {
             Role.POSITION: self._positions.add,
             Role.HEADING: self._headings.add,
@@ -155,6 +155,11 @@ class Tracking:
         channels = self._positions, self._headings, self._odometries, self._states
         return [name for channel in channels for name in channel.lost()]
 
+    @property
+    def distrusted_odometries(self) -> frozenset[str]:
+        """The odometries that lie: an estimate that begins anew does not trust them either."""
+        return self._odometries.distrusted
+
     def constants(self) -> dict[str, Constant]:
         """Return what the graph knows of the constants of sensors, by sensor or by what several share."""
         return self.graph.main.constants(self._priors)
@@ -187,8 +192,10 @@ class Tracking:
         )
 
     def distrust(self, names: Iterable[str]) -> None:
-        """Begin with receivers that are not trusted."""
+        """Begin with receivers and odometries that are not trusted."""
+        names = list(names)
         self._positions.distrust(name for name in names if self._roles.get(name) is Role.POSITION)
+        self._odometries.distrust(name for name in names if self._roles.get(name) is Role.ODOMETRY)
 
     def refuse(self, sensor: str, outcome: Outcome) -> None:
         """Note a message that could not be converted."""
@@ -217,7 +224,8 @@ class Tracking:
 
     def enqueue(self, measurement: Measurement, arrival_ns: int) -> None:
         """Let a measurement wait until the IMU has reached its time, unless it is too late."""
-        self.successor.add(measurement)
+        if measurement.sensor not in self._odometries.distrusted:
+            self.successor.add(measurement)
         stamp_ns, published = measurement.stamp_ns, self.graph.published
         name = measurement.sensor
         if stamp_ns < published.oldest_ns:
@@ -265,7 +273,7 @@ class Tracking:
         self.successor.calm(now_ns)
         published = self.graph.published
         published.imu_noise.walk_scale = self.successor.walk_scale
-        is_alone = not self._odometries.has_agreed()  # else it is the positions that have begun to err
+        is_alone = self._is_alone()  # else it is the positions that have begun to err
         contradiction = self._contradiction() if is_alone else None
         beginning = self.successor.settle_doubt()
         if beginning is None and contradiction is not None:
@@ -290,6 +298,19 @@ class Tracking:
         self._states.hold(self.successor.start.mistaken())
         for name in sorted(self.successor.newly_mistaken()):
             self._log.report(EventKind.SENSOR_LOST, now_ns, name, MISTAKEN)
+
+    def _is_alone(self) -> bool:
+        """Whether no odometry knows better than positions that contradict: none has agreed, or one moves as they do.
+
+        Positions are then believed sooner. What is not trusted is no help in beginning anew either.
+        """
+        start, departing = self.successor.start, self._positions.departing()
+        for name in self._odometries.distrusted:
+            start.forget(name)
+        is_beside = bool(departing) and start.odometry_moves_as(departing)
+        has_odometry = self._odometries.has_trusted and not is_beside
+        self._positions.be_patient(self._gate.patience_s(has_odometry=has_odometry))
+        return is_beside or not self._odometries.has_agreed()
 
     def _contradiction(self) -> Contradiction | None:
         """Return which positions contradict the estimate; velocities that say the same make fewer of them enough."""

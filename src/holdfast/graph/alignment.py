@@ -35,6 +35,7 @@ SAME_BIAS_RAD_S, MOST_RAD_S = 5e-3, 0.09  # two standstills differ by no more; w
 SAME_NS, SAME_RATIO = 1_500_000_000, 2.0
 BEYOND, WIDENED = 3.0, 10.0  # sigmas by which a bias departs from what was known of it, which then was so much less
 COARSE = 3  # nodes: the time of a jump is looked for in such steps, then from node to node
+FITS = 4.0  # squared residuals over what is claimed
 REWEIGHTED = 2  # times: how residuals fall to positions and velocities depends on what they weigh
 Solution = tuple[float, gtsam.Values]  # half the sum of squares that is left, and where
 

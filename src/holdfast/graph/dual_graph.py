@@ -119,7 +119,7 @@ class DualGraph:
             key = graph.smoother.node(pose.stamp_ns)
             track = graph.tracks[pose.sensor]
             joined.append(Joined(Outcome.LATE) if key is None else track.add(graph.smoother, key, pose))
-        return Joined(joined[-1].outcome, joined[0].has_jumped)
+        return Joined(joined[-1].outcome, joined[0].jump)
 
     def move(self, correction: gtsam.Pose3, position_sigma_m: float) -> None:
         """Begin anew, both graphs as one, at the published state moved by a correction in W, its position in doubt."""

@@ -24,10 +24,10 @@ Mode = Literal["anchored", "relative", "frozen"]
 
 
 class Joined(NamedTuple):
-    """What became of a pose, and whether its odometry has jumped before it."""
+    """What became of a pose, and by how many sigmas (6,) its odometry has jumped before it, if it has."""
 
     outcome: Outcome
-    has_jumped: bool = False
+    jump: Array | None = None
 
 
 class _Epoch(NamedTuple):
@@ -70,7 +70,7 @@ class OdometryTrack:
     def add(self, smoother: Smoother, key: int, pose: TrackPose) -> Joined:
         """Join the node of a pose, which exists under `key`, to what was before."""
         before = self._newest
-        motion, has_jumped = None, False
+        motion, jump = None, None
         if before is None or before.stamp_ns < pose.stamp_ns:
             self._newest = pose
         if before is not None and before.stamp_ns < pose.stamp_ns and pose.begins_anew:
@@ -81,21 +81,21 @@ class OdometryTrack:
             if not is_possible(motion, (pose.stamp_ns - before.stamp_ns) * 1e-9):
                 self._epochs, self._T_W_I0 = [], None
                 return Joined(Outcome.OUT_OF_RANGE)
-            has_jumped = self._has_jumped(smoother, before, pose, motion)
-            if has_jumped:
+            jump = self._jump(smoother, before, pose, motion)
+            if jump is not None:
                 self._epochs, self._T_W_I0, motion = [], None, None
         if self._mode == "relative":
-            return Joined(self._add_relative(smoother, key, before, pose, motion), has_jumped)
+            return Joined(self._add_relative(smoother, key, before, pose, motion), jump)
         if self._mode == "frozen":
-            return Joined(self._add_frozen(smoother, key, pose), has_jumped)
-        return Joined(self._add_anchored(smoother, key, pose), has_jumped)
+            return Joined(self._add_frozen(smoother, key, pose), jump)
+        return Joined(self._add_anchored(smoother, key, pose), jump)
 
-    def _has_jumped(self, smoother: Smoother, before: TrackPose, pose: TrackPose, motion: gtsam.Pose3) -> bool:
-        """Whether the IMU, which must have measured all along, contradicts the odometry."""
+    def _jump(self, smoother: Smoother, before: TrackPose, pose: TrackPose, motion: gtsam.Pose3) -> Array | None:
+        """Return by how much the IMU contradicts the odometry; None if it does not, or has not measured all along."""
         if before.stamp_ns < smoother.oldest_ns or not smoother.imu.is_trusted(before.stamp_ns, pose.stamp_ns):
-            return False
+            return None
         predicted = smoother.nav(before.stamp_ns).pose().between(smoother.nav(pose.stamp_ns).pose())
-        return self._noise.has_jumped(motion, predicted, pose.excess)
+        return self._noise.jump(motion, predicted, pose.excess)
 
     def _add_relative(
         self, smoother: Smoother, key: int, before: TrackPose | None, pose: TrackPose, motion: gtsam.Pose3 | None

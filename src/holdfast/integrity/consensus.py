@@ -7,6 +7,7 @@ further from the one before than a machine can go, and the speed from one to the
 from collections import deque
 from itertools import dropwhile
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,19 @@ SIGMA = 4.0
 OUTLIERS = 3  # so many in a row that disagree end a run
 COMPARED = 3  # of the newest make two speeds
 REFUSED_FRACTION = 0.8  # of the positions in a run: a wrong estimate explains one now and then
+WALK_M_S = 0.3  # fixes hardly walk so fast
+
+
+class _Judged(NamedTuple):
+    """A position of a run, by how much (3,) it was beside the estimate in W [m], and whether that refused it."""
+
+    position: Position
+    off_W: Array
+    is_refused: bool
+
+    @property
+    def stamp_ns(self) -> int:
+        return self.position.stamp_ns
 
 
 class Consensus:
@@ -27,21 +41,24 @@ class Consensus:
     Args:
         max_speed_m_s: faster no machine goes.
         count: so many positions are looked at, or more if there are more in
-        duration_s: [s].
+        duration_s: [s], which may change.
     """
 
     def __init__(self, max_speed_m_s: float, count: int, duration_s: float) -> None:
         self._count = count
         self._max_speed_m_s = max_speed_m_s
-        self._duration_ns = round(duration_s * 1e9)
+        self.duration_s = duration_s
         self._newest: deque[Position] = deque(maxlen=COMPARED)
-        self._run: deque[tuple[int, bool]] = deque()  # stamp, and whether the estimate refused it
+        self._run: deque[_Judged] = deque()
         self._refused = 0  # of them
         self._outliers = self._unexpected = 0
         self._kept_out: list[int] = []  # stamps of the newest that were neither expected nor used: the first two
 
-    def add(self, position: Position, outcome: Outcome, *, is_expected: bool) -> None:
-        """Take in a position, in the order of stamps; one that is not expected may be used all the same, or wait."""
+    def add(self, position: Position, outcome: Outcome, off_W: Array, *, is_expected: bool) -> None:
+        """Take in a position, in the order of stamps, and by how much (3,) it is beside the estimate in W [m].
+
+        One that is not expected may be used all the same, or wait.
+        """
         is_refused = outcome not in (Outcome.USED, Outcome.QUARANTINED)
         if self._newest and not self._follows(position):
             self._outliers += 1
@@ -55,17 +72,18 @@ class Consensus:
         elif len(self._kept_out) < 2:
             self._kept_out.append(position.stamp_ns)
         self._newest.append(position)
-        self._run.append((position.stamp_ns, is_refused))
+        self._run.append(_Judged(position, off_W, is_refused))
         self._refused += is_refused
-        while len(self._run) > self._count and self._run[1][0] <= position.stamp_ns - self._duration_ns:
-            self._refused -= self._run.popleft()[1]
+        since_ns = position.stamp_ns - round(self.duration_s * 1e9)
+        while len(self._run) > self._count and self._run[1].stamp_ns <= since_ns:
+            self._refused -= self._run.popleft().is_refused
 
     def contradict(self, position: Position) -> None:
         """Note that a position which was accepted has been taken out again."""
-        for k, (stamp_ns, is_refused) in enumerate(self._run):
-            if stamp_ns == position.stamp_ns:
-                self._run[k] = stamp_ns, True
-                self._refused += not is_refused
+        for k, one in enumerate(self._run):
+            if one.stamp_ns == position.stamp_ns:
+                self._run[k] = one._replace(is_refused=True)
+                self._refused += not one.is_refused
 
     def clear(self) -> None:
         """End the run."""
@@ -79,9 +97,9 @@ class Consensus:
         if self._refused < REFUSED_FRACTION * self._count:  # as a rule: it need not be looked at
             return False
         run = self._since_first_refused()
-        if len(run) < self._count or run[-1][0] - run[0][0] < self._duration_ns:
+        if len(run) < self._count or run[-1].stamp_ns - run[0].stamp_ns < self.duration_s * 1e9:
             return False
-        return sum(is_refused for _, is_refused in run) >= REFUSED_FRACTION * len(run)
+        return sum(one.is_refused for one in run) >= REFUSED_FRACTION * len(run)
 
     def is_suspicious(self) -> bool:
         """Whether the estimate refused the newest of the run, or has them wait, more than one: too few on their own."""
@@ -89,8 +107,19 @@ class Consensus:
             return True
         if self._refused < 2:  # as a rule
             return False
-        refused = [is_refused for _, is_refused in self._since_first_refused()]
-        return len(refused) > 1 and all(refused)
+        run = self._since_first_refused()
+        return len(run) > 1 and all(one.is_refused for one in run)
+
+    def departing(self) -> list[Position]:
+        """Return the refused positions of the run if the estimate leaves them faster than positions walk; else none."""
+        refused = [one for one in self._run if one.is_refused] if self._refused >= self._count else []
+        if not refused:
+            return []
+        first, last = refused[0], refused[-1]
+        noise_m = SIGMA * sqrt(float(np.trace(first.position.covariance + last.position.covariance)))
+        walked_m = WALK_M_S * (last.stamp_ns - first.stamp_ns) * 1e-9
+        departs = float(np.linalg.norm(last.off_W - first.off_W)) > walked_m + noise_m
+        return [one.position for one in refused] if departs else []
 
     @property
     def is_unexpected(self) -> bool:
@@ -101,10 +130,10 @@ class Consensus:
     def since_ns(self) -> int:
         """Stamp of the first position of the run that the estimate refused or had wait; there must be one."""
         refused = self._since_first_refused()
-        return refused[0][0] if refused else self._kept_out[0]
+        return refused[0].stamp_ns if refused else self._kept_out[0]
 
-    def _since_first_refused(self) -> list[tuple[int, bool]]:
-        return list(dropwhile(lambda one: not one[1], self._run))
+    def _since_first_refused(self) -> list[_Judged]:
+        return list(dropwhile(lambda one: not one.is_refused, self._run))
 
     def _follows(self, position: Position) -> bool:
         last = self._newest[-1]

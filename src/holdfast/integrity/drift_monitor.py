@@ -37,6 +37,7 @@ class _Observation(NamedTuple):
     translation_variance: float
     rotation_variance: float
     estimate_variance: float
+    attitude_variance: float
 
 
 AGREED_SCALE = 3.0  # of its configured drift
@@ -51,6 +52,7 @@ class Contradiction(NamedTuple):
         sigma_m: of that distance.
         since_ns: until when they agreed.
         is_slip: the odometry has lost its hold, rather than that GNSS is wrong.
+        moved_m: how far the machine has moved since then, by the one that says more.
     """
 
     T_W_I: gtsam.Pose3
@@ -58,6 +60,7 @@ class Contradiction(NamedTuple):
     sigma_m: float
     since_ns: int
     is_slip: bool
+    moved_m: float
 
 
 class DriftMonitor:
@@ -111,7 +114,8 @@ class DriftMonitor:
             sigmas = self._noise.drift(motion, (pose.stamp_ns - last.pose.stamp_ns) * 1e-9)
             sums = last.translation_variance + sigmas[3] ** 2, last.rotation_variance + sigmas[0] ** 2
         variance = max(float(covariance[3:6, 3:6].trace()) / 3.0, ESTIMATE_SIGMA_M**2)
-        observation = _Observation(pose, T_W_I, *sums, variance)
+        attitude_variance = float(covariance[:3, :3].trace()) / 3.0
+        observation = _Observation(pose, T_W_I, *sums, variance, attitude_variance)
         while self._observations and pose.stamp_ns - self._observations[0].pose.stamp_ns > MEMORY_NS:
             self._observations.popleft()
         found = self._compare(observation)
@@ -131,7 +135,9 @@ class DriftMonitor:
             self._doubtful.pop()  # what was seen since the two parted was no drift
         distance = self._residual_m(worst, now)
         is_slip = distance > SLIP_M_S * (now.pose.stamp_ns - since_ns) * 1e-9
-        return Contradiction(self._seen_from(worst, now), distance, distance / self._worst_ratio, since_ns, is_slip)
+        moved = max(_distance_m(worst.T_W_I, now.T_W_I), _distance_m(worst.pose.T_I0_I, now.pose.T_I0_I))
+        seen, sigma = self._seen_from(worst, now), distance / self._worst_ratio
+        return Contradiction(seen, distance, sigma, since_ns, is_slip, moved)
 
     def _is_learnt(self) -> bool:
         """Whether enough was seen of the odometry for an alarm, and to vouch."""
@@ -154,17 +160,22 @@ class DriftMonitor:
 
     def _sigma_m(self, then: _Observation, now: _Observation, scale: float) -> float:
         """Return the standard deviation of the residual per axis, what the odometry adds to it scaled."""
-        moved = float(np.linalg.norm(now.pose.T_I0_I.translation() - then.pose.T_I0_I.translation()))
+        moved = _distance_m(then.pose.T_I0_I, now.pose.T_I0_I)
         rotation_variance, translation_variance = self._noise.pose_variances()
         of_odometry = now.translation_variance - then.translation_variance + 2.0 * translation_variance
         of_odometry += (now.rotation_variance - then.rotation_variance + rotation_variance) * moved**2
-        return float(np.sqrt(scale**2 * of_odometry + now.estimate_variance + then.estimate_variance))
+        of_estimate = now.estimate_variance + then.estimate_variance + then.attitude_variance * moved**2
+        return float(np.sqrt(scale**2 * of_odometry + of_estimate))
 
     def _residual_m(self, then: _Observation, now: _Observation) -> float:
         """Return how far the machine of now lies from where the odometry has carried that of then [m]."""
-        return float(np.linalg.norm(now.T_W_I.translation() - self._seen_from(then, now).translation()))
+        return _distance_m(self._seen_from(then, now), now.T_W_I)
 
     def _seen_from(self, then: _Observation, now: _Observation) -> gtsam.Pose3:
         """Return the pose of the machine now as the odometry has carried it on from that of then."""
         motion = then.pose.T_I0_I.between(now.pose.T_I0_I)
         return then.T_W_I.compose(self._noise.calibration.motion(motion, self._calibration))
+
+
+def _distance_m(a: gtsam.Pose3, b: gtsam.Pose3) -> float:
+    return float(np.linalg.norm(b.translation() - a.translation()))

@@ -1,6 +1,6 @@
-"""Odometries on their way into both graphs: which jump, slip or fall silent, and what they say against GNSS."""
+"""Odometries on their way into both graphs: which jump, slip, lie or fall silent, and what they say against GNSS."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -13,12 +13,14 @@ from holdfast.graph.odometry_track import OdometryTrack
 from holdfast.integrity.drift_monitor import NOMINAL, Contradiction, DriftMonitor
 from holdfast.integrity.learnt_snapshot import LearntOdometry
 from holdfast.integrity.odometry_learning import OdometryLearning
+from holdfast.integrity.odometry_trust import OdometryTrust, Watched
 from holdfast.integrity.yaw_learning import HeadingWitness
 from holdfast.messages import Array
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
 from holdfast.state import EventKind, Outcome
 
 DISTRUST = 3.0  # factor on the noise of an odometry that proves to be worse than configured
+PERIODS_OF_SILENCE = 3.0
 JUMPS, JUMPS_NS = 4, 20_000_000_000  # so many jumps in this time are no jumps but noise
 
 
@@ -38,8 +40,10 @@ class _Odometry:
         self.noise = OdometryNoise(model)
         self.monitor = DriftMonitor(self.noise)
         self.learning = OdometryLearning(self.noise, carried)
-        self.used_ns: int | None = None
-        self.is_lost = False
+        self.trust = OdometryTrust(model.calibration)
+        self.is_silent = False
+        self._heard_ns: int | None = None  # what the IMU had reached when a pose came last that was of use
+        self._period_ns = 0
         self._jumps_ns: list[int] = []
 
     def note_jump(self, stamp_ns: int) -> bool:
@@ -51,13 +55,30 @@ class _Odometry:
         self.learning.trust_less(DISTRUST)
         return True
 
+    def lose(self) -> None:
+        """It is trusted no more: its jumps were no noise."""
+        self.trust.lose()
+        self._jumps_ns.clear()
+        self.forget_frame()
+
     def forget_frame(self) -> None:
         """The odometry has jumped or slipped, or the estimate was moved."""
         self.monitor.forget_frame()
         self.learning.forget_frame()
 
-    def is_silent(self, now_ns: int) -> bool:
-        return self.used_ns is not None and now_ns - self.used_ns > self.model.config.silence_s * 1e9
+    @property
+    def is_lost(self) -> bool:
+        return self.is_silent or self.trust.is_lost
+
+    def hear(self, now_ns: int) -> None:
+        """A pose came that is of use."""
+        if self._heard_ns is not None and now_ns > self._heard_ns:
+            self._period_ns = now_ns - self._heard_ns
+        self._heard_ns = now_ns
+
+    def falls_silent(self, now_ns: int) -> bool:
+        patience_ns = max(self.model.config.silence_s * 1e9, PERIODS_OF_SILENCE * self._period_ns)
+        return self._heard_ns is not None and now_ns - self._heard_ns > patience_ns
 
 
 class Odometries:
@@ -104,27 +125,52 @@ class Odometries:
         }
 
     def lost(self) -> list[str]:
-        """Return the odometries that fell silent."""
+        """Return the odometries that fell silent or are not trusted."""
         return [name for name, one in self._odometries.items() if one.is_lost]
+
+    @property
+    def distrusted(self) -> frozenset[str]:
+        """The odometries that are not trusted."""
+        return frozenset(name for name, one in self._odometries.items() if one.trust.is_lost)
+
+    @property
+    def has_trusted(self) -> bool:
+        """Whether any odometry is trusted."""
+        return any(not one.trust.is_lost for one in self._odometries.values())
+
+    def distrust(self, names: Iterable[str]) -> None:
+        """Begin with odometries that are not trusted."""
+        for name in names:
+            self._odometries[name].trust.lose()
 
     def add(self, graph: DualGraph, pose: TrackPose, now_ns: int) -> Outcome:
         """Join a pose to its track in the graphs; a jump begins a new frame."""
         odometry = self._odometries[pose.sensor]
-        outcome, has_jumped = graph.add_pose(pose)
+        if odometry.trust.is_lost:
+            outcome = self._watch(graph, odometry, pose, now_ns)
+            self._log.record(pose.stamp_ns, pose.sensor, outcome)
+            return outcome
+        outcome, jump = graph.add_pose(pose)
         if outcome is Outcome.USED:
-            odometry.used_ns = max(pose.stamp_ns, odometry.used_ns or 0)
-            if odometry.is_lost:
-                odometry.is_lost = False
+            odometry.hear(now_ns)
+            if odometry.is_silent:
+                odometry.is_silent = False
                 self._log.report(EventKind.SENSOR_REGAINED, now_ns, pose.sensor, "poses again")
         if pose.begins_anew:
             reason = "it begins a new map: the motion since the pose before is not measured"
             self._log.report(EventKind.ODOMETRY_JUMP, pose.stamp_ns, pose.sensor, reason)
             odometry.forget_frame()
-        if has_jumped:
-            often = "; too often: its noise is trebled" if odometry.note_jump(pose.stamp_ns) else ""
-            reason = f"the IMU did not measure this motion{often}"
+        lies_since_ns = odometry.trust.note_motion(pose.stamp_ns, jump)
+        if jump is not None:
+            is_often = lies_since_ns is None and odometry.note_jump(pose.stamp_ns)
+            reason = f"the IMU did not measure this motion{'; too often: its noise is trebled' if is_often else ''}"
             self._log.report(EventKind.ODOMETRY_JUMP, pose.stamp_ns, pose.sensor, reason)
             odometry.forget_frame()
+        if lies_since_ns is not None:
+            self._lose(
+                graph, pose.sensor, lies_since_ns, now_ns, "the IMU did not measure its motions, one after another"
+            )
+            outcome = Outcome.CONTRADICTED
         if pose.excess is not None:
             odometry.forget_frame()  # it does not know its motion: it cannot contradict, nor be learnt from
         elif outcome is Outcome.USED and pose is graph.newest_pose(pose.sensor):
@@ -135,11 +181,34 @@ class Odometries:
         self._log.record(pose.stamp_ns, pose.sensor, outcome)
         return outcome
 
+    def _watch(self, graph: DualGraph, odometry: _Odometry, pose: TrackPose, now_ns: int) -> Outcome:
+        """Compare how an odometry that is not trusted moves with how the estimate does, with fixes if there are any."""
+        odometry.hear(now_ns)
+        odometry.is_silent = False
+        before, main = odometry.trust.watched, graph.main
+        if odometry.trust.is_due(pose) and main.node(pose.stamp_ns) is not None:
+            seen = None
+            if before is not None and main.has_node(before.stamp_ns):
+                seen = Watched(before, self.estimated(graph, before), main.covariance(before.stamp_ns))
+            if odometry.trust.watch(pose, seen, _calibration(graph, pose.sensor)):
+                self._log.report(EventKind.SENSOR_REGAINED, now_ns, pose.sensor, "it moves as the estimate again")
+        return Outcome.QUARANTINED
+
+    def _lose(self, graph: DualGraph, name: str, since_ns: int, now_ns: int, reason: str) -> None:
+        """Trust an odometry no more, and take out what it has said since a time."""
+        self._odometries[name].lose()
+        for smoother in graph.smoothers():
+            for one in smoother.measured(since_ns, now_ns):
+                if one.sensor == name:
+                    smoother.retract(one)
+            graph.begin_tracks_anew(smoother, name)
+        self._log.report(EventKind.SENSOR_LOST, now_ns, name, reason)
+
     def review(self, now_ns: int) -> None:
         """Lose the odometries that are silent."""
         for name, one in self._odometries.items():
-            if not one.is_lost and one.is_silent(now_ns):
-                one.is_lost = True
+            if not one.is_silent and one.falls_silent(now_ns):
+                one.is_silent = True
                 self._log.report(EventKind.SENSOR_LOST, now_ns, name, "silent")
 
     def find_walk(self, graph: DualGraph, now_ns: int) -> Walk | None:
@@ -161,8 +230,12 @@ class Odometries:
             if not found.is_slip and not any(one.vouches(found.since_ns, now_ns) for one in others):
                 return Walk(name, pose, found)
             self._odometries[name].forget_frame()
-            self._log.report(EventKind.ODOMETRY_SLIP, now_ns, name, f"{found.distance_m:.2f} m beside GNSS")
-            graph.begin_tracks_anew(graph.main, name)
+            beside = f"{found.distance_m:.2f} m beside GNSS"
+            self._log.report(EventKind.ODOMETRY_SLIP, now_ns, name, beside)
+            if self._odometries[name].trust.note_slip(now_ns, found.distance_m, found.moved_m):
+                self._lose(graph, name, found.since_ns, now_ns, f"it slips again, {beside}")
+            else:
+                graph.begin_tracks_anew(graph.main, name)
         return None
 
     def estimated(self, graph: DualGraph, pose: TrackPose) -> gtsam.Pose3:
@@ -195,7 +268,7 @@ class Odometries:
 
     def _due(self, graph: DualGraph) -> Iterator[tuple[str, TrackPose]]:
         for name, one in self._odometries.items():
-            pose = graph.newest_pose(name)
+            pose = None if one.trust.is_lost else graph.newest_pose(name)
             if pose is not None and pose.stamp_ns >= graph.main.oldest_ns and one.monitor.is_due(pose):
                 yield name, pose
 

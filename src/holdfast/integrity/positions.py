@@ -78,6 +78,7 @@ class Positions:
         self.wandering: Collection[str] = ()  # receivers that are wrong, though their positions agree with each other
         self._scales = scales
         self._force = {name: ForceLearning(accelerometer) for name in sensors}
+        self.believe_after_s = believe_after_s
         self._consensus = {
             name: Consensus(config.max_speed_m_s, config.regain_after, believe_after_s) for name in sensors
         }
@@ -86,6 +87,12 @@ class Positions:
     def is_trusted(self) -> bool:
         """Whether at least one receiver is trusted."""
         return any(gate.trust is Trust.TRUSTED for gate in self.gates.values())
+
+    def be_patient(self, believe_after_s: float) -> None:
+        """From now on positions must agree among themselves for so long to be right against the estimate [s]."""
+        self.believe_after_s = believe_after_s
+        for run in self._consensus.values():
+            run.duration_s = believe_after_s
 
     def lost(self) -> list[str]:
         """Return the receivers that are not trusted."""
@@ -126,7 +133,7 @@ class Positions:
         outcome = gate.judge(position, prediction, now_ns=now_ns, baseline_agrees=worse is not position)
         is_refused = outcome not in (Outcome.USED, Outcome.QUARANTINED)
         is_expected = prediction.nis <= gate.limit
-        self._consensus[name].add(position, outcome, is_expected=is_expected)
+        self._consensus[name].add(position, outcome, innovation.y, is_expected=is_expected)
         self._note_departure(claimed, prediction.innovation, scale, is_refused=is_refused)
         if gate.trust is Trust.TRUSTED and outcome in LEARNT_FROM and len(state.parameter) < ARM_SIZE:
             lowest = LOWEST_SLOW if position.correlation_s >= SLOW_S and found.slow is None else LOWEST
@@ -243,6 +250,11 @@ class Positions:
         if not against or any(gate.trust is not Trust.LOST for gate in others):
             return None
         return Contradiction(*next(iter(against.items())))
+
+    def departing(self) -> list[Position]:
+        """Return the positions of a receiver that the estimate leaves faster than positions walk, if there are any."""
+        runs = (run.departing() for name, run in self._consensus.items() if name not in self.wandering)
+        return next((run for run in runs if run), [])
 
     def doubt(self, name: str) -> None:
         """Believe a receiver whose positions wander only as far as their distance from the estimate shows."""

@@ -26,23 +26,15 @@ class Recovery:
         positions: the receivers.
         headings: that depend on them.
         odometries: that monitor them.
-        believe_after_s: for so long positions must agree with each other to be right against the estimate.
         log: where counts and events go.
     """
 
-    def __init__(  # noqa: PLR0917 (the channels that it rules)
-        self,
-        config: GateConfig,
-        positions: Positions,
-        headings: Headings,
-        odometries: Odometries,
-        believe_after_s: float,
-        log: EventLog,
+    def __init__(
+        self, config: GateConfig, positions: Positions, headings: Headings, odometries: Odometries, log: EventLog
     ) -> None:
         self._config = config
         self._positions, self._headings, self._odometries = positions, headings, odometries
         self._log = log
-        self._believe_after_s = believe_after_s
 
     def review(self, graph: DualGraph, now_ns: int) -> bool:
         """After an optimisation: take out what later positions contradict, lose and regain receivers, switch graphs.
@@ -132,7 +124,7 @@ class Recovery:
         """
         positions = self._positions
         gate = positions.gates[name]
-        if positions.is_trusted or name in positions.wandering or not gate.contradicts_for(self._believe_after_s):
+        if positions.is_trusted or name in positions.wandering or not gate.contradicts_for(positions.believe_after_s):
             return False
         distance = gate.distance_m()
         self._log.report(EventKind.ESTIMATE_SUSPECT, now_ns, name, f"{distance:.2f} m from the positions")

@@ -131,10 +131,11 @@ class OdometryNoise:
         """The odometry has proved to be worse than configured."""
         self.scale = min(factor * self.scale, MAX_SCALE)
 
-    def has_jumped(self, motion: gtsam.Pose3, predicted: gtsam.Pose3, excess: Array | None = None) -> bool:
-        """Whether the motion between two poses is beyond `jump_sigma` from the one that the IMU predicts."""
+    def jump(self, motion: gtsam.Pose3, predicted: gtsam.Pose3, excess: Array | None = None) -> Array | None:
+        """Return by how many sigmas (6,) a motion departs from the IMU's; None if by less than `jump_sigma`."""
         residual = gtsam.Pose3.Logmap(predicted.between(motion))
-        return bool(residual @ np.linalg.solve(self.covariance(motion, excess), residual) > self._config.jump_sigma**2)
+        sigmas: Array = np.linalg.solve(np.linalg.cholesky(self.covariance(motion, excess)), residual)
+        return sigmas if float(sigmas @ sigmas) > self._config.jump_sigma**2 else None
 
     def covariance(self, motion: gtsam.Pose3, excess: Array | None = None) -> Array:
         """Return the covariance (6, 6) of the IMU's motion between two poses, rotation [rad] then translation [m].

@@ -1,0 +1,119 @@
+"""Whether an odometry is trusted: one that goes on lying is lost, and regained when it moves as the estimate does.
+
+A lidar in a tunnel says that the machine stands, one on a ferry that it turns. A jump or a slip begins the frame of an
+odometry anew, and is over. One that slips again, or whose motions the IMU contradicts one after another, would hold the
+estimate at every pose, and be believed by itself. Once it is lost, nothing of it enters; it is watched once a second.
+"""
+
+from math import radians
+from typing import NamedTuple
+
+import gtsam
+import numpy as np
+
+from holdfast.measured_fields import NEVER_NS
+from holdfast.messages import Array
+from holdfast.sensors.odometry import TrackPose
+from holdfast.sensors.odometry_calibration import OdometryCalibration
+
+JUMPS_IN_A_ROW, ONE_WAY = 4, 0.7  # so many of which the sum is so much of their sizes
+SLIPS_NS, LYING = 5_000_000_000, 0.25  # a second slip in this time is no slip, if by so much of the way
+STEP_NS = 1_000_000_000
+MAX_STEP_NS = 3 * STEP_NS
+AGREES_NS = 5_000_000_000  # for so long it must have moved as the estimate
+AGREES_M, AGREES_RAD = 1.5, radians(5.0)  # over that time: 0.3 m/s, as of a slip; or by this much of the way
+AGREES = 0.1
+SIGMA = 3.0  # of the estimate
+
+
+class Watched(NamedTuple):
+    """A pose of the odometry, where the machine was estimated then, and the covariance (9, 9) of that."""
+
+    pose: TrackPose
+    T_W_I: gtsam.Pose3
+    covariance: Array
+
+
+class OdometryTrust:
+    """The trust in one odometry.
+
+    Args:
+        calibration: of the odometry.
+    """
+
+    def __init__(self, calibration: OdometryCalibration) -> None:
+        self.is_lost = False
+        self._calibration = calibration
+        self._jumps: list[tuple[int, Array]] = []  # in a row
+        self._slipped_ns = NEVER_NS
+        self.watched: TrackPose | None = None  # is compared next, when fixes have come beside it
+        self._seen: list[Watched] = []  # all of which agree
+
+    def note_motion(self, stamp_ns: int, jump: Array | None) -> int | None:
+        """Note a motion, and by how many sigmas (6,) the IMU contradicts it; return since when the odometry lies.
+
+        Noise and outliers take back with one motion what they added with another; a lie goes on in its direction.
+        """
+        if jump is None:
+            self._jumps.clear()
+            return None
+        self._jumps = [*self._jumps[1 - JUMPS_IN_A_ROW :], (stamp_ns, jump)]
+        sigmas = np.array([of_one for _, of_one in self._jumps])
+        is_one_way = np.linalg.norm(sigmas.sum(axis=0)) > ONE_WAY * np.linalg.norm(sigmas, axis=1).sum()
+        return self._jumps[0][0] if len(self._jumps) == JUMPS_IN_A_ROW and is_one_way else None
+
+    def note_slip(self, stamp_ns: int, distance_m: float, moved_m: float) -> bool:
+        """Note a slip over a way; say whether it is not the first of late, so that the odometry lies.
+
+        One that slips by a share of the way is worth more than none, as where the IMU is silent.
+        """
+        if distance_m < LYING * moved_m:
+            return False
+        before, self._slipped_ns = self._slipped_ns, stamp_ns
+        return stamp_ns - before < SLIPS_NS
+
+    def lose(self) -> None:
+        """Trust it no more."""
+        self.is_lost, self.watched, self._slipped_ns = True, None, NEVER_NS
+        self._jumps.clear()
+        self._seen.clear()
+
+    def is_due(self, pose: TrackPose) -> bool:
+        """Whether a pose is to be watched: one a second."""
+        return self.watched is None or pose.stamp_ns - self.watched.stamp_ns >= STEP_NS
+
+    def watch(self, pose: TrackPose, seen: Watched | None, calibration: Array) -> bool:
+        """Take in where the machine was at the pose that was watched before, and watch another, which is due.
+
+        Args:
+            pose: to be watched from now on.
+            seen: what the estimate says of the one before; None if it says nothing any more.
+            calibration: (4,) what is estimated of the odometry.
+
+        Returns:
+            Whether the odometry has moved as the estimate for long enough to be trusted again.
+        """
+        self.watched = pose
+        if seen is None or not self._agrees(seen, calibration):
+            self._seen.clear()
+        if seen is not None:
+            self._seen.append(seen)
+        self.is_lost = not self._seen or self._seen[-1].pose.stamp_ns - self._seen[0].pose.stamp_ns < AGREES_NS
+        return not self.is_lost
+
+    def _agrees(self, now: Watched, calibration: Array) -> bool:
+        """Whether the odometry has moved as the estimate since the first pose of a run, and since the one before."""
+        if not self._seen:
+            return True
+        is_near = now.pose.stamp_ns - self._seen[-1].pose.stamp_ns <= MAX_STEP_NS
+        return is_near and all(self._moved_alike(then, now, calibration) for then in (self._seen[0], self._seen[-1]))
+
+    def _moved_alike(self, then: Watched, now: Watched, calibration: Array) -> bool:
+        motion = self._calibration.motion(then.pose.T_I0_I.between(now.pose.T_I0_I), calibration)
+        apart = now.T_W_I.between(then.T_W_I.compose(motion))
+        moved_m, dt_s = float(np.linalg.norm(motion.translation())), (now.pose.stamp_ns - then.pose.stamp_ns) * 1e-9
+        variances = now.covariance.diagonal()
+        attitude_rad, velocity_m_s = np.sqrt(variances[:3].mean()), np.sqrt(variances[6:9].mean())
+        reach_m = max(AGREES_M, AGREES * moved_m) + SIGMA * np.hypot(velocity_m_s * dt_s, attitude_rad * moved_m)
+        turned_rad = np.linalg.norm(gtsam.Rot3.Logmap(apart.rotation()))
+        return bool(np.linalg.norm(apart.translation()) <= reach_m and turned_rad <= AGREES_RAD + SIGMA * attitude_rad)
