@@ -16,8 +16,9 @@ import numpy as np
 from drive_faults import where_used
 from drives import held_out_row, messages_of, names_of, recorded_in, run_system, starter_config
 from further_mishaps import FURTHER, LYING
-from mishaps import MISHAPS, Mishap
+from mishaps import MISHAPS, Messages, Mishap
 
+from holdfast.config.model import Config
 from holdfast.estimator.estimator import Estimator
 from holdfast.replay.held_out import HoldOut
 
@@ -28,15 +29,22 @@ def run(drives: list[Path], mishaps: Sequence[Mishap], seed: int) -> tuple[str, 
     drive = drives[int(rng.integers(len(drives)))]
     config = starter_config(drive / "bag")
     rules = [HoldOut(sensor, 2) for sensor in names_of(config, "gnss")]
-    messages = messages_of(drive, config)
-    happened = []
     chosen = [mishaps[number] for number in sorted(rng.choice(len(mishaps), 3, replace=False))]
+    messages, happened = happen(rng, config, rules, messages_of(drive, config), chosen)
+    tried = run_system(Estimator(config), messages, rules)
+    return drive.name, happened, held_out_row(config, tried, messages, drive / "reference.csv")
+
+
+def happen(
+    rng: np.random.Generator, config: Config, rules: list[HoldOut], messages: Messages, chosen: Sequence[Mishap]
+) -> tuple[Messages, list[str]]:
+    """Return the messages after some mishaps, and what happened."""
+    happened = []
     for mishap in sorted(chosen, key=lambda one: one in LYING):
         after, what = mishap(rng, messages)
         messages = where_used(config, rules, messages, after) if mishap in LYING else after
         happened.append(what)
-    tried = run_system(Estimator(config), messages, rules)
-    return drive.name, happened, held_out_row(config, tried, messages, drive / "reference.csv")
+    return messages, happened
 
 
 def main() -> None:

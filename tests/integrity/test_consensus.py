@@ -148,3 +148,30 @@ def test_two_that_have_to_wait_because_they_are_not_expected_are_suspicious_thou
     assert run.is_suspicious() and run.since_ns == ns(0.5) and not run.is_against()
     run.add(at(1.5, 7.5), Outcome.QUARANTINED, np.zeros(3), is_expected=True)
     assert not run.is_suspicious()
+
+
+def departing(off_m, *, sigma_m=0.02, refused=lambda _: True, count=8):
+    """The run of a receiver whose positions, one a second, are so far beside the estimate at a time."""
+    run = begun(duration_s=30.0)
+    for t in np.arange(count, dtype=float):
+        outcome = REFUSED if refused(t) else Outcome.USED
+        run.add(at(t, 5.0 * t, sigma_m), outcome, np.array([0.0, off_m(t), 0.0]), is_expected=not refused(t))
+    return [position.stamp_ns for position in run.departing()]
+
+
+def test_an_estimate_leaves_positions_faster_than_they_walk():
+    assert departing(lambda t: 3.0 + 0.5 * t) == [ns(t) for t in range(8)]
+    assert departing(lambda t: 3.0 + 0.5 * t, refused=lambda t: t >= 3.0) == [ns(t) for t in range(3, 8)]
+
+
+@pytest.mark.parametrize(
+    ("off_m", "more"),
+    [
+        (lambda t: 3.0 + 0.2 * t, {}),  # as fast as positions may walk
+        (lambda _: 8.0, {}),  # a jump
+        (lambda t: 3.0 + 0.5 * t, {"count": 4}),  # too few
+        (lambda t: 3.0 + 0.5 * t, {"sigma_m": 1.0}),  # within their noise
+    ],
+)
+def test_positions_that_walk_or_have_jumped_are_not_left(off_m, more):
+    assert departing(off_m, **more) == []

@@ -77,6 +77,17 @@ def test_an_odometry_that_falls_silent_is_lost_by_its_name_and_regained_with_its
     assert rig.events() == [(EventKind.SENSOR_REGAINED, "camera")]
 
 
+def test_an_odometry_whose_poses_are_late_or_rare_is_not_silent():
+    rig = begun(end_s=20.0, more=CAMERA)
+    for t in np.arange(0.1, 9.0, 0.2):
+        rig.odometries.add(rig.graph, pose(t), ns(t + 1.5))
+        if round(t * 10) % 20 == 1:  # every two seconds
+            rig.odometries.add(rig.graph, pose(t, "camera"), ns(t + 1.5))
+        rig.update()
+        rig.odometries.review(ns(t + 1.5))
+    assert rig.odometries.lost() == [] and rig.events() == []
+
+
 def test_an_odometry_that_never_measured_is_not_lost():
     rig = begun(more=CAMERA)
     rig.odometries.review(ns(1000.0))

@@ -111,3 +111,12 @@ def test_the_frame_of_the_poses_jumps_for_good():
     expected_p = expected_p + expected_R.apply([1.0, 0.5, 0.0])
     np.testing.assert_allclose(relative(after, 99, 100)[0], expected_p, atol=1e-12)
     np.testing.assert_allclose(relative(after, 150, 390)[0], relative(before, 150, 390)[0], atol=1e-12)
+
+
+def test_a_frozen_odometry_repeats_its_first_pose():
+    before, after = HEALTHY["lidar"], strike("freeze", sensors=("lidar",))["lidar"]
+    inside = within(before)
+    for column in ("position", "quaternion"):
+        first = before.values[column][inside][:1]
+        np.testing.assert_array_equal(after.values[column][inside], first.repeat(inside.sum(), 0))
+    assert same(after.taken(~inside), before.taken(~inside))

@@ -142,7 +142,8 @@ def test_an_unknown_scenario_is_reported_with_those_that_there_are():
         ),
         (
             MINIMAL + "faults:\n  - {kind: freeze, sensors: [gnss], start_s: 1, end_s: 2}\n",
-            "mine.yaml:4 faults: freeze of entry 1 cannot happen to gnss (kinds: gnss_velocity, joint, twist)",
+            "mine.yaml:4 faults: freeze of entry 1 cannot happen to gnss"
+            " (kinds: gnss_velocity, joint, odometry, twist)",
         ),
         (
             MINIMAL + "faults:\n  - {kind: outage, sensors: [gnss], start_s: 3, end_s: 2}\n",

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from holdfast.config.section import quantity
 from holdfast.messages import Array
 from holdfast.sim.datasheets import SimulatedSensor
-from holdfast.sim.effects import jump
+from holdfast.sim.effects import freezing, jump
 from holdfast.sim.readings import Readings
 from holdfast.sim.ros import NOTHING, Encode, RosMessages
 from holdfast.sim.scene import Sampling
@@ -96,4 +96,5 @@ def encode(ros: RosMessages, sheet: SimulatedOdometry, readings: Readings) -> En
 
 
 EXAMPLE = ("camera", {"frame": "lidar", "rate_hz": 10, "topic": "/camera"})
-register(SensorKind(SimulatedOdometry, measure, MESSAGE, encode, faults={"jump": jump}, example=EXAMPLE))
+FAULTS = {"jump": jump, "freeze": freezing("position", "quaternion")}
+register(SensorKind(SimulatedOdometry, measure, MESSAGE, encode, faults=FAULTS, example=EXAMPLE))

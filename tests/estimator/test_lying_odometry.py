@@ -1,0 +1,99 @@
+"""An odometry that lies is lost and leads nothing astray; one that says what the fixes say is a witness."""
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from motion import HEADING_DEG, Drive, estimates, fixes, imu, in_order, machine, ns, run, scans, seconds
+
+from holdfast.state import EventKind
+
+ROAD = Drive(start_s=4.0, ramp_s=4.0, radius_m=20.0, speed=0.3, tilt=0.0, heave_m=0.0)  # 6 m/s
+RTK = (0.01, 0.01, 0.02)
+END_S, LIES_S, RIGHT_S = 48.0, 20.0, 34.0
+
+
+def streams(end_s=END_S, hz=2.0):
+    rng = np.random.default_rng(1)
+    return {
+        "imu": imu(ROAD, 0.0, end_s, 50.0, rng),
+        "gnss": fixes(ROAD, 0.0, end_s, hz, rng, RTK, phase_s=0.0137),
+        "lidar": scans(ROAD, 0.0, end_s, 5.0, np.random.default_rng(3), (0.001, 0.01), phase_s=0.0071),
+    }
+
+
+def errors_m(outputs, since_s):
+    found = [e for e in estimates(outputs) if e.stamp_ns > ns(since_s)]
+    true = (ROAD.nav(seconds(e.stamp_ns)).position() for e in found)
+    return [float(np.linalg.norm((e.nav.position() - p)[:2])) for e, p in zip(found, true, strict=True)]
+
+
+def of_lidar(estimator, kind):
+    return [seconds(event.stamp_ns) for event in estimator.events if (event.kind, event.sensor) == (kind, "lidar")]
+
+
+def frozen(poses):
+    at = next(one for one in poses if one.stamp_ns > ns(LIES_S))
+    held = {"position": at.position, "quaternion": at.quaternion}
+    return [replace(one, **held) if ns(LIES_S) < one.stamp_ns < ns(RIGHT_S) else one for one in poses]
+
+
+def run_away(poses):
+    """Sideways by as much again as the machine moves, and what has been lost stays so."""
+
+    def aside(one):
+        since_s = np.clip(seconds(one.stamp_ns) - LIES_S, 0.0, RIGHT_S - LIES_S)
+        return replace(one, position=one.position + np.array([0.0, 6.0, 0.0]) * since_s)
+
+    return [aside(one) for one in poses]
+
+
+@pytest.mark.parametrize("lie", [frozen, run_away])
+def test_one_that_lies_is_lost_and_regained_when_it_moves_as_the_estimate(lie):
+    """It led the estimate as far away as it went itself, and fixes that were right were refused."""
+    sent = streams()
+    sent["lidar"] = lie(sent["lidar"])
+    estimator, outputs = run(machine(), in_order(*sent.values()))
+    (lost_s,), (regained_s,) = (
+        of_lidar(estimator, kind) for kind in (EventKind.SENSOR_LOST, EventKind.SENSOR_REGAINED)
+    )
+    assert LIES_S < lost_s < LIES_S + 2.0
+    assert RIGHT_S + 5.0 < regained_s < RIGHT_S + 9.0
+    assert max(errors_m(outputs, LIES_S)) < 0.5
+    assert EventKind.BEGUN_ANEW not in {event.kind for event in estimator.events}
+
+
+def test_one_that_is_mounted_otherwise_is_left_out_of_a_start():
+    """The configuration says where the lidar looks, and is wrong by a right angle."""
+    sent = streams(hz=1.0)
+    turned = gtsam.Rot3.Rodrigues(0.3, 0.2, 1.5)
+
+    def seen(one):
+        x, y, z, w = one.quaternion
+        q = (turned.compose(gtsam.Rot3.Quaternion(w, x, y, z)).compose(turned.inverse())).toQuaternion()
+        xyzw = np.array([q.x(), q.y(), q.z(), q.w()])
+        return replace(one, position=turned.rotate(one.position), quaternion=xyzw)
+
+    sent["lidar"] = [seen(one) for one in sent["lidar"]]
+    sent = {name: [one for one in series if one.stamp_ns > ns(5.0)] for name, series in sent.items()}  # in motion
+    estimator, outputs = run(machine(heading_deg=None), in_order(*sent.values()))
+    started = [event for event in estimator.events if event.kind is EventKind.INITIALISED]
+    assert [event.reason.endswith("without lidar, at odds with the positions") for event in started] == [True]
+    assert of_lidar(estimator, EventKind.SENSOR_LOST) and not of_lidar(estimator, EventKind.SENSOR_REGAINED)
+    assert max(errors_m(outputs, seconds(started[0].stamp_ns))) < 2.0
+
+
+def test_one_that_says_what_the_fixes_say_is_a_witness_against_an_estimate_whose_gyroscope_errs():
+    """By default fixes must agree for half a minute beside an odometry that has agreed; it was 30 m off by then."""
+    jump_s, end_s = 45.0, 75.0
+    sent = streams(end_s)
+    by = np.radians(2.0) * np.array([0.0, 0.0, 1.0])
+    sent["imu"] = [
+        replace(one, angular_velocity=one.angular_velocity + by) if one.stamp_ns > ns(jump_s) else one
+        for one in sent["imu"]
+    ]
+    estimator, outputs = run(machine(heading_deg=HEADING_DEG), in_order(*sent.values()))
+    begun_s = [seconds(event.stamp_ns) for event in estimator.events if event.kind is EventKind.BEGUN_ANEW]
+    assert begun_s and begun_s[0] < jump_s + 12.0
+    assert max(errors_m(outputs, begun_s[0] + 5.0)) < 0.2

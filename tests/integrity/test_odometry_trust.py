@@ -1,0 +1,101 @@
+"""The trust in one odometry: what is a lie, and when it is over."""
+
+import gtsam
+import numpy as np
+import pytest
+from motion import ns
+
+from holdfast.config.sensors import OdometryConfig
+from holdfast.integrity.odometry_trust import OdometryTrust, Watched
+from holdfast.sensors.odometry import TrackPose
+from holdfast.sensors.odometry_calibration import OdometryCalibration
+
+ASIDE = np.array([0.0, 0.0, 0.0, 12.0, 3.0, 0.0])  # sigmas
+STILL = np.zeros(4)
+
+
+def begun():
+    return OdometryTrust(OdometryCalibration(OdometryConfig(kind="odometry", topic="/lidar"), gtsam.Pose3()))
+
+
+def lost():
+    trust = begun()
+    trust.lose()
+    return trust
+
+
+def noted(trust, jumps):
+    return [trust.note_motion(ns(0.1 * k), jump) for k, jump in enumerate(jumps)]
+
+
+def test_motions_that_depart_one_after_another_in_one_direction_are_a_lie_since_the_first():
+    assert noted(begun(), [None, ASIDE, 1.2 * ASIDE, ASIDE, 0.8 * ASIDE]) == [None, None, None, None, ns(0.1)]
+
+
+def test_motions_that_take_each_other_back_are_outliers_or_noise():
+    assert not any(noted(begun(), [ASIDE, -ASIDE] * 20))
+    rng = np.random.default_rng(1)
+    poses = 20.0 * rng.standard_normal((400, 6))
+    assert not any(noted(begun(), np.diff(poses, axis=0)))  # each pose is wrong, none goes away
+
+
+def test_a_motion_that_the_imu_measured_ends_a_run():
+    assert not any(noted(begun(), [ASIDE, ASIDE, ASIDE, None] * 5))
+
+
+@pytest.mark.parametrize(
+    ("second_s", "distance_m", "moved_m", "lies"),
+    [
+        (3.0, 4.0, 10.0, True),
+        (6.0, 4.0, 10.0, False),  # long after the first
+        (3.0, 2.0, 10.0, False),  # a scale that is wrong by a fifth is worth more than none
+    ],
+)
+def test_what_slips_again_soon_and_by_much_of_its_way_lies(second_s, distance_m, moved_m, lies):
+    trust = begun()
+    assert not trust.note_slip(ns(0.0), distance_m, moved_m)
+    assert trust.note_slip(ns(second_s), distance_m, moved_m) is lies
+
+
+def driven(trust, odometry, estimate, until_s, of_velocity_m_s=0.05):
+    """Watch every second; return when it is trusted again, or None. Both are x [m], or poses, by time."""
+
+    def pose(where):
+        return where if isinstance(where, gtsam.Pose3) else gtsam.Pose3(gtsam.Rot3(), np.array([where, 0.0, 0.0]))
+
+    covariance = np.diag(np.repeat([1e-3, 0.05, of_velocity_m_s], 3) ** 2)
+    for t in np.arange(0.0, until_s, 1.0):
+        measured = TrackPose(ns(t), "lidar", pose(odometry(t)))
+        assert trust.is_due(measured)
+        watched = trust.watched
+        seen = None if watched is None else Watched(watched, pose(estimate(t - 1.0)), covariance)
+        if trust.watch(measured, seen, STILL):
+            return t
+    return None
+
+
+def test_it_is_trusted_again_when_it_has_moved_as_the_estimate_for_five_seconds():
+    trust = lost()
+    assert driven(trust, lambda t: 7.0 + 5.0 * t, lambda t: 5.0 * t, 20.0) == 6.0  # the sixth is compared then
+    assert not trust.is_lost
+
+
+def test_one_that_stands_while_the_estimate_moves_is_not():
+    trust = lost()
+    assert driven(trust, lambda _: 0.0, lambda t: 0.5 * t, 60.0) is None
+    assert trust.is_lost
+
+
+def test_it_is_not_trusted_before_the_lie_is_over_for_so_long():
+    assert driven(lost(), lambda t: 5.0 * max(t, 10.0), lambda t: 5.0 * t, 30.0) == 16.0
+
+
+def test_one_that_turns_otherwise_is_not_trusted():
+    turning = lambda rate: lambda t: gtsam.Pose3(gtsam.Rot3.Yaw(rate * t), np.zeros(3))  # noqa: E731
+    assert driven(lost(), turning(0.2), turning(0.0), 30.0) is None
+    assert driven(lost(), turning(0.2), turning(0.2), 30.0) == 6.0
+
+
+def test_an_estimate_that_knows_little_has_little_to_say_against_it():
+    assert driven(lost(), lambda t: 6.0 * t, lambda t: 5.0 * t, 30.0) is None
+    assert driven(lost(), lambda t: 6.0 * t, lambda t: 5.0 * t, 30.0, of_velocity_m_s=0.5) == 6.0
