@@ -8,7 +8,6 @@ the configuration. Without a heading the machine has to move: then a batch of po
 from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from math import inf, radians
 from typing import Any, TypeVar
 
@@ -20,6 +19,7 @@ from holdfast.config.sensors import GnssConfig
 from holdfast.estimator.course import Course, course_of
 from holdfast.estimator.first_heading import Antennas, baseline_heading, pose_heading
 from holdfast.estimator.known_biases import KnownBiases
+from holdfast.estimator.odometry_tracks import OdometryTracks
 from holdfast.estimator.pose_as_point import PoseAsPoint, as_position
 from holdfast.estimator.velocity_check import Company, VelocityCheck
 from holdfast.graph.alignment import FITS, BatchAligner, Jump
@@ -28,7 +28,7 @@ from holdfast.graph.first_guess import level_attitude
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array, Message
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.sensors.odometry import OdometryNoise
+from holdfast.sensors.odometry import TrackPose
 from holdfast.sensors.preintegration import ImuNoise
 from holdfast.sensors.sensor import Measurement, Position, Role, Sensor, Velocity, of_role
 from holdfast.sensors.standstill import (
@@ -43,7 +43,6 @@ from holdfast.state import OptimisedState, Outcome
 PLAUSIBLE_FORCE_M_S2 = (7.0, 13.0)  # mean specific force of a machine on the ground
 MIN_TRAVEL_M, MIN_TRAVEL_SIGMAS = 2.0, 5.0
 DOUBTFUL = 2.0  # squared residuals over what is claimed, where an odometry is among them
-ALIKE = 0.05  # of the way: a turn into which the estimate bends it is not in the way that an odometry measures
 RETRY_NS = 1_000_000_000
 MIN_POSITIONS = 3
 STANDING_S = 5.0, 15.0  # over which positions tell whether the machine stands, longer ones if the first cannot
@@ -72,7 +71,8 @@ class Initialising:
         self._points = of_role(sensors, Role.POSITION)
         poses = of_role(sensors, Role.POSE)
         self._poses = {name: one for name, one in poses.items() if not self._points or one.parameter is None}
-        self._headings, self._odometries = of_role(sensors, Role.HEADING), of_role(sensors, Role.ODOMETRY)
+        self._headings = of_role(sensors, Role.HEADING)
+        self._odometries = OdometryTracks(of_role(sensors, Role.ODOMETRY))
         if not self._points:  # W is where the poses are given
             self._points = {name: PoseAsPoint(name) for name in self._poses}
         antennas = [self._points[name] for name in config.sensors_of(GnssConfig)][:2]
@@ -81,7 +81,7 @@ class Initialising:
         self._triggers = {one.role for one in of_role(sensors, Role.POSITION, Role.POSE).values()}
         self._positions: deque[Position] = deque()
         self._velocities: deque[Velocity] = deque()
-        self._others: dict[str, deque[Any]] = {}  # headings, poses and tracks, by sensor
+        self._others: dict[str, deque[Any]] = {}  # headings and poses, by sensor
         self.biases = KnownBiases(imu, config.initialisation.standstill_s)
         self.misfit = inf  # of the last attempt: squared residuals over what is claimed
         self._velocity_check = VelocityCheck(self._points, of_role(sensors, Role.VELOCITY))
@@ -106,6 +106,8 @@ class Initialising:
             self._positions.append(measurement)
         elif role is Role.VELOCITY and isinstance(measurement, Velocity):
             self._velocities.append(measurement)
+        elif role is Role.ODOMETRY and isinstance(measurement, TrackPose):
+            self._odometries.add(measurement)
         elif role is not Role.STATE:
             self._others.setdefault(measurement.sensor, deque()).append(measurement)
         if role is Role.POSE and measurement.sensor in self._points:
@@ -145,15 +147,8 @@ class Initialising:
         return self._velocity_check.company(witnesses, positions, since_ns)
 
     def odometry_moves_as(self, positions: Sequence[Position]) -> bool:
-        """Whether an odometry has moved in the shape of some positions of one receiver, wherever it sees them."""
-        at = [positions[k] for k in (0, len(positions) // 2, -1)]
-        arm = self._points[at[0].sensor].p_I_P
-        for name in self._odometries:
-            track = self._others.get(name, deque())
-            poses = [_track_at(track, one.stamp_ns) for one in at]
-            if all(_moved_alike(at[a], at[b], poses[a], poses[b], arm) for a, b in ((0, 1), (1, 2), (0, 2))):
-                return True
-        return False
+        """Whether an odometry has moved in the shape of some positions of one receiver."""
+        return self._odometries.move_as(positions, self._points[positions[0].sensor].p_I_P)
 
     @property
     def has_witness(self) -> bool:
@@ -166,9 +161,9 @@ class Initialising:
         self._forget_before(stamp_ns)
         self._last_try_ns = NEVER_NS
 
-    def forget(self, sensor: str) -> None:
-        """Forget what a heading, a pose or an odometry has said."""
-        self._others.pop(sensor, None)
+    def forget_odometry(self, name: str) -> None:
+        """Forget what an odometry has said, which is not trusted any more."""
+        self._odometries.forget(name)
 
     def believe_jump(self, jump: Jump, bias: gtsam.imuBias.ConstantBias) -> None:
         """Know the biases after they have jumped: what was measured before is forgotten."""
@@ -184,7 +179,12 @@ class Initialising:
             self.reason = f"{NO_POSITION}; the last of {message.sensor} was refused: {outcome}{claim}"
 
     def _forget_before(self, horizon_ns: int) -> None:
-        collected: list[deque[Any]] = [self._positions, self._velocities, *self._others.values()]
+        collected: list[deque[Any]] = [
+            self._positions,
+            self._velocities,
+            *self._others.values(),
+            *self._odometries.series,
+        ]
         for series in collected:
             while series and series[0].stamp_ns < horizon_ns:
                 series.popleft()
@@ -338,7 +338,7 @@ class Initialising:
             self._last_try_ns = fixes[-1].stamp_ns
         velocities, lying = self._credible_velocities(fixes, now_ns)
         evidence = Evidence(fixes, thin(velocities))
-        evidence = evidence._replace(motions=self._odometry_factors(evidence.stamps))
+        evidence = evidence._replace(motions=self._odometries.factors(evidence.stamps))
         is_explained = may_have_jumped and self._velocity_check.are_explained(self._velocities, lying)
         jump_sigmas = self.biases.doubted if is_explained else None
         limit_rad = radians(self._config.initialisation.max_heading_sigma_deg)
@@ -346,7 +346,7 @@ class Initialising:
         if evidence.motions and alignment.excess > DOUBTFUL:  # an odometry that is mounted otherwise, or lies
             other = self._aligner.solve(evidence._replace(motions=()), self.biases.prior, limit_rad, jump_sigmas)
             if other.excess <= FITS:
-                alignment, lying = other, [*lying, *(name for name in self._odometries if name in self._others)]
+                alignment, lying = other, [*lying, *self._odometries.names]
         self.misfit, self.jump = alignment.misfit, alignment.jump
         without = f", without {', '.join(lying)}, at odds with the positions" if lying else ""
         self.reason = f"{alignment.reason}{without}"
@@ -380,41 +380,6 @@ class Initialising:
             if piece.is_gap:
                 start = piece.end_ns
         return start
-
-    def _odometry_factors(self, stamps: list[int]) -> list[gtsam.NonlinearFactor]:
-        """Relative factors between times, from each odometry's track interpolated to them."""
-        factors = []
-        for name, track in self._others.items():
-            if name not in self._odometries or len(track) < 2:
-                continue
-            noise, poses = OdometryNoise(self._odometries[name]), [_track_at(track, stamp) for stamp in stamps]
-            for k, (before, after) in enumerate(pairwise(poses)):
-                if before is not None and after is not None:
-                    keys = gtsam.symbol("x", k), gtsam.symbol("x", k + 1)
-                    factors.append(noise.relative_factor(*keys, before.between(after)))
-        return factors
-
-
-def _track_at(track: deque[Any], stamp_ns: int) -> gtsam.Pose3 | None:
-    """Return the pose of the IMU on an odometry's track at a time, interpolated."""
-    for before, after in zip(track, list(track)[1:], strict=False):
-        if before.stamp_ns <= stamp_ns <= after.stamp_ns:
-            fraction = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
-            pose: gtsam.Pose3 = before.T_I0_I.slerp(fraction, after.T_I0_I)
-            return pose
-    return None
-
-
-def _moved_alike(
-    then: Position, now: Position, T_I0_I_then: gtsam.Pose3 | None, T_I0_I_now: gtsam.Pose3 | None, arm: Array
-) -> bool:
-    """Whether an antenna has gone as far by an odometry as by its positions, and far enough to tell."""
-    if T_I0_I_then is None or T_I0_I_now is None:
-        return False
-    gone_m = float(np.linalg.norm(T_I0_I_now.transformFrom(arm) - T_I0_I_then.transformFrom(arm)))
-    noise_m = float(np.sqrt(np.trace(then.covariance + now.covariance)))
-    apart_m = abs(float(np.linalg.norm(now.p_W_P - then.p_W_P)) - gone_m)
-    return gone_m > MIN_TRAVEL_SIGMAS * noise_m and apart_m < ALIKE * gone_m
 
 
 def _between(measurements: Iterable[Point], start_ns: int, end_ns: int) -> list[Point]:

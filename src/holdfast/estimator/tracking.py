@@ -306,7 +306,7 @@ class Tracking:
         """
         start, departing = self.successor.start, self._positions.departing()
         for name in self._odometries.distrusted:
-            start.forget(name)
+            start.forget_odometry(name)
         is_beside = bool(departing) and start.odometry_moves_as(departing)
         has_odometry = self._odometries.has_trusted and not is_beside
         self._positions.be_patient(self._gate.patience_s(has_odometry=has_odometry))

@@ -20,6 +20,7 @@ from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
 from holdfast.state import EventKind, Outcome
 
 DISTRUST = 3.0  # factor on the noise of an odometry that proves to be worse than configured
+NOT_MEASURED = "the IMU did not measure its motions, one after another"
 PERIODS_OF_SILENCE = 3.0
 JUMPS, JUMPS_NS = 4, 20_000_000_000  # so many jumps in this time are no jumps but noise
 
@@ -167,10 +168,9 @@ class Odometries:
             self._log.report(EventKind.ODOMETRY_JUMP, pose.stamp_ns, pose.sensor, reason)
             odometry.forget_frame()
         if lies_since_ns is not None:
-            self._lose(
-                graph, pose.sensor, lies_since_ns, now_ns, "the IMU did not measure its motions, one after another"
-            )
-            outcome = Outcome.CONTRADICTED
+            self._log.record(pose.stamp_ns, pose.sensor, outcome)
+            self._lose(graph, pose.sensor, lies_since_ns, now_ns, NOT_MEASURED)
+            return outcome
         if pose.excess is not None:
             odometry.forget_frame()  # it does not know its motion: it cannot contradict, nor be learnt from
         elif outcome is Outcome.USED and pose is graph.newest_pose(pose.sensor):
@@ -201,6 +201,9 @@ class Odometries:
             for one in smoother.measured(since_ns, now_ns):
                 if one.sensor == name:
                     smoother.retract(one)
+                    if smoother is graph.main:
+                        self._log.recount(name, Outcome.USED, Outcome.CONTRADICTED)
+                        self._log.record(one.stamp_ns, name, Outcome.CONTRADICTED)
             graph.begin_tracks_anew(smoother, name)
         self._log.report(EventKind.SENSOR_LOST, now_ns, name, reason)
 
