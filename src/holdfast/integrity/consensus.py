@@ -20,7 +20,7 @@ SIGMA = 4.0
 OUTLIERS = 3  # so many in a row that disagree end a run
 COMPARED = 3  # of the newest make two speeds
 REFUSED_FRACTION = 0.8  # of the positions in a run: a wrong estimate explains one now and then
-WALK_M_S = 0.3  # fixes hardly walk so fast
+WALK_M_S, DEPARTING_NS = 0.3, 12_000_000_000  # fixes hardly walk so fast, for so long, or as many as make a run
 
 
 class _Judged(NamedTuple):
@@ -111,10 +111,12 @@ class Consensus:
         return len(run) > 1 and all(one.is_refused for one in run)
 
     def departing(self) -> list[Position]:
-        """Return the refused positions of the run if the estimate leaves them faster than positions walk; else none."""
-        refused = [one for one in self._run if one.is_refused] if self._refused >= self._count else []
-        if not refused:
+        """Return the newest refused positions if the estimate leaves them faster than positions walk; else none."""
+        if self._refused < self._count:
             return []
+        refused = [one for one in self._run if one.is_refused]
+        since_ns = refused[-1].stamp_ns - DEPARTING_NS
+        refused = refused[-max(self._count, sum(one.stamp_ns >= since_ns for one in refused)) :]
         first, last = refused[0], refused[-1]
         noise_m = SIGMA * sqrt(float(np.trace(first.position.covariance + last.position.covariance)))
         walked_m = WALK_M_S * (last.stamp_ns - first.stamp_ns) * 1e-9
