@@ -150,28 +150,35 @@ def test_two_that_have_to_wait_because_they_are_not_expected_are_suspicious_thou
     assert not run.is_suspicious()
 
 
-def departing(off_m, *, sigma_m=0.02, refused=lambda _: True, count=8):
-    """The run of a receiver whose positions, one a second, are so far beside the estimate at a time."""
+def departure(off_m, *, sigma_m=0.02, refused=lambda t: t >= 4.0, until_s=8.0):
+    """Of a receiver whose positions, one a second, are so far beside the estimate at a time, and refused."""
     run = begun(duration_s=30.0)
-    for t in np.arange(count, dtype=float):
+    for t in np.arange(0.0, until_s):
         outcome = REFUSED if refused(t) else Outcome.USED
         run.add(at(t, 5.0 * t, sigma_m), outcome, np.array([0.0, off_m(t), 0.0]), is_expected=not refused(t))
-    return [position.stamp_ns for position in run.departing()]
+    return run.departure()
 
 
 def test_an_estimate_leaves_positions_faster_than_they_walk():
-    assert departing(lambda t: 3.0 + 0.5 * t) == [ns(t) for t in range(8)]
-    assert departing(lambda t: 3.0 + 0.5 * t, refused=lambda t: t >= 3.0) == [ns(t) for t in range(3, 8)]
+    found = departure(lambda t: max(0.0, 0.5 * (t - 3.0)))
+    assert [one.stamp_ns for one in found.positions] == [ns(t) for t in range(8)]
+    assert found.by_m == pytest.approx(2.0)
+
+
+def test_what_was_long_before_tells_nothing_of_the_shape_of_the_way_and_of_how_fast_it_is_left():
+    found = departure(lambda t: max(0.0, 0.5 * (t - 19.0)), refused=lambda t: t >= 20.0, until_s=40.0)
+    assert [one.stamp_ns for one in found.positions] == [ns(t) for t in range(12, 40)]
+    assert found.by_m == pytest.approx(6.0)
 
 
 @pytest.mark.parametrize(
     ("off_m", "more"),
     [
-        (lambda t: 3.0 + 0.2 * t, {}),  # as fast as positions may walk
-        (lambda _: 8.0, {}),  # a jump
-        (lambda t: 3.0 + 0.5 * t, {"count": 4}),  # too few
-        (lambda t: 3.0 + 0.5 * t, {"sigma_m": 1.0}),  # within their noise
+        (lambda t: max(0.0, 0.2 * (t - 3.0)), {}),  # as fast as positions may walk
+        (lambda t: max(0.0, 0.5 * (t - 3.0)), {"sigma_m": 0.5}),  # within their noise
+        (lambda t: max(0.0, 0.5 * (t - 3.0)), {"until_s": 5.0}),  # a single one
+        (lambda t: max(0.0, 0.5 * (t - 3.0)), {"refused": lambda t: 4.0 <= t < 7.0}),  # over
     ],
 )
-def test_positions_that_walk_or_have_jumped_are_not_left(off_m, more):
-    assert departing(off_m, **more) == []
+def test_positions_that_walk_slowly_or_are_expected_again_are_not_left(off_m, more):
+    assert departure(off_m, **more) is None

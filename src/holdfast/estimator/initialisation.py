@@ -25,6 +25,7 @@ from holdfast.estimator.velocity_check import Company, VelocityCheck
 from holdfast.graph.alignment import FITS, BatchAligner, Jump
 from holdfast.graph.alignment_problem import Evidence, Problems, thin
 from holdfast.graph.first_guess import level_attitude
+from holdfast.integrity.consensus import Departure
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array, Message
 from holdfast.sensors.imu import ImuBuffer
@@ -43,6 +44,7 @@ from holdfast.state import OptimisedState, Outcome
 PLAUSIBLE_FORCE_M_S2 = (7.0, 13.0)  # mean specific force of a machine on the ground
 MIN_TRAVEL_M, MIN_TRAVEL_SIGMAS = 2.0, 5.0
 DOUBTFUL = 2.0  # squared residuals over what is claimed, where an odometry is among them
+TIMES_NEARER = 8.0  # to positions, an odometry is than the estimate that leaves them
 RETRY_NS = 1_000_000_000
 MIN_POSITIONS = 3
 STANDING_S = 5.0, 15.0  # over which positions tell whether the machine stands, longer ones if the first cannot
@@ -146,9 +148,10 @@ class Initialising:
         positions = [one for one in self._positions if one.sensor == receiver]
         return self._velocity_check.company(witnesses, positions, since_ns)
 
-    def odometry_moves_as(self, positions: Sequence[Position]) -> bool:
-        """Whether an odometry has moved in the shape of some positions of one receiver."""
-        return self._odometries.move_as(positions, self._points[positions[0].sensor].p_I_P)
+    def odometry_vouches(self, departure: Departure) -> bool:
+        """Whether an odometry has moved in the shape of positions that an estimate leaves."""
+        arm = self._points[departure.positions[-1].sensor].p_I_P
+        return self._odometries.move_as(departure.positions, arm, departure.by_m / TIMES_NEARER)
 
     @property
     def has_witness(self) -> bool:

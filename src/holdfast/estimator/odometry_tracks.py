@@ -2,17 +2,17 @@
 
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import combinations, pairwise
+from itertools import pairwise
 
 import gtsam
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from holdfast.messages import Array
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
 from holdfast.sensors.sensor import Position
 
-LEAST_SIGMAS = 5.0  # of positions, that lie between two of them
-ALIKE = 0.05  # of the way: a turn into which an estimate bends it is not in the distance that an odometry measures
+LEAST = 4  # positions have a shape
 
 
 class OdometryTracks:
@@ -55,28 +55,27 @@ class OdometryTracks:
                     factors.append(noise.relative_factor(*keys, before.between(after)))
         return factors
 
-    def move_as(self, positions: Sequence[Position], p_I_P: Array) -> bool:
+    def move_as(self, positions: Sequence[Position], p_I_P: Array, tolerance_m: float) -> bool:
         """Whether an odometry has moved in the shape of some positions, wherever it sees them.
 
         Args:
             positions: of one antenna, sorted by stamp.
             p_I_P: (3,) where it is in I [m].
+            tolerance_m: so near they must come, all of them, when one is laid upon the other.
         """
-        chosen = [positions[k] for k in (0, len(positions) // 2, -1)]
         for track in self._tracks.values():
-            poses = [_pose_at(track, one.stamp_ns) for one in chosen]
-            seen = [(one, T.transformFrom(p_I_P)) for one, T in zip(chosen, poses, strict=True) if T is not None]
-            if len(seen) == len(chosen) and all(_are_alike(*then, *now) for then, now in combinations(seen, 2)):
+            seen = [(one.p_W_P, _pose_at(track, one.stamp_ns)) for one in positions]
+            pairs = [(p_W, T.transformFrom(p_I_P)) for p_W, T in seen if T is not None]
+            if len(pairs) >= LEAST and _apart_m(*map(np.array, zip(*pairs, strict=True))) < tolerance_m:
                 return True
         return False
 
 
-def _are_alike(then: Position, p_I0_then: Array, now: Position, p_I0_now: Array) -> bool:
-    """Whether an antenna has gone as far by an odometry as by its positions, and far enough to tell."""
-    gone_m = float(np.linalg.norm(p_I0_now - p_I0_then))
-    noise_m = float(np.sqrt(np.trace(then.covariance + now.covariance)))
-    apart_m = abs(float(np.linalg.norm(now.p_W_P - then.p_W_P)) - gone_m)
-    return gone_m > LEAST_SIGMAS * noise_m and apart_m < ALIKE * gone_m
+def _apart_m(a: Array, b: Array) -> float:
+    """Return the largest distance between points (N, 3) [m], the latter moved onto the former: Kabsch, 1976."""
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    turned, _ = Rotation.align_vectors(a, b)
+    return float(np.linalg.norm(a - turned.apply(b), axis=1).max())
 
 
 def _pose_at(track: deque[TrackPose], stamp_ns: int) -> gtsam.Pose3 | None:

@@ -128,6 +128,7 @@ class Tracking:
         self._node_interval_ns = round(config.graph.max_node_interval_s * 1e9)
         self._due_ns: int | None = None
         self._constrained_ns = state.stamp_ns
+        self._has_vouched = False  # an odometry, for positions that contradict
         self._late: set[str] = set()  # sensors whose last measurement was too late
         self._epochs = Epochs()
         self._calibration = Calibration(sensors, config.imu_name, log)
@@ -304,17 +305,17 @@ class Tracking:
 
         Positions are then believed sooner. What is not trusted is no help in beginning anew either.
         """
-        start, departing = self.successor.start, self._positions.departing()
+        start, departure = self.successor.start, self._positions.departure()
         for name in self._odometries.distrusted:
             start.forget_odometry(name)
-        is_beside = bool(departing) and start.odometry_moves_as(departing)
-        has_odometry = self._odometries.has_trusted and not is_beside
+        self._has_vouched = departure is not None and start.odometry_vouches(departure)
+        has_odometry = self._odometries.has_trusted and not self._has_vouched
         self._positions.be_patient(self._gate.patience_s(has_odometry=has_odometry))
-        return is_beside or not self._odometries.has_agreed()
+        return self._has_vouched or not self._odometries.has_agreed()
 
     def _contradiction(self) -> Contradiction | None:
-        """Return which positions contradict the estimate; velocities that say the same make fewer of them enough."""
-        found = self._positions.contradiction()
+        """Return which positions contradict the estimate; a witness that says the same makes fewer of them enough."""
+        found = self._positions.contradiction(has_witness=self._has_vouched)
         witnesses = self._states.contradicting(Role.VELOCITY)
         if found is not None or not witnesses:
             return found

@@ -5,7 +5,7 @@ further from the one before than a machine can go, and the speed from one to the
 """
 
 from collections import deque
-from itertools import dropwhile
+from itertools import dropwhile, takewhile
 from math import sqrt
 from typing import NamedTuple
 
@@ -20,7 +20,20 @@ SIGMA = 4.0
 OUTLIERS = 3  # so many in a row that disagree end a run
 COMPARED = 3  # of the newest make two speeds
 REFUSED_FRACTION = 0.8  # of the positions in a run: a wrong estimate explains one now and then
-WALK_M_S, DEPARTING_NS = 0.3, 12_000_000_000  # fixes hardly walk so fast, for so long, or as many as make a run
+WALK_M_S, DEPARTING_NS = 0.3, 12_000_000_000  # fixes hardly walk so fast for so long
+BEFORE_NS = 8_000_000_000  # positions that were right tell of what shape the way is
+
+
+class Departure(NamedTuple):
+    """Positions that the estimate leaves.
+
+    Attributes:
+        positions: of one receiver, from before it did.
+        by_m: how far it has left the newest [m].
+    """
+
+    positions: list[Position]
+    by_m: float
 
 
 class _Judged(NamedTuple):
@@ -110,18 +123,22 @@ class Consensus:
         run = self._since_first_refused()
         return len(run) > 1 and all(one.is_refused for one in run)
 
-    def departing(self) -> list[Position]:
-        """Return the newest refused positions if the estimate leaves them faster than positions walk; else none."""
-        if self._refused < self._count:
-            return []
-        refused = [one for one in self._run if one.is_refused]
-        since_ns = refused[-1].stamp_ns - DEPARTING_NS
-        refused = refused[-max(self._count, sum(one.stamp_ns >= since_ns for one in refused)) :]
-        first, last = refused[0], refused[-1]
+    def departure(self) -> Departure | None:
+        """Return how the estimate leaves the newest positions, refused one after another, if faster than they walk."""
+        if not self._run or not self._run[-1].is_refused:
+            return None
+        run = list(self._run)
+        refused = list(takewhile(lambda one: one.is_refused, reversed(run)))[::-1]
+        if len(refused) < 2:
+            return None
+        last, since_ns = refused[-1], refused[-1].stamp_ns - DEPARTING_NS
+        first = next(one for one in run[-len(refused) - 1 :] if one.stamp_ns >= since_ns)
+        by_m = float(np.linalg.norm(last.off_W - first.off_W))
         noise_m = SIGMA * sqrt(float(np.trace(first.position.covariance + last.position.covariance)))
-        walked_m = WALK_M_S * (last.stamp_ns - first.stamp_ns) * 1e-9
-        departs = float(np.linalg.norm(last.off_W - first.off_W)) > walked_m + noise_m
-        return [one.position for one in refused] if departs else []
+        if by_m <= WALK_M_S * (last.stamp_ns - first.stamp_ns) * 1e-9 + noise_m:
+            return None
+        before_ns = refused[0].stamp_ns - BEFORE_NS
+        return Departure([one.position for one in run if one.stamp_ns >= before_ns], by_m)
 
     @property
     def is_unexpected(self) -> bool:

@@ -12,7 +12,7 @@ from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.antenna_pairs import witness_of
 from holdfast.integrity.baseline import BaselineTest
-from holdfast.integrity.consensus import Consensus
+from holdfast.integrity.consensus import Consensus, Departure
 from holdfast.integrity.departures import Departures
 from holdfast.integrity.force_learning import ForceLearning, least_scale
 from holdfast.integrity.innovation import in_words
@@ -251,10 +251,10 @@ class Positions:
             return None
         return Contradiction(*next(iter(against.items())))
 
-    def departing(self) -> list[Position]:
-        """Return the positions of a receiver that the estimate leaves faster than positions walk, if there are any."""
-        runs = (run.departing() for name, run in self._consensus.items() if name not in self.wandering)
-        return next((run for run in runs if run), [])
+    def departure(self) -> Departure | None:
+        """Return how the estimate leaves the positions of a receiver faster than these walk, if it does."""
+        runs = (run.departure() for name, run in self._consensus.items() if name not in self.wandering)
+        return next((found for found in runs if found is not None), None)
 
     def doubt(self, name: str) -> None:
         """Believe a receiver whose positions wander only as far as their distance from the estimate shows."""
