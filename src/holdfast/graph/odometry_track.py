@@ -16,6 +16,7 @@ import numpy as np
 from holdfast.graph.smoother import FREE, Smoother
 from holdfast.messages import Array
 from holdfast.sensors.odometry import STILL_M_S, OdometryNoise, TrackPose, is_possible
+from holdfast.sensors.sensor import State
 from holdfast.state import Outcome
 
 EPOCH_NS, EPOCH_M, EPOCH_RAD = 1_000_000_000, 0.4, 0.1  # within which the track does not drift
@@ -95,7 +96,10 @@ class OdometryTrack:
         if before.stamp_ns < smoother.oldest_ns or not smoother.imu.is_trusted(before.stamp_ns, pose.stamp_ns):
             return None
         predicted = smoother.nav(before.stamp_ns).pose().between(smoother.nav(pose.stamp_ns).pose())
-        return self._noise.jump(motion, predicted, pose.excess)
+        if self._noise.jump(motion, predicted, pose.excess) is None:  # as a rule
+            return None
+        excess = _of_prediction(smoother.state_at(pose.stamp_ns), (pose.stamp_ns - before.stamp_ns) * 1e-9)
+        return self._noise.jump(motion, predicted, excess if pose.excess is None else excess + pose.excess)
 
     def _add_relative(
         self, smoother: Smoother, key: int, before: TrackPose | None, pose: TrackPose, motion: gtsam.Pose3 | None
@@ -166,6 +170,14 @@ def _carried(slack: Array, motion: gtsam.Pose3, excess: Array | None) -> Array:
     adjoint = motion.inverse().AdjointMap()
     carried: Array = adjoint @ slack @ adjoint.T
     return carried if excess is None else carried + excess
+
+
+def _of_prediction(state: State, duration_s: float) -> Array:
+    """Return the covariance (6, 6) of how I moves over a short time, as its velocity and attitude are known."""
+    by_state = np.hstack([gtsam.SO3.Hat(state.nav.bodyVelocity()), np.zeros((3, 3)), np.eye(3)]) * duration_s
+    covariance = np.zeros((6, 6))
+    covariance[3:, 3:] = by_state @ state.covariance @ by_state.T
+    return covariance
 
 
 def _frame_seen_by(smoother: Smoother, pose: TrackPose) -> gtsam.Pose3:

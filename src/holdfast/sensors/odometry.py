@@ -132,7 +132,10 @@ class OdometryNoise:
         self.scale = min(factor * self.scale, MAX_SCALE)
 
     def jump(self, motion: gtsam.Pose3, predicted: gtsam.Pose3, excess: Array | None = None) -> Array | None:
-        """Return by how many sigmas (6,) a motion departs from the IMU's; None if by less than `jump_sigma`."""
+        """Return by how many sigmas (6,) a motion departs from the IMU's; None if by less than `jump_sigma`.
+
+        `excess` (6, 6) is what is added to the noise of the odometry.
+        """
         residual = gtsam.Pose3.Logmap(predicted.between(motion))
         sigmas: Array = np.linalg.solve(np.linalg.cholesky(self.covariance(motion, excess)), residual)
         return sigmas if float(sigmas @ sigmas) > self._config.jump_sigma**2 else None
