@@ -182,3 +182,10 @@ def test_what_was_long_before_tells_nothing_of_the_shape_of_the_way_and_of_how_f
 )
 def test_positions_that_walk_slowly_or_are_expected_again_are_not_left(off_m, more):
     assert departure(off_m, **more) is None
+
+
+def test_positions_that_have_jumped_are_not_left_before_they_have_been_so_for_long():
+    """Two antennas are swapped while they turn: the run begins anew, and all of it is refused."""
+    more = {"refused": lambda _: True}
+    assert departure(lambda t: 3.0 + 0.5 * t, until_s=12.0, **more) is None
+    assert departure(lambda t: 3.0 + 0.5 * t, until_s=13.0, **more).by_m == pytest.approx(6.0)

@@ -21,6 +21,7 @@ OUTLIERS = 3  # so many in a row that disagree end a run
 COMPARED = 3  # of the newest make two speeds
 REFUSED_FRACTION = 0.8  # of the positions in a run: a wrong estimate explains one now and then
 WALK_M_S, DEPARTING_NS = 0.3, 12_000_000_000  # fixes hardly walk so fast for so long
+LEAST_NS = 1_000_000_000  # by fewer positions no shape is told
 BEFORE_NS = 8_000_000_000  # positions that were right tell of what shape the way is
 
 
@@ -124,7 +125,10 @@ class Consensus:
         return len(run) > 1 and all(one.is_refused for one in run)
 
     def departure(self) -> Departure | None:
-        """Return how the estimate leaves the newest positions, refused one after another, if faster than they walk."""
+        """Return how the estimate leaves the newest positions, refused one after another, if faster than they walk.
+
+        It must have begun with one that was not refused, or last for long: else they may have jumped.
+        """
         if not self._run or not self._run[-1].is_refused:
             return None
         run = list(self._run)
@@ -132,10 +136,15 @@ class Consensus:
         if len(refused) < 2:
             return None
         last, since_ns = refused[-1], refused[-1].stamp_ns - DEPARTING_NS
-        first = next(one for one in run[-len(refused) - 1 :] if one.stamp_ns >= since_ns)
+        candidates = run[-len(refused) - 1 :]  # with the last that was not refused
+        long_ago = [one for one in candidates if one.stamp_ns <= since_ns]
+        first = long_ago[-1] if long_ago else candidates[0]
+        lasts_ns = last.stamp_ns - first.stamp_ns
+        if lasts_ns < (DEPARTING_NS if first.is_refused else LEAST_NS):
+            return None
         by_m = float(np.linalg.norm(last.off_W - first.off_W))
         noise_m = SIGMA * sqrt(float(np.trace(first.position.covariance + last.position.covariance)))
-        if by_m <= WALK_M_S * (last.stamp_ns - first.stamp_ns) * 1e-9 + noise_m:
+        if by_m <= WALK_M_S * lasts_ns * 1e-9 + noise_m:
             return None
         before_ns = refused[0].stamp_ns - BEFORE_NS
         return Departure([one.position for one in run if one.stamp_ns >= before_ns], by_m)
