@@ -22,7 +22,7 @@ def simulate(scenario: str, output: Path, seed: int, scans: bool, duration_s: fl
     Shipped: construction, navigation, tunnel, liar, late, clocks, moving-start, rough, quick, wheels, two-lidars,
     prism, new-sensors, slow-errors; with scans gallery, open-field, arm-and-traffic, without-arm-and-traffic; rounds,
     and with a configuration that is wrong wrong-mount, offset-clocks, wrong-encoder, noisy-odometry, good-odometry,
-    boastful-fixes, one-antenna, scaled-gyroscope; degraded-fixes.
+    boastful-fixes, one-antenna, scaled-gyroscope; degraded-fixes, frozen-odometry.
 
     Writes to the output folder: recording.mcap (ROS 2), config.yaml for `holdfast replay`, truth/ (poses, velocities,
     biases, constants, errors of the fixes), site.ply, plan.png, scenario.yaml with every setting, and a README.md.

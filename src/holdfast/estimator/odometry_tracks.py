@@ -3,10 +3,10 @@
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
+from math import inf
 
 import gtsam
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from holdfast.messages import Array
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
@@ -66,16 +66,17 @@ class OdometryTracks:
         for track in self._tracks.values():
             seen = [(one.p_W_P, _pose_at(track, one.stamp_ns)) for one in positions]
             pairs = [(p_W, T.transformFrom(p_I_P)) for p_W, T in seen if T is not None]
-            if len(pairs) >= LEAST and _apart_m(*map(np.array, zip(*pairs, strict=True))) < tolerance_m:
+            if len(pairs) >= LEAST and _apart_m(pairs) < tolerance_m:
                 return True
         return False
 
 
-def _apart_m(a: Array, b: Array) -> float:
-    """Return the largest distance between points (N, 3) [m], the latter moved onto the former: Kabsch, 1976."""
-    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
-    turned, _ = Rotation.align_vectors(a, b)
-    return float(np.linalg.norm(a - turned.apply(b), axis=1).max())
+def _apart_m(pairs: list[tuple[Array, Array]]) -> float:
+    """Return the largest distance between pairs of points [m], the second ones moved onto the first."""
+    moved = gtsam.Pose3.Align(pairs)
+    if moved is None:
+        return inf
+    return max(float(np.linalg.norm(a - moved.transformFrom(b))) for a, b in pairs)
 
 
 def _pose_at(track: deque[TrackPose], stamp_ns: int) -> gtsam.Pose3 | None:

@@ -39,6 +39,10 @@ class OdometryTrust:
 
     Args:
         calibration: of the odometry.
+
+    Attributes:
+        is_lost: whether it is not trusted.
+        watched: the pose that is compared next, when fixes have come beside it; of use only while it is not.
     """
 
     def __init__(self, calibration: OdometryCalibration) -> None:
@@ -46,7 +50,7 @@ class OdometryTrust:
         self._calibration = calibration
         self._jumps: list[tuple[int, Array]] = []  # in a row
         self._slipped_ns = NEVER_NS
-        self.watched: TrackPose | None = None  # is compared next, when fixes have come beside it
+        self.watched: TrackPose | None = None
         self._seen: list[Watched] = []  # all of which agree
 
     def note_motion(self, stamp_ns: int, jump: Array | None) -> int | None:
