@@ -1,7 +1,7 @@
 """Prints what four mishaps at once cost on KITTI's drive with a lidar: `python benchmarks/kitti_mishaps.py --count 24`.
 
 As `drive_mishaps.py`, but two of the four happen to the odometry (`odometry_mishaps.py`). The configuration is what
-`config init` writes, and where the lidar is. Every second fix, that is one in four seconds or less, is held out.
+`config init` writes, and where the lidar is. Every second fix, of one a second, is held out.
 """
 
 import argparse
