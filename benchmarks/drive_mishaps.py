@@ -7,8 +7,9 @@ was done: a row is run again by `--first SEED --count 1`.
 """
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,12 @@ from holdfast.config.model import Config
 from holdfast.estimator.estimator import Estimator
 from holdfast.replay.held_out import HoldOut
 
+Tried = tuple[list[str], dict[str, Any]]
+"""What is said of a seed, and its errors as of `held_out_row`."""
 
-def run(drives: list[Path], mishaps: Sequence[Mishap], seed: int) -> tuple[str, list[str], dict[str, Any]]:
-    """Return which drive it was, what happened and the errors; fixes that judge do not lie."""
+
+def run(drives: list[Path], mishaps: Sequence[Mishap], seed: int) -> Tried:
+    """Return which drive it was, what happened, and the errors; fixes that judge do not lie."""
     rng = np.random.default_rng(seed)
     drive = drives[int(rng.integers(len(drives)))]
     config = starter_config(drive / "bag")
@@ -32,19 +36,30 @@ def run(drives: list[Path], mishaps: Sequence[Mishap], seed: int) -> tuple[str, 
     chosen = [mishaps[number] for number in sorted(rng.choice(len(mishaps), 3, replace=False))]
     messages, happened = happen(rng, config, rules, messages_of(drive, config), chosen)
     tried = run_system(Estimator(config), messages, rules)
-    return drive.name, happened, held_out_row(config, tried, messages, drive / "reference.csv")
+    return [drive.name, happened], held_out_row(config, tried, messages, drive / "reference.csv")
 
 
 def happen(
     rng: np.random.Generator, config: Config, rules: list[HoldOut], messages: Messages, chosen: Sequence[Mishap]
-) -> tuple[Messages, list[str]]:
+) -> tuple[Messages, str]:
     """Return the messages after some mishaps, and what happened."""
     happened = []
     for mishap in sorted(chosen, key=lambda one: one in LYING):
         after, what = mishap(rng, messages)
         messages = where_used(config, rules, messages, after) if mishap in LYING else after
         happened.append(what)
-    return messages, happened
+    return messages, ", ".join(happened)
+
+
+def print_seeds(titles: Sequence[str], run: Callable[[int], Tried], seeds: Sequence[int]) -> None:
+    """Print a row per seed, as they end: what a run says of it below titles of its own, and the errors."""
+    print("Horizontal errors at held-out fixes [m]; the line is that between the fixes used\n")
+    print(f"| seed | {' | '.join(titles)} | RMS | to the line | largest | NEES / 3 |")
+    print(f"|---:|{'---|' * len(titles)}---:|---:|---:|---:|")
+    with ProcessPoolExecutor(2) as pool:
+        for seed, (said, row) in zip(seeds, pool.map(run, seeds), strict=True):
+            cells = [f"{row[key]:.2f}" if key in row else "never started" for key in ("rms", "ratio", "max", "nees")]
+            print(f"| {seed} | {' | '.join([*said, *cells])} |", flush=True)
 
 
 def main() -> None:
@@ -60,15 +75,8 @@ def main() -> None:
     if not drives:
         print(f"all drives: skipped, no recording at {given.data}")
         return
-    print("Horizontal errors at held-out fixes [m]; the line is that between the fixes used\n")
-    print("| seed | drive | mishaps | RMS | to the line | largest | NEES / 3 |\n|---:|---|---|---:|---:|---:|---:|")
     seeds = range(given.first, given.first + given.count)
-    with ProcessPoolExecutor(2) as pool:
-        futures = [pool.submit(run, drives, mishaps, seed) for seed in seeds]
-        for seed, future in zip(seeds, futures, strict=True):
-            drive, happened, row = future.result()
-            cells = [f"{row[key]:.2f}" if key in row else "never started" for key in ("rms", "ratio", "max", "nees")]
-            print(f"| {seed} | {drive} | {', '.join(happened)} | {' | '.join(cells)} |", flush=True)
+    print_seeds(["drive", "mishaps"], partial(run, drives, mishaps), seeds)
 
 
 if __name__ == "__main__":

@@ -5,13 +5,12 @@ As `drive_mishaps.py`, but two of the four happen to the odometry (`odometry_mis
 """
 
 import argparse
-from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
-from drive_mishaps import happen
+from drive_mishaps import Tried, happen, print_seeds
 from drives import held_out_row, messages_of, run_system
 from further_mishaps import FURTHER, claims_of_velocity
 from mishaps import MISHAPS, any_mount, no_velocities
@@ -37,13 +36,13 @@ def configuration(bag: Path) -> Config:
     return config_of(document | {"extrinsics": [*mount, {"parent": "imu", "child": "gnss"}]}, "config init")
 
 
-def run(drive: Path, seed: int) -> tuple[list[str], dict[str, Any]]:
-    """Return what happened and the errors."""
+def run(drive: Path, seed: int) -> Tried:
+    """Return what happened, and the errors."""
     rng, config = np.random.default_rng(seed), configuration(drive / "bag")
     chosen = [kinds[k] for kinds in (ODOMETRY, OTHERS) for k in sorted(rng.choice(len(kinds), 2, replace=False))]
     messages, happened = happen(rng, config, RULES, messages_of(drive, config), chosen)
     tried = run_system(Estimator(config), messages, RULES)
-    return happened, held_out_row(config, tried, messages, drive / "none")
+    return [happened], held_out_row(config, tried, messages, drive / "reference.csv")
 
 
 def main() -> None:
@@ -57,15 +56,7 @@ def main() -> None:
     if not (drive / "bag").exists():
         print(f"kitti_00: skipped, no recording at {given.data}")
         return
-    print("Horizontal errors at held-out fixes [m]; the line is that between the fixes used\n")
-    print("| seed | mishaps | RMS | to the line | largest | NEES / 3 |\n|---:|---|---:|---:|---:|---:|")
-    seeds = range(given.first, given.first + given.count)
-    with ProcessPoolExecutor(2) as pool:
-        futures = [pool.submit(run, drive, seed) for seed in seeds]
-        for seed, future in zip(seeds, futures, strict=True):
-            happened, row = future.result()
-            cells = [f"{row[key]:.2f}" if key in row else "never started" for key in ("rms", "ratio", "max", "nees")]
-            print(f"| {seed} | {', '.join(happened)} | {' | '.join(cells)} |", flush=True)
+    print_seeds(["mishaps"], partial(run, drive), range(given.first, given.first + given.count))
 
 
 if __name__ == "__main__":

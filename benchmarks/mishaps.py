@@ -67,7 +67,12 @@ def without(kinds: Any, messages: Messages, when: list[tuple[float, float]]) -> 
     left = [
         one for one in messages if not (isinstance(one, kinds) and any(a < since_s(messages, one) < b for a, b in when))
     ]
-    return left, " ".join(f"{a:.0f}+{b - a:g}" for a, b in when)
+    return left, told(when)
+
+
+def told(when: list[tuple[float, float]]) -> str:
+    """Return spans of time in words."""
+    return " ".join(f"{a:.0f}+{b - a:g}" for a, b in when)
 
 
 def outages(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from mishaps import Messages, Mishap, changed, direction, every_nth, since_s, spans, without
+from mishaps import Messages, Mishap, changed, direction, every_nth, since_s, spans, told, without
 from scipy.spatial.transform import Rotation
 
 from holdfast.messages import SensorPose
@@ -24,11 +24,6 @@ def seen_from(one: SensorPose, rotation: Rotation) -> SensorPose:
 def of_odometry(change: Callable[[SensorPose], SensorPose], messages: Messages) -> Messages:
     """Return the messages with other poses."""
     return changed(SensorPose, messages, change)
-
-
-def told(when: list[tuple[float, float]]) -> str:
-    """Return spans of time in words."""
-    return " ".join(f"{a:.0f}+{b - a:g}" for a, b in when)
 
 
 def jumps(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:

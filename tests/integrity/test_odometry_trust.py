@@ -91,9 +91,11 @@ def test_it_is_not_trusted_before_the_lie_is_over_for_so_long():
 
 
 def test_one_that_turns_otherwise_is_not_trusted():
-    turning = lambda rate: lambda t: gtsam.Pose3(gtsam.Rot3.Yaw(rate * t), np.zeros(3))  # noqa: E731
-    assert driven(lost(), turning(0.2), turning(0.0), 30.0) is None
-    assert driven(lost(), turning(0.2), turning(0.2), 30.0) == 6.0
+    def turning(t):
+        return gtsam.Pose3(gtsam.Rot3.Yaw(0.2 * t), np.zeros(3))
+
+    assert driven(lost(), turning, lambda _: gtsam.Pose3(), 30.0) is None
+    assert driven(lost(), turning, turning, 30.0) == 6.0
 
 
 def test_an_estimate_that_knows_little_has_little_to_say_against_it():

@@ -128,7 +128,6 @@ class Tracking:
         self._node_interval_ns = round(config.graph.max_node_interval_s * 1e9)
         self._due_ns: int | None = None
         self._constrained_ns = state.stamp_ns
-        self._has_vouched = False  # an odometry, for positions that contradict
         self._late: set[str] = set()  # sensors whose last measurement was too late
         self._epochs = Epochs()
         self._calibration = Calibration(sensors, config.imu_name, log)
@@ -274,8 +273,9 @@ class Tracking:
         self.successor.calm(now_ns)
         published = self.graph.published
         published.imu_noise.walk_scale = self.successor.walk_scale
-        is_alone = self._is_alone()  # else it is the positions that have begun to err
-        contradiction = self._contradiction() if is_alone else None
+        has_witness = self._odometry_vouches()
+        is_alone = has_witness or not self._odometries.has_agreed()  # else it is the positions that have begun to err
+        contradiction = self._contradiction(has_witness=has_witness) if is_alone else None
         beginning = self.successor.settle_doubt()
         if beginning is None and contradiction is not None:
             beginning = self.successor.begin(published.newest, contradiction.since_ns)
@@ -300,22 +300,22 @@ class Tracking:
         for name in sorted(self.successor.newly_mistaken()):
             self._log.report(EventKind.SENSOR_LOST, now_ns, name, MISTAKEN)
 
-    def _is_alone(self) -> bool:
-        """Whether no odometry knows better than positions that contradict: none has agreed, or one moves as they do.
+    def _odometry_vouches(self) -> bool:
+        """Whether an odometry that is trusted moves as positions that contradict do: they are then believed sooner.
 
-        Positions are then believed sooner. What is not trusted is no help in beginning anew either.
+        What is not trusted is no help in beginning anew either.
         """
         start, departure = self.successor.start, self._positions.departure()
         for name in self._odometries.distrusted:
             start.forget_odometry(name)
-        self._has_vouched = departure is not None and start.odometry_vouches(departure)
-        has_odometry = self._odometries.has_trusted and not self._has_vouched
+        vouches = departure is not None and start.odometry_vouches(departure)
+        has_odometry = self._odometries.has_trusted and not vouches
         self._positions.be_patient(self._gate.patience_s(has_odometry=has_odometry))
-        return self._has_vouched or not self._odometries.has_agreed()
+        return vouches
 
-    def _contradiction(self) -> Contradiction | None:
+    def _contradiction(self, *, has_witness: bool) -> Contradiction | None:
         """Return which positions contradict the estimate; a witness that says the same makes fewer of them enough."""
-        found = self._positions.contradiction(has_witness=self._has_vouched)
+        found = self._positions.contradiction(has_witness=has_witness)
         witnesses = self._states.contradicting(Role.VELOCITY)
         if found is not None or not witnesses:
             return found

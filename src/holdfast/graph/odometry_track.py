@@ -15,7 +15,7 @@ import numpy as np
 
 from holdfast.graph.smoother import FREE, Smoother
 from holdfast.messages import Array
-from holdfast.sensors.odometry import STILL_M_S, OdometryNoise, TrackPose, is_possible
+from holdfast.sensors.odometry import STILL_M_S, OdometryNoise, TrackPose, is_possible, with_excess
 from holdfast.sensors.sensor import State
 from holdfast.state import Outcome
 
@@ -98,8 +98,8 @@ class OdometryTrack:
         predicted = smoother.nav(before.stamp_ns).pose().between(smoother.nav(pose.stamp_ns).pose())
         if self._noise.jump(motion, predicted, pose.excess) is None:  # as a rule
             return None
-        excess = _of_prediction(smoother.state_at(pose.stamp_ns), (pose.stamp_ns - before.stamp_ns) * 1e-9)
-        return self._noise.jump(motion, predicted, excess if pose.excess is None else excess + pose.excess)
+        unknown = _of_prediction(smoother.state_at(pose.stamp_ns), (pose.stamp_ns - before.stamp_ns) * 1e-9)
+        return self._noise.jump(motion, predicted, with_excess(pose.excess, unknown))
 
     def _add_relative(
         self, smoother: Smoother, key: int, before: TrackPose | None, pose: TrackPose, motion: gtsam.Pose3 | None
@@ -168,8 +168,7 @@ def _carried(slack: Array, motion: gtsam.Pose3, excess: Array | None) -> Array:
     if excess is None and not slack.any():
         return slack
     adjoint = motion.inverse().AdjointMap()
-    carried: Array = adjoint @ slack @ adjoint.T
-    return carried if excess is None else carried + excess
+    return with_excess(excess, adjoint @ slack @ adjoint.T)
 
 
 def _of_prediction(state: State, duration_s: float) -> Array:

@@ -20,7 +20,8 @@ SIGMA = 4.0
 OUTLIERS = 3  # so many in a row that disagree end a run
 COMPARED = 3  # of the newest make two speeds
 REFUSED_FRACTION = 0.8  # of the positions in a run: a wrong estimate explains one now and then
-WALK_M_S, DEPARTING_NS = 0.3, 12_000_000_000  # fixes hardly walk so fast for so long
+WALK_M_S = 0.3  # fixes hardly walk so fast
+DEPARTING_NS = 12_000_000_000  # nor for so long
 LEAST_NS = 1_000_000_000  # by fewer positions no shape is told
 BEFORE_NS = 8_000_000_000  # positions that were right tell of what shape the way is
 

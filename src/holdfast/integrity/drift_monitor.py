@@ -11,6 +11,7 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 
+from holdfast.integrity.consensus import WALK_M_S
 from holdfast.messages import Array
 from holdfast.sensors.odometry import OdometryNoise, TrackPose
 from holdfast.sensors.odometry_calibration import SIZE
@@ -21,7 +22,6 @@ FRESH_NS = 3 * STEP_NS  # an older observation says nothing of now
 SIGMA = 5.0  # twenty comparisons a second must not raise an alarm in hours
 VOUCHING_SIGMA = 2.5  # below it an odometry says that the estimate is right
 ESTIMATE_SIGMA_M = 0.01  # of the estimate through which the frame is observed, per axis, whatever it claims
-SLIP_M_S = 0.3  # fixes hardly walk so fast: an odometry that is off by more has lost its hold
 LEARNT, MIN_LEARNT = 120, 30  # steps
 BEST = 0.3  # of the configured noise: no odometry is taken for better
 TYPICAL_MAX = 3.0  # of some dozen norms of three unit Gaussians; the tails are what false alarms are made of
@@ -134,7 +134,8 @@ class DriftMonitor:
         while self._doubtful and self._doubtful[-1][0] > since_ns:
             self._doubtful.pop()  # what was seen since the two parted was no drift
         distance = self._residual_m(worst, now)
-        is_slip = distance > SLIP_M_S * (now.pose.stamp_ns - since_ns) * 1e-9
+        # an odometry that is off by more than fixes walk has lost its hold
+        is_slip = distance > WALK_M_S * (now.pose.stamp_ns - since_ns) * 1e-9
         moved = max(_distance_m(worst.T_W_I, now.T_W_I), _distance_m(worst.pose.T_I0_I, now.pose.T_I0_I))
         seen, sigma = self._seen_from(worst, now), distance / self._worst_ratio
         return Contradiction(seen, distance, sigma, since_ns, is_slip, moved)

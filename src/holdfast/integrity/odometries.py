@@ -11,6 +11,7 @@ from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.odometry_track import OdometryTrack
 from holdfast.integrity.drift_monitor import NOMINAL, Contradiction, DriftMonitor
+from holdfast.integrity.innovation import PERIODS_OF_SILENCE
 from holdfast.integrity.learnt_snapshot import LearntOdometry
 from holdfast.integrity.odometry_learning import OdometryLearning
 from holdfast.integrity.odometry_trust import OdometryTrust, Watched
@@ -21,7 +22,6 @@ from holdfast.state import EventKind, Outcome
 
 DISTRUST = 3.0  # factor on the noise of an odometry that proves to be worse than configured
 NOT_MEASURED = "the IMU did not measure its motions, one after another"
-PERIODS_OF_SILENCE = 3.0
 JUMPS, JUMPS_NS = 4, 20_000_000_000  # so many jumps in this time are no jumps but noise
 
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 
+from holdfast.integrity.consensus import WALK_M_S
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.odometry import TrackPose
@@ -21,8 +22,8 @@ SLIPS_NS, LYING = 5_000_000_000, 0.25  # a second slip in this time is no slip, 
 STEP_NS = 1_000_000_000
 MAX_STEP_NS = 3 * STEP_NS
 AGREES_NS = 5_000_000_000  # for so long it must have moved as the estimate
-AGREES_M, AGREES_RAD = 1.5, radians(5.0)  # over that time: 0.3 m/s, as of a slip; or by this much of the way
-AGREES = 0.1
+AGREES_M, AGREES_RAD = WALK_M_S * AGREES_NS * 1e-9, radians(5.0)  # over that time, or
+AGREES = 0.1  # of the way
 SIGMA = 3.0  # of the estimate
 
 

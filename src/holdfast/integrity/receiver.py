@@ -15,6 +15,7 @@ from math import inf, sqrt
 import numpy as np
 
 from holdfast.config.model import GateConfig
+from holdfast.integrity.innovation import PERIODS_OF_SILENCE
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.sensor import Innovation, Position, State
@@ -25,7 +26,6 @@ UNCHANGED = np.zeros((3, 3))
 AGREEMENT_SIGMA = 4.0  # positions in quarantine are no further from their mean
 COMPARED = 20  # with the mean of so many of the newest
 OUTLIERS = 3  # so many in a row that disagree end a run of agreement
-PERIODS_OF_SILENCE = 3
 PUNCTUAL = 0.99  # positions every two seconds are not always two seconds apart
 UNKNOWN_PERIOD_S = 2.0  # before the second fix
 UNEXPECTED_S = 5.0  # positions after a silence that the estimate does not expect are consistent for so long

@@ -148,7 +148,7 @@ class OdometryNoise:
         """
         rotation_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation())))
         drift = self._drift(self._distance_m(motion), rotation_rad)
-        return _with(excess, self._at_imu(self._sigmas() ** 2 + drift**2))
+        return with_excess(excess, self._at_imu(self._sigmas() ** 2 + drift**2))
 
     def pose_variances(self) -> tuple[float, float]:
         """Return the variances of one pose per axis, half of that of a motion: rotation [rad^2], translation [m^2]."""
@@ -205,7 +205,7 @@ class OdometryNoise:
     def pseudo_global_factor(self, key: int, T_W_I: gtsam.Pose3, excess: Array | None = None) -> gtsam.NonlinearFactor:
         """Return the pose factor in W of the paper's fallback graph (IV-A.4b): roll and pitch are left to the IMU."""
         covariance = np.eye(9) * FREE_VARIANCE
-        covariance[:6, :6] = _with(excess, self._at_imu(0.5 * self._learnt_sigmas() ** 2))
+        covariance[:6, :6] = with_excess(excess, self._at_imu(0.5 * self._learnt_sigmas() ** 2))
         R = T_W_I.rotation().matrix()
         covariance[:3, :3] += R.T @ np.diag([LOOSE_TILT_RAD**2, LOOSE_TILT_RAD**2, 0.0]) @ R
         model = noise_model(covariance, self._config.robust_loss)
@@ -228,7 +228,7 @@ class OdometryNoise:
         covariance = np.eye(9) * STILL_M_S**2
         learnt, drift = self.learnt, self.drift(motion, duration_s)
         sigmas = np.repeat([learnt.tilt_drift, learnt.translation_drift], 3) * drift
-        covariance[:6, :6] = _with(excess, self._at_imu(sigmas**2))
+        covariance[:6, :6] = with_excess(excess, self._at_imu(sigmas**2))
         about_up = np.concatenate([up, np.cross(self._p_I_L, up)])
         yaw_drift = max(learnt.yaw_drift, min(1.0, LEAST_YAW_DRIFT / max(self._config.drift_rad_per_sqrt_rad, 1e-12)))
         covariance[:6, :6] += ((yaw_drift * drift[0]) ** 2 - sigmas[0] ** 2) * np.outer(about_up, about_up)
@@ -269,7 +269,8 @@ class OdometryNoise:
         return gtsam.BetweenFactorNavState(key_i, key_j, gtsam.NavState(motion, np.zeros(3)), model)
 
 
-def _with(excess: Array | None, covariance: Array) -> Array:
+def with_excess(excess: Array | None, covariance: Array) -> Array:
+    """Return a covariance with what an odometry claims beyond it, if it claims anything."""
     return covariance if excess is None else covariance + excess
 
 
