@@ -5,6 +5,7 @@ import pytest
 
 from holdfast.config.load import config_of
 from holdfast.sim.random_machine import WRITTEN, random_machine
+from holdfast.sim.schedules import ADDED
 from holdfast.trial.run import trials_of
 
 
@@ -34,6 +35,17 @@ def test_what_is_drawn_differs_as_machines_do(machines):
     assert any(one["gnss"].clock.offset_s for one in sensors) and not all(one["gnss"].clock.offset_s for one in sensors)
     claims = [one["gnss"].claim_ratio for one in sensors]
     assert min(claims) < 0.6 and max(claims) > 1.8
+
+
+def test_further_sensors_come_on_top(machines):
+    added = set()
+    for seed, machine in enumerate(machines):
+        more = random_machine(seed, further=True)
+        config_of(more.configuration, "random machine")
+        kept = {name: more.scenario.sensors[name] for name in machine.scenario.sensors}
+        assert kept == dict(machine.scenario.sensors)
+        added |= more.scenario.sensors.keys() - kept.keys()
+    assert added == ADDED.keys()
 
 
 @pytest.mark.slow

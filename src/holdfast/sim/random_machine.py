@@ -11,7 +11,7 @@ import numpy as np
 from holdfast.sim.configuration import configuration_data
 from holdfast.sim.readings import generator
 from holdfast.sim.scenario import Scenario, load_scenario
-from holdfast.sim.schedules import log_uniform
+from holdfast.sim.schedules import ADDED, log_uniform
 from holdfast.sim.sensors.gnss import SimulatedGnss
 from holdfast.sim.sensors.imu import SimulatedInertial
 
@@ -29,7 +29,7 @@ ODOMETRY = (0.3, 5.0)  # noise and drift, each times that of the datasheet
 LATENCY_S, CLOCK_S = (0.01, 0.5), 0.06
 MOUNT_DEG, MOUNT_M = 2.0, 0.002  # by which an odometry may be turned, and sigma of where anything is
 ENGINE_HZ, SWAY_HZ = (10.0, 90.0), 4.0
-OFTEN, RARELY = 0.7, 0.35
+OFTEN, RARELY, FURTHER = 0.7, 0.35, 0.4
 
 
 class RandomMachine(NamedTuple):
@@ -39,8 +39,13 @@ class RandomMachine(NamedTuple):
     configuration: dict[str, Any]
 
 
-def random_machine(seed: int) -> RandomMachine:
-    """Return the machine of a seed, at work for `DURATION_S` with an outage of GNSS in `OUTAGE_S`."""
+def random_machine(seed: int, further: bool = False) -> RandomMachine:
+    """Return the machine of a seed, at work for `DURATION_S` with an outage of GNSS in `OUTAGE_S`.
+
+    Args:
+        seed: equal seeds give equal machines.
+        further: it may have sensors that the shipped machines do not have.
+    """
     rng = generator(seed, "random machine")
     machine = str(rng.choice(MACHINES))
     keys: dict[str, Any] = {
@@ -62,6 +67,9 @@ def random_machine(seed: int) -> RandomMachine:
     receivers = [name for name in ("gnss", "gnss_right", "heading") if keys["sensors"][name] is not None]
     start_s, end_s = OUTAGE_S
     keys["faults"] = [{"kind": "outage", "sensors": receivers, "start_s": start_s, "end_s": end_s}]
+    if further:
+        drawn = generator(seed, "further sensors")
+        keys["sensors"] |= {name: sheet for name, sheet in ADDED.items() if drawn.random() < FURTHER}
     keys["extrinsics"] = [one.model_dump(mode="json", exclude_unset=True) for one in whole.extrinsics]
     if rng.random() < RARELY:
         for mount in keys["extrinsics"]:
