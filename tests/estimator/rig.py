@@ -62,7 +62,14 @@ class Rig:
             config.gate, of(Role.POSITION), scales, self.lever_arms, self.log, believe_after_s=after_s
         )
         self.headings = Headings(of(Role.HEADING), scales, self.log)
-        self.odometries = Odometries(config, of(Role.ODOMETRY), self.log, self.witness, carried.odometries)
+        self.odometries = Odometries(
+            config,
+            of(Role.ODOMETRY),
+            self.log,
+            headings=self.witness,
+            fixes=lambda *_: False,
+            carried=carried.odometries,
+        )
         self.states = States(of(Role.STATE, Role.VELOCITY, Role.POSE), scales, lambda _: None, self.log)
         self.recovery = Recovery(config.gate, self.positions, self.headings, self.odometries, self.log)
         self.buffer = buffered(motion, end_s, config, start_s=start_s, samples=samples)

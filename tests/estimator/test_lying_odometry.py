@@ -23,9 +23,9 @@ def streams(end_s=END_S, hz=2.0):
     }
 
 
-def errors_m(outputs, since_s):
+def errors_m(outputs, since_s, road=ROAD):
     found = [e for e in estimates(outputs) if e.stamp_ns > ns(since_s)]
-    true = (ROAD.nav(seconds(e.stamp_ns)).position() for e in found)
+    true = (road.nav(seconds(e.stamp_ns)).position() for e in found)
     return [float(np.linalg.norm((e.nav.position() - p)[:2])) for e, p in zip(found, true, strict=True)]
 
 
@@ -64,10 +64,8 @@ def test_one_that_lies_is_lost_and_regained_when_it_moves_as_the_estimate(lie):
     assert EventKind.BEGUN_ANEW not in {event.kind for event in estimator.events}
 
 
-def test_one_that_is_mounted_otherwise_is_left_out_of_a_start():
-    """The configuration says where the lidar looks, and is wrong by a right angle."""
-    sent = streams(hz=1.0)
-    turned = gtsam.Rot3.Rodrigues(0.3, 0.2, 1.5)
+def mounted_otherwise(poses, turned):
+    """Poses of a lidar that looks elsewhere than the configuration says."""
 
     def seen(one):
         x, y, z, w = one.quaternion
@@ -75,24 +73,86 @@ def test_one_that_is_mounted_otherwise_is_left_out_of_a_start():
         xyzw = np.array([q.x(), q.y(), q.z(), q.w()])
         return replace(one, position=turned.rotate(one.position), quaternion=xyzw)
 
-    sent["lidar"] = [seen(one) for one in sent["lidar"]]
-    sent = {name: [one for one in series if one.stamp_ns > ns(5.0)] for name, series in sent.items()}  # in motion
-    estimator, outputs = run(machine(heading_deg=None), in_order(*sent.values()))
-    started = [event for event in estimator.events if event.kind is EventKind.INITIALISED]
-    assert [event.reason.endswith("without lidar, at odds with the positions") for event in started] == [True]
-    assert of_lidar(estimator, EventKind.SENSOR_LOST) and not of_lidar(estimator, EventKind.SENSOR_REGAINED)
-    assert max(errors_m(outputs, seconds(started[0].stamp_ns))) < 2.0
+    return [seen(one) for one in poses]
+
+
+@pytest.mark.parametrize("from_s", [0.0, 5.0])
+@pytest.mark.parametrize("angles", [(0.3, 0.2, 1.5), (0.0, 0.0, 3.1)])
+def test_one_that_is_mounted_otherwise_is_found_so(from_s, angles):
+    """The configuration says where the lidar looks, and is wrong by a right angle or more; at standstill, in motion."""
+    sent, turned, outage_s = streams(hz=1.0), gtsam.Rot3.Rodrigues(*angles), 36.0
+    sent["lidar"] = mounted_otherwise(sent["lidar"], turned)
+    sent["gnss"] = [one for one in sent["gnss"] if one.stamp_ns < ns(outage_s)]
+    sent = {name: [one for one in series if one.stamp_ns > ns(from_s)] for name, series in sent.items()}
+    heading_deg = HEADING_DEG if from_s == 0.0 else None
+    estimator, outputs = run(machine(heading_deg=heading_deg), in_order(*sent.values()))
+    regained = [event for event in estimator.events if event.kind is EventKind.SENSOR_REGAINED]
+    off_deg = np.degrees(np.linalg.norm(gtsam.Rot3.Logmap(turned)))
+    said_deg = float(regained[0].reason.split()[1])
+    assert regained[0].reason.endswith("deg otherwise than configured it moves as the estimate")
+    assert abs(said_deg - off_deg) < 5.0
+    constant = estimator.learnt().constants["lidar"]
+    left = gtsam.Rot3.Logmap(gtsam.Rot3.Expmap(np.array(constant.mean[:3])).between(turned.inverse()))
+    assert np.degrees(np.linalg.norm(left)) < 2.0
+    assert seconds(regained[0].stamp_ns) < 30.0
+    assert max(errors_m(outputs, 30.0)) < 2.0  # twelve seconds without GNSS, at 6 m/s
+
+
+def test_of_two_the_one_that_lies_is_left_out_of_a_start():
+    sent = {name: [one for one in series if one.stamp_ns > ns(5.0)] for name, series in streams().items()}
+    first = sent["lidar"][0]
+    camera = [
+        replace(one, sensor="camera", position=first.position, quaternion=first.quaternion) for one in sent["lidar"]
+    ]
+    more = {"camera": {"kind": "odometry", "frame": "lidar"}}
+    estimator, outputs = run(machine(heading_deg=None, more=more), in_order(*sent.values(), camera))
+    (started,) = [event for event in estimator.events if event.kind is EventKind.INITIALISED]
+    assert started.reason.endswith("without camera, at odds with the positions")
+    lost = [event.sensor for event in estimator.events if event.kind is EventKind.SENSOR_LOST]
+    assert lost == ["camera"]
+    assert max(errors_m(outputs, seconds(started.stamp_ns))) < 0.5
+
+
+def jumped(samples, at_s, by_deg_s):
+    """A gyroscope whose bias jumps."""
+    by = np.radians([0.0, 0.0, by_deg_s])
+    return [
+        replace(one, angular_velocity=one.angular_velocity + by) if one.stamp_ns > ns(at_s) else one for one in samples
+    ]
+
+
+def test_positions_are_no_walk_where_the_lidar_turns_otherwise_than_the_gyroscope():
+    """Of a slow machine they left the estimate no faster than fixes walk, and were refused for a minute."""
+    slow = Drive(start_s=4.0, ramp_s=4.0, radius_m=8.0, speed=0.1, tilt=0.0, heave_m=0.0)  # 0.8 m/s
+    rng, jump_s, end_s = np.random.default_rng(1), 50.0, 75.0
+    sent = (
+        jumped(imu(slow, 0.0, end_s, 50.0, rng), jump_s, 1.0),
+        fixes(slow, 0.0, end_s, 2.0, rng, RTK, phase_s=0.0137),
+        scans(slow, 0.0, end_s, 5.0, np.random.default_rng(3), (0.001, 0.01), phase_s=0.0071),
+    )
+    estimator, outputs = run(machine(heading_deg=HEADING_DEG), in_order(*sent))
+    (begun,) = [event for event in estimator.events if event.kind is EventKind.BEGUN_ANEW]
+    assert jump_s < seconds(begun.stamp_ns) < jump_s + 12.0
+    assert "the bias of the gyroscope has jumped by 1 deg/s" in begun.reason
+    assert max(errors_m(outputs, 10.0, slow)) < 0.3
+
+
+@pytest.mark.parametrize("by_deg_s", [2.0, 4.0])
+def test_one_whose_rare_motions_a_gyroscope_contradicts_is_not_lost_where_fixes_say_the_same(by_deg_s):
+    jump_s, end_s = 45.0, 70.0
+    sent = streams(end_s)
+    sent["imu"], sent["lidar"] = jumped(sent["imu"], jump_s, by_deg_s), sent["lidar"][::5]
+    estimator, outputs = run(machine(heading_deg=HEADING_DEG), in_order(*sent.values()))
+    assert not of_lidar(estimator, EventKind.SENSOR_LOST)
+    assert max(errors_m(outputs, jump_s)) < 3.0
+    assert max(errors_m(outputs, jump_s + 12.0)) < 0.3
 
 
 def test_one_that_says_what_the_fixes_say_is_a_witness_against_an_estimate_whose_gyroscope_errs():
     """By default fixes must agree for half a minute beside an odometry that has agreed; it was 30 m off by then."""
     jump_s, end_s = 45.0, 75.0
     sent = streams(end_s)
-    by = np.radians(2.0) * np.array([0.0, 0.0, 1.0])
-    sent["imu"] = [
-        replace(one, angular_velocity=one.angular_velocity + by) if one.stamp_ns > ns(jump_s) else one
-        for one in sent["imu"]
-    ]
+    sent["imu"] = jumped(sent["imu"], jump_s, 2.0)
     estimator, outputs = run(machine(heading_deg=HEADING_DEG), in_order(*sent.values()))
     begun_s = [seconds(event.stamp_ns) for event in estimator.events if event.kind is EventKind.BEGUN_ANEW]
     assert begun_s and begun_s[0] < jump_s + 12.0

@@ -176,9 +176,9 @@ def jumped(until_s, *, has_doppler=True):
 
 def test_a_jump_is_believed_when_more_has_come_that_says_so():
     early, late = jumped(35.0), jumped(36.0)
-    assert early.after_jump(ns(35.0)) is None
+    assert early.after_jump(ns(35.0), has_witness=False) is None
     late._suspected = early._suspected
-    beginning = late.after_jump(ns(36.0))
+    beginning = late.after_jump(ns(36.0), has_witness=False)
     assert "the bias of the gyroscope has jumped by" in beginning.reason
     off = beginning.state.bias.gyroscope() - np.radians([0.0, 0.0, 3.0])
     assert off @ np.linalg.solve(beginning.state.covariance[12:, 12:], off) < 14.2  # 3 sigma of three numbers
@@ -187,12 +187,12 @@ def test_a_jump_is_believed_when_more_has_come_that_says_so():
 
 def test_the_same_said_twice_is_no_more():
     successor = jumped(36.0)
-    assert successor.after_jump(ns(36.0)) is None
-    assert successor.after_jump(ns(37.0)) is None
+    assert successor.after_jump(ns(36.0), has_witness=False) is None
+    assert successor.after_jump(ns(37.0), has_witness=False) is None
 
 
 def test_without_velocities_it_is_not_asked_before_the_positions_contradict():
     """Positions that wander look like a bias that jumps."""
     successor = jumped(42.0, has_doppler=False)
-    assert successor.after_jump(ns(42.0)) is None and successor._suspected is None
+    assert successor.after_jump(ns(42.0), has_witness=False) is None and successor._suspected is None
     assert "the bias of the gyroscope has jumped" in successor.begin(astray(42.0), ns(39.0)).reason

@@ -53,9 +53,9 @@ def driven(noise, drift, *, end_s=END_S, **how):
     return rig
 
 
-def stages(noise, drift, ends_s, *, worse_from_s=np.inf, walk_from_s=np.inf, carried=NOTHING_LEARNT):
+def stages(noise, drift, ends_s, *, worse_from_s=np.inf, walk_from_s=np.inf, carried=NOTHING_LEARNT, samples=None):
     """Yield all that has learnt at each of these times, with a fix every second; they walk from a time on."""
-    rig = Rig(DRIVE, machine(), max(ends_s[-1], 1.0), carried=carried)
+    rig = Rig(DRIVE, machine(), max(ends_s[-1], 1.0), samples=samples, carried=carried)
     due_s = begin_s = 0.0
     for end_s in ends_s:
         for t, pose in poses(noise, drift, worse_from_s=worse_from_s, end_s=end_s):
@@ -223,3 +223,19 @@ def test_a_gyroscope_that_is_far_worse_than_the_file_says_is_found():
 def test_without_headings_both_keep_the_ratio_of_the_file():
     gyroscope, odometry = yaw_learnt(headings=False)
     assert gyroscope == pytest.approx(odometry, rel=0.5)
+
+
+def parted_s(by_deg_s, jump_s=40.0):
+    """The seconds at which a lidar has turned otherwise than a gyroscope whose bias jumps."""
+    by, ends_s = np.radians([0.0, 0.0, by_deg_s]), np.arange(1.0, END_S)
+    samples = [
+        replace(one, angular_velocity=one.angular_velocity + by) if one.stamp_ns > ns(jump_s) else one
+        for one in imu(DRIVE, 0.0, END_S)
+    ]
+    rigs = stages(1.0, 1.0, ends_s, samples=samples)
+    return [end_s for end_s, rig in zip(ends_s, rigs, strict=True) if rig.odometries.part_from_gyroscope(ns(end_s))]
+
+
+def test_a_lidar_parts_from_a_gyroscope_whose_bias_jumps():
+    assert 40.0 < parted_s(2.0)[0] <= 44.0
+    assert parted_s(0.0) == []

@@ -22,16 +22,16 @@ from holdfast.estimator.known_biases import KnownBiases
 from holdfast.estimator.odometry_tracks import OdometryTracks
 from holdfast.estimator.pose_as_point import PoseAsPoint, as_position
 from holdfast.estimator.velocity_check import Company, VelocityCheck
-from holdfast.graph.alignment import FITS, BatchAligner, Jump
+from holdfast.graph.alignment import FITS, Alignment, BatchAligner, Jump
 from holdfast.graph.alignment_problem import Evidence, Problems, thin
 from holdfast.graph.first_guess import level_attitude
-from holdfast.integrity.consensus import Departure
+from holdfast.integrity.consensus import BEFORE_NS, SIGMA, Departure
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array, Message
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.odometry import TrackPose
 from holdfast.sensors.preintegration import ImuNoise
-from holdfast.sensors.sensor import Measurement, Position, Role, Sensor, Velocity, of_role
+from holdfast.sensors.sensor import Measurement, Position, Role, Sensor, Velocity, is_gnss, of_role
 from holdfast.sensors.standstill import (
     ENGINE,
     fixes_stand,
@@ -45,6 +45,8 @@ PLAUSIBLE_FORCE_M_S2 = (7.0, 13.0)  # mean specific force of a machine on the gr
 MIN_TRAVEL_M, MIN_TRAVEL_SIGMAS = 2.0, 5.0
 DOUBTFUL = 2.0  # squared residuals over what is claimed, where an odometry is among them
 TIMES_NEARER = 8.0  # to positions, an odometry is than the estimate that leaves them
+SHARE = 0.05  # of the way, by which an odometry may differ from positions that vouch for it
+TELLING = 0.25  # of the way: positions that are noisier do not tell
 RETRY_NS = 1_000_000_000
 MIN_POSITIONS = 3
 STANDING_S = 5.0, 15.0  # over which positions tell whether the machine stands, longer ones if the first cannot
@@ -70,7 +72,8 @@ class Initialising:
         self._config, self._buffer, self._gravity = config, buffer, gravity
         self._sensors = sensors
         self.jump: Jump | None = None  # of the biases, as of the last attempt
-        self._points = of_role(sensors, Role.POSITION)
+        points = of_role(sensors, Role.POSITION)  # those of GNSS first: of another somebody has typed where it stands
+        self._points = dict(sorted(points.items(), key=lambda one: not is_gnss(one[1])))
         poses = of_role(sensors, Role.POSE)
         self._poses = {name: one for name, one in poses.items() if not self._points or one.parameter is None}
         self._headings = of_role(sensors, Role.HEADING)
@@ -86,6 +89,7 @@ class Initialising:
         self._others: dict[str, deque[Any]] = {}  # headings and poses, by sensor
         self.biases = KnownBiases(imu, config.initialisation.standstill_s)
         self.misfit = inf  # of the last attempt: squared residuals over what is claimed
+        self.doubtful: frozenset[str] = frozenset()  # odometries and receivers that the last attempt has left out
         self._velocity_check = VelocityCheck(self._points, of_role(sensors, Role.VELOCITY))
         self._last_try_ns = self._newest_ns = NEVER_NS
         self._window_ns = round(config.initialisation.window_s * 1e9)
@@ -153,6 +157,20 @@ class Initialising:
         arm = self._points[departure.positions[-1].sensor].p_I_P
         return self._odometries.move_as(departure.positions, arm, departure.by_m / TIMES_NEARER)
 
+    def fixes_vouch_for(self, odometry: str, since_ns: int) -> bool:
+        """Whether an odometry has moved in the shape of positions from before a time until now, two of them since."""
+        for name, point in self._points.items():
+            mine = [one for one in self._positions if one.sensor == name]
+            positions = _between(mine, since_ns - BEFORE_NS, self._newest_ns)
+            since = [one for one in positions if one.stamp_ns >= since_ns]
+            if len(since) > 1:
+                noise_m, way_m = SIGMA * float(np.sqrt(since[-1].covariance.trace())), _travel_m(since)
+                tolerance_m = max(noise_m, SHARE * way_m)
+                can_tell = noise_m < TELLING * way_m
+                if can_tell and self._odometries.move_as(positions, point.p_I_P, tolerance_m, [odometry]):
+                    return True
+        return False
+
     @property
     def has_witness(self) -> bool:
         """Whether there are velocities that have proven right, and none of which nothing is known."""
@@ -198,7 +216,7 @@ class Initialising:
         Args:
             may_have_jumped: whether the biases may have jumped since the first position; `jump` tells when.
         """
-        self.misfit, self.jump = inf, None
+        self.misfit, self.jump, self.doubtful = inf, None, frozenset()
         now = self._buffer.latest_ns
         standstill_s = self._config.initialisation.standstill_s
         recent = self._buffer.window(now - round(standstill_s * 1e9), now)
@@ -346,19 +364,45 @@ class Initialising:
         jump_sigmas = self.biases.doubted if is_explained else None
         limit_rad = radians(self._config.initialisation.max_heading_sigma_deg)
         alignment = self._aligner.solve(evidence, self.biases.prior, limit_rad, jump_sigmas)
-        if evidence.motions and alignment.excess > DOUBTFUL:  # an odometry that is mounted otherwise, or lies
-            other = self._aligner.solve(evidence._replace(motions=()), self.biases.prior, limit_rad, jump_sigmas)
-            if other.excess <= FITS:
-                alignment, lying = other, [*lying, *self._odometries.names]
+        for names in self._doubtful(evidence, alignment):
+            fewer = self._without(evidence, names)
+            other = self._aligner.solve(fewer, self.biases.prior, limit_rad, jump_sigmas)
+            is_better = len(fewer.positions) == len(evidence.positions) or other.misfit <= FITS
+            if is_better and other.excess <= (DOUBTFUL if fewer.motions else FITS):
+                alignment, evidence, self.doubtful = other, fewer, names
+                break
         self.misfit, self.jump = alignment.misfit, alignment.jump
-        without = f", without {', '.join(lying)}, at odds with the positions" if lying else ""
+        left_out = [*lying, *sorted(self.doubtful)]
+        without = f", without {', '.join(left_out)}, at odds with the positions" if left_out else ""
         self.reason = f"{alignment.reason}{without}"
         if alignment.state is None:
             return None
         if self.jump is not None and self.jump.is_believed:
             by_deg_s, ago_s = np.degrees(self.jump.by_rad_s), (now_ns - self.jump.stamp_ns) * 1e-9
             self.reason += f"; the bias of the gyroscope has jumped by {by_deg_s:.2g} deg/s {ago_s:.0f} s ago"
-        return self._by_any_clock(alignment.state, fixes[-1])
+        return self._by_any_clock(alignment.state, evidence.positions[-1])
+
+    def _doubtful(self, evidence: Evidence, alignment: Alignment) -> list[frozenset[str]]:
+        """Return what may be left out of a batch that does not fit, if anything.
+
+        A receiver that is none of GNSS, whose station may be elsewhere; an odometry that is mounted otherwise, or lies:
+        one of several, or all of them.
+        """
+        receivers = {one.sensor for one in evidence.positions}
+        placed = frozenset(name for name in receivers if not is_gnss(self._points[name]))
+        placed = placed if len(placed) < len(receivers) else frozenset()
+        if alignment.excess <= DOUBTFUL:
+            return [placed] if placed and alignment.misfit > FITS else []
+        names = frozenset(self._odometries.names) if evidence.motions else frozenset[str]()
+        singles = [frozenset({name}) for name in sorted(names)] if len(names) > 1 else []
+        return [one for one in (placed, *singles, names, placed | names) if one]
+
+    def _without(self, evidence: Evidence, names: Collection[str]) -> Evidence:
+        """Return the evidence without some odometries and receivers."""
+        positions = [one for one in evidence.positions if one.sensor not in names]
+        velocities = [one for one in evidence.velocities if one.stamp_ns >= positions[0].stamp_ns]
+        fewer = Evidence(positions, velocities)
+        return fewer._replace(motions=self._odometries.factors(fewer.stamps, names) if evidence.motions else ())
 
     def _credible_velocities(self, fixes: Sequence[Position], end_ns: int) -> tuple[list[Velocity], list[str]]:
         """Return velocities since the first of some positions, and the sensors that are left out."""

@@ -1,7 +1,7 @@
 """What odometries have measured of late, beside the graphs: motions for a start, and a witness of positions."""
 
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import pairwise
 from math import inf
 
@@ -44,10 +44,12 @@ class OdometryTracks:
         """Forget what an odometry has said."""
         self._tracks.pop(name, None)
 
-    def factors(self, stamps: Sequence[int]) -> list[gtsam.NonlinearFactor]:
-        """Return relative factors between keys x(0), x(1), ... of some times, from each track."""
+    def factors(self, stamps: Sequence[int], without: Collection[str] = ()) -> list[gtsam.NonlinearFactor]:
+        """Return relative factors between keys x(0), x(1), ... of some times, from each track but of those without."""
         factors = []
         for name, track in self._tracks.items():
+            if name in without:
+                continue
             noise, poses = OdometryNoise(self._models[name]), [_pose_at(track, stamp) for stamp in stamps]
             for k, (before, after) in enumerate(pairwise(poses)):
                 if before is not None and after is not None:
@@ -55,15 +57,18 @@ class OdometryTracks:
                     factors.append(noise.relative_factor(*keys, before.between(after)))
         return factors
 
-    def move_as(self, positions: Sequence[Position], p_I_P: Array, tolerance_m: float) -> bool:
+    def move_as(
+        self, positions: Sequence[Position], p_I_P: Array, tolerance_m: float, names: Collection[str] | None = None
+    ) -> bool:
         """Whether an odometry has moved in the shape of some positions, wherever it sees them.
 
         Args:
             positions: of one antenna, sorted by stamp.
             p_I_P: (3,) where it is in I [m].
             tolerance_m: so near they must come, all of them, when one is laid upon the other.
+            names: of odometries; by default all.
         """
-        for track in self._tracks.values():
+        for track in (track for name, track in self._tracks.items() if names is None or name in names):
             seen = [(one.p_W_P, _pose_at(track, one.stamp_ns)) for one in positions]
             pairs = [(p_W, T.transformFrom(p_I_P)) for p_W, T in seen if T is not None]
             if len(pairs) >= LEAST and _apart_m(pairs) < tolerance_m:

@@ -5,7 +5,7 @@ the sensors, unless someone asked for the restart.
 """
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from math import isfinite
 from typing import TYPE_CHECKING
 
@@ -297,8 +297,9 @@ class Optimiser:
             self._begin()
             return None
         if state is not None:
-            self._start(state, Successor(phase))
+            tracking = self._start(state, Successor(phase))
             self._log.report(EventKind.INITIALISED, state.stamp_ns, "", phase.reason)
+            self._leave_out(tracking, phase.doubtful)
         elif phase.reason != before:
             self._log.report(EventKind.WAITING, self._buffer.latest_ns, "", phase.reason)
         return state
@@ -369,17 +370,27 @@ class Optimiser:
         self._learnt = self.learnt().without_constants()
         if before.is_lost:
             self._log.report(EventKind.GNSS_REGAINED, now_ns, "", reason)
-        mistaken = successor.start.mistaken()
+        distrusted, doubtful = before.distrusted, successor.start.doubtful
+        mistaken = {*successor.start.mistaken(), *distrusted, *doubtful}
         for name in before.lost():
-            if name in mistaken or name in before.distrusted_odometries:
+            if name in mistaken:
                 continue
             is_receiver = self._sensors[name].role is Role.POSITION
             kind = EventKind.RECEIVER_REGAINED if is_receiver else EventKind.SENSOR_REGAINED
             self._log.report(kind, now_ns, name, reason)
         tracking = self._start(state, successor)
         tracking.queue = before.queue
-        tracking.distrust(before.distrusted_odometries)
+        tracking.distrust(distrusted)
+        self._leave_out(tracking, doubtful - distrusted)
         self.monitor.recovered(now_ns)
+
+    def _leave_out(self, tracking: Tracking, names: Collection[str]) -> None:
+        """Begin without odometries and receivers that the start has left out."""
+        tracking.distrust(names)
+        for name in sorted(names):
+            is_receiver = self._sensors[name].role is Role.POSITION
+            kind = EventKind.RECEIVER_LOST if is_receiver else EventKind.SENSOR_LOST
+            self._log.report(kind, self._buffer.latest_ns, name, "at odds with the positions")
 
     def drop_samples(self) -> None:
         """Drop the samples that no window needs any more."""

@@ -93,13 +93,13 @@ class Successor:
         self._begun_ns = current.stamp_ns
         return Beginning(moved, "position and velocity of the fixes, the heading in doubt")
 
-    def after_jump(self, now_ns: int) -> Beginning | None:
+    def after_jump(self, now_ns: int, *, has_witness: bool) -> Beginning | None:
         """Return a state to begin from if the biases have jumped, and what came later says so of the same time.
 
         What an IMU without a fault leaves unexplained looks like a jump, too, but later like another one. And positions
-        that wander do: so velocities that have proven right must say the same.
+        that wander do: so velocities that have proven right must say the same, or another witness.
         """
-        if now_ns - self._tried_ns < TRIED_NS or not self.start.has_witness:
+        if now_ns - self._tried_ns < TRIED_NS or not (has_witness or self.start.has_witness):
             return None
         self._tried_ns = now_ns
         state, jump, before = self.start.attempt(may_have_jumped=True), self.start.jump, self._suspected

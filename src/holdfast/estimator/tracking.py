@@ -111,7 +111,14 @@ class Tracking:
         )
         self._headings = Headings(of_role(sensors, Role.HEADING), scales, log)
         odometries = of_role(sensors, Role.ODOMETRY)
-        self._odometries = Odometries(config, odometries, log, self._heading_witness, carried.odometries)
+        self._odometries = Odometries(
+            config,
+            odometries,
+            log,
+            headings=self._heading_witness,
+            fixes=successor.start.fixes_vouch_for,
+            carried=carried.odometries,
+        )
         self._states = States(of_role(sensors, Role.STATE, Role.VELOCITY, Role.POSE), scales, joint_at, log)
         self._recovery = Recovery(config.gate, self._positions, self._headings, self._odometries, log)
         self._channels: dict[Role, Channel] = {
@@ -156,9 +163,9 @@ class Tracking:
         return [name for channel in channels for name in channel.lost()]
 
     @property
-    def distrusted_odometries(self) -> frozenset[str]:
-        """The odometries that lie: an estimate that begins anew does not trust them either."""
-        return self._odometries.distrusted
+    def distrusted(self) -> frozenset[str]:
+        """Odometries that lie, and receivers that are elsewhere: an estimate that begins anew trusts them neither."""
+        return self._odometries.distrusted | self._positions.misplaced
 
     def constants(self) -> dict[str, Constant]:
         """Return what the graph knows of the constants of sensors, by sensor or by what several share."""
@@ -273,14 +280,16 @@ class Tracking:
         self.successor.calm(now_ns)
         published = self.graph.published
         published.imu_noise.walk_scale = self.successor.walk_scale
-        has_witness = self._odometry_vouches()
-        is_alone = has_witness or not self._odometries.has_agreed()  # else it is the positions that have begun to err
+        is_turned = self._odometries.part_from_gyroscope(now_ns)
+        has_witness = self._odometry_vouches(is_turned=is_turned)
+        # else it is the positions that have begun to err
+        is_alone = has_witness or is_turned or not self._odometries.has_agreed()
         contradiction = self._contradiction(has_witness=has_witness) if is_alone else None
         beginning = self.successor.settle_doubt()
         if beginning is None and contradiction is not None:
             beginning = self.successor.begin(published.newest, contradiction.since_ns)
-        if beginning is None and is_alone and self._is_astray():
-            beginning = self.successor.after_jump(now_ns)
+        if beginning is None and (is_turned or (is_alone and self._is_astray())):
+            beginning = self.successor.after_jump(now_ns, has_witness=is_turned)
         if beginning is not None:
             self._log.report(
                 EventKind.BEGUN_ANEW, now_ns, "" if contradiction is None else contradiction.sensor, beginning.reason
@@ -300,7 +309,7 @@ class Tracking:
         for name in sorted(self.successor.newly_mistaken()):
             self._log.report(EventKind.SENSOR_LOST, now_ns, name, MISTAKEN)
 
-    def _odometry_vouches(self) -> bool:
+    def _odometry_vouches(self, *, is_turned: bool) -> bool:
         """Whether an odometry that is trusted moves as positions that contradict do: they are then believed sooner.
 
         What is not trusted is no help in beginning anew either.
@@ -309,7 +318,7 @@ class Tracking:
         for name in self._odometries.distrusted:
             start.forget_odometry(name)
         vouches = departure is not None and start.odometry_vouches(departure)
-        has_odometry = self._odometries.has_trusted and not vouches
+        has_odometry = self._odometries.has_trusted and not (vouches or is_turned)
         self._positions.be_patient(self._gate.patience_s(has_odometry=has_odometry))
         return vouches
 

@@ -16,12 +16,18 @@ import numpy as np
 from holdfast.graph.smoother import FREE, Smoother
 from holdfast.messages import Array
 from holdfast.sensors.odometry import STILL_M_S, OdometryNoise, TrackPose, is_possible, with_excess
+from holdfast.sensors.odometry_calibration import NOMINAL, OdometryCalibration
 from holdfast.sensors.sensor import State
 from holdfast.state import Outcome
 
 EPOCH_NS, EPOCH_M, EPOCH_RAD = 1_000_000_000, 0.4, 0.1  # within which the track does not drift
 
 Mode = Literal["anchored", "relative", "frozen"]
+
+
+def believed_calibration(smoother: Smoother, odometry: str, calibration: OdometryCalibration) -> Array:
+    """Return what is believed of the mounting and the clock of an odometry (4,)."""
+    return NOMINAL if calibration.prior is None else smoother.parameter_belief(odometry, calibration.prior)
 
 
 class Joined(NamedTuple):
@@ -95,6 +101,8 @@ class OdometryTrack:
         """Return by how much the IMU contradicts the odometry; None if it does not, or has not measured all along."""
         if before.stamp_ns < smoother.oldest_ns or not smoother.imu.is_trusted(before.stamp_ns, pose.stamp_ns):
             return None
+        calibration = self._noise.calibration
+        motion = calibration.motion(motion, believed_calibration(smoother, pose.sensor, calibration))
         predicted = smoother.nav(before.stamp_ns).pose().between(smoother.nav(pose.stamp_ns).pose())
         if self._noise.jump(motion, predicted, pose.excess) is None:  # as a rule
             return None

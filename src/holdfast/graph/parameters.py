@@ -95,6 +95,11 @@ class Parameters:
         self._known[name] = known
         return known
 
+    def begin_anew(self, name: str, prior: Parameter) -> None:
+        """Forget what is known of a sensor's parameter; this prior stands in for that of the configuration."""
+        self._known.pop(name, None)
+        self._carried = {**self._carried, name: prior}
+
     def estimate(self, name: str) -> tuple[Array, Array] | None:
         """Return the estimate (p,) of a sensor's parameter and its sigmas (p,), None while there is none."""
         known = self._known.get(name)

@@ -196,6 +196,14 @@ class Smoother:
         known = self._parameters.use(self._window, name, prior, to_grid(stamp_ns), start)
         return known.key, known.value, known.covariance
 
+    def parameter_belief(self, name: str, prior: Parameter) -> Array:
+        """Return the estimate (p,) of a sensor's parameter, the mean of its prior while there is none."""
+        return self._parameters.belief(name, prior)[0]
+
+    def begin_parameter_anew(self, name: str, prior: Parameter) -> None:
+        """Know this alone of a sensor's parameter from now on."""
+        self._parameters.begin_anew(name, prior)
+
     def parameter_estimate(self, name: str) -> tuple[Array, Array] | None:
         """Return the estimate (p,) of a sensor's parameter and its sigmas (p,), None while there is none."""
         return self._parameters.estimate(name)

@@ -14,7 +14,7 @@ import numpy as np
 from holdfast.integrity.consensus import WALK_M_S
 from holdfast.messages import Array
 from holdfast.sensors.odometry import OdometryNoise, TrackPose
-from holdfast.sensors.odometry_calibration import SIZE
+from holdfast.sensors.odometry_calibration import NOMINAL
 
 MEMORY_NS = 20_000_000_000
 STEP_NS = 1_000_000_000
@@ -26,7 +26,6 @@ LEARNT, MIN_LEARNT = 120, 30  # steps
 BEST = 0.3  # of the configured noise: no odometry is taken for better
 TYPICAL_MAX = 3.0  # of some dozen norms of three unit Gaussians; the tails are what false alarms are made of
 LEARNING_STEPS = 3
-NOMINAL = np.zeros(SIZE)  # a calibration that is as configured
 
 
 class _Observation(NamedTuple):

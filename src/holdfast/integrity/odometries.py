@@ -1,28 +1,37 @@
 """Odometries on their way into both graphs: which jump, slip, lie or fall silent, and what they say against GNSS."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from math import degrees
 from types import MappingProxyType
 from typing import NamedTuple
 
 import gtsam
+import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
-from holdfast.graph.odometry_track import OdometryTrack
-from holdfast.integrity.drift_monitor import NOMINAL, Contradiction, DriftMonitor
+from holdfast.graph.odometry_track import OdometryTrack, believed_calibration
+from holdfast.integrity.drift_monitor import Contradiction, DriftMonitor
 from holdfast.integrity.innovation import PERIODS_OF_SILENCE
 from holdfast.integrity.learnt_snapshot import LearntOdometry
 from holdfast.integrity.odometry_learning import OdometryLearning
 from holdfast.integrity.odometry_trust import OdometryTrust, Watched
 from holdfast.integrity.yaw_learning import HeadingWitness
+from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
 from holdfast.state import EventKind, Outcome
 
 DISTRUST = 3.0  # factor on the noise of an odometry that proves to be worse than configured
 NOT_MEASURED = "the IMU did not measure its motions, one after another"
+AGAIN_NS = 5_000_000_000  # an odometry whose noise is trebled twice in this time is lost
+ERRS_NS = 5_000_000_000  # for so long a gyroscope is doubted
 JUMPS, JUMPS_NS = 4, 20_000_000_000  # so many jumps in this time are no jumps but noise
+
+
+FixWitness = Callable[[str, int], bool]
+"""Tells whether an odometry has moved as the fixes since a time [ns]."""
 
 
 class Walk(NamedTuple):
@@ -43,9 +52,12 @@ class _Odometry:
         self.learning = OdometryLearning(self.noise, carried)
         self.trust = OdometryTrust(model.calibration)
         self.is_silent = False
+        self.contradicts_ns = NEVER_NS  # when it contradicted the IMU last, and the fixes said the same
         self._heard_ns: int | None = None  # what the IMU had reached when a pose came last that was of use
         self._period_ns = 0
         self._jumps_ns: list[int] = []
+        self._trebled_ns = NEVER_NS
+        self.is_wild = False  # it jumps on, though its noise was trebled
 
     def note_jump(self, stamp_ns: int) -> bool:
         """Note a jump; trust the odometry less if it jumps too often to be as good as is configured."""
@@ -54,12 +66,15 @@ class _Odometry:
             return False
         self._jumps_ns.clear()
         self.learning.trust_less(DISTRUST)
+        before, self._trebled_ns = self._trebled_ns, stamp_ns
+        self.is_wild = stamp_ns - before < AGAIN_NS
         return True
 
     def lose(self) -> None:
         """It is trusted no more: its jumps were no noise."""
         self.trust.lose()
         self._jumps_ns.clear()
+        self.is_wild = False
         self.forget_frame()
 
     def forget_frame(self) -> None:
@@ -90,6 +105,7 @@ class Odometries:
         models: by name.
         log: where counts and events go.
         headings: what they say of the heading of an estimate.
+        fixes: whether they say the same as an odometry.
         carried: what was learnt of odometries before, by name.
     """
 
@@ -98,14 +114,16 @@ class Odometries:
         config: Config,
         models: dict[str, OdometryModel],
         log: EventLog,
+        *,
         headings: HeadingWitness,
+        fixes: FixWitness,
         carried: Mapping[str, LearntOdometry] = MappingProxyType({}),
     ) -> None:
         self._odometries = {name: _Odometry(model, carried.get(name)) for name, model in models.items()}
         self._mode = config.graph.main_odometry
         self._is_monitored = config.gate.drift_monitor
         self._log = log
-        self._headings = headings
+        self._headings, self._fixes = headings, fixes
 
     def __len__(self) -> int:
         return len(self._odometries)
@@ -162,11 +180,16 @@ class Odometries:
             self._log.report(EventKind.ODOMETRY_JUMP, pose.stamp_ns, pose.sensor, reason)
             odometry.forget_frame()
         lies_since_ns = odometry.trust.note_motion(pose.stamp_ns, jump)
+        if lies_since_ns is not None and self._fixes(pose.sensor, lies_since_ns):
+            odometry.contradicts_ns, lies_since_ns = now_ns, None
         if jump is not None:
-            is_often = lies_since_ns is None and odometry.note_jump(pose.stamp_ns)
+            is_right = odometry.contradicts_ns == now_ns
+            is_often = lies_since_ns is None and not is_right and odometry.note_jump(pose.stamp_ns)
             reason = f"the IMU did not measure this motion{'; too often: its noise is trebled' if is_often else ''}"
             self._log.report(EventKind.ODOMETRY_JUMP, pose.stamp_ns, pose.sensor, reason)
             odometry.forget_frame()
+        if odometry.is_wild:
+            lies_since_ns = pose.stamp_ns
         if lies_since_ns is not None:
             self._log.record(pose.stamp_ns, pose.sensor, outcome)
             self._lose(graph, pose.sensor, lies_since_ns, now_ns, NOT_MEASURED)
@@ -190,8 +213,15 @@ class Odometries:
             seen = None
             if before is not None and main.has_node(before.stamp_ns):
                 seen = Watched(before, self.estimated(graph, before), main.covariance(before.stamp_ns))
-            if odometry.trust.watch(pose, seen, _calibration(graph, pose.sensor)):
-                self._log.report(EventKind.SENSOR_REGAINED, now_ns, pose.sensor, "it moves as the estimate again")
+            if odometry.trust.watch(pose, seen, self._calibration(graph, pose.sensor), is_led=not graph.is_lost):
+                reason = "it moves as the estimate again"
+                if (mount := odometry.trust.mount) is not None:
+                    mounted = odometry.model.calibration.mounted(mount)
+                    for smoother in graph.smoothers():
+                        smoother.begin_parameter_anew(pose.sensor, mounted)
+                    off_deg = degrees(float(np.linalg.norm(mount)))
+                    reason = f"mounted {off_deg:.0f} deg otherwise than configured it moves as the estimate"
+                self._log.report(EventKind.SENSOR_REGAINED, now_ns, pose.sensor, reason)
         return Outcome.QUARANTINED
 
     def _lose(self, graph: DualGraph, name: str, since_ns: int, now_ns: int, reason: str) -> None:
@@ -222,7 +252,7 @@ class Odometries:
         if not self._is_monitored:
             return None
         for name, pose in self._due(graph):
-            covariance, calibration = graph.main.covariance(pose.stamp_ns), _calibration(graph, name)
+            covariance, calibration = graph.main.covariance(pose.stamp_ns), self._calibration(graph, name)
             monitor = self._odometries[name].monitor
             T_W_I = self.estimated(graph, pose)
             self._odometries[name].learning.learn_from_place(pose, T_W_I, covariance, calibration, now_ns)
@@ -231,7 +261,12 @@ class Odometries:
                 continue
             others = [one.monitor for other, one in self._odometries.items() if other != name]
             if not found.is_slip and not any(one.vouches(found.since_ns, now_ns) for one in others):
+                if self._odometries[name].learning.parts_from_gyroscope:
+                    continue  # fixes that walk turn nothing
                 return Walk(name, pose, found)
+            if self._fixes(name, found.since_ns):
+                self._odometries[name].contradicts_ns = now_ns
+                continue
             self._odometries[name].forget_frame()
             beside = f"{found.distance_m:.2f} m beside GNSS"
             self._log.report(EventKind.ODOMETRY_SLIP, now_ns, name, beside)
@@ -243,7 +278,7 @@ class Odometries:
 
     def estimated(self, graph: DualGraph, pose: TrackPose) -> gtsam.Pose3:
         """Return where the main graph sees the machine when a pose was measured, by what it knows of its clock."""
-        state, constants = graph.main.mean_at(pose.stamp_ns), _calibration(graph, pose.sensor)
+        state, constants = graph.main.mean_at(pose.stamp_ns), self._calibration(graph, pose.sensor)
         beyond = state.twist_beyond(float(constants[-1]))
         return self._odometries[pose.sensor].model.calibration.after(
             state.nav, state.angular_velocity, constants, beyond
@@ -252,6 +287,12 @@ class Odometries:
     def has_agreed(self) -> bool:
         """Whether one that is still there has agreed with GNSS since the start: then the estimate was right, once."""
         return any(one.monitor.has_agreed for one in self._odometries.values() if not one.is_lost)
+
+    def part_from_gyroscope(self, now_ns: int) -> bool:
+        """Whether all that are trusted have of late turned otherwise than the gyroscope, by far, or fixes say so."""
+        trusted = [one for one in self._odometries.values() if not one.is_lost]
+        parted = (one.learning.parts_from_gyroscope or now_ns - one.contradicts_ns < ERRS_NS for one in trusted)
+        return bool(trusted) and all(parted)
 
     def forget_frames(self) -> None:
         """The estimate has jumped, or the graph lost its window."""
@@ -275,8 +316,6 @@ class Odometries:
             if pose is not None and pose.stamp_ns >= graph.main.oldest_ns and one.monitor.is_due(pose):
                 yield name, pose
 
-
-def _calibration(graph: DualGraph, odometry: str) -> Array:
-    """Return what the main graph estimates of an odometry (4,): its mounting and its clock."""
-    estimated = graph.main.parameter_estimate(odometry)
-    return NOMINAL if estimated is None else estimated[0]
+    def _calibration(self, graph: DualGraph, odometry: str) -> Array:
+        """Return what the main graph estimates of an odometry (4,): its mounting and its clock."""
+        return believed_calibration(graph.main, odometry, self._odometries[odometry].model.calibration)

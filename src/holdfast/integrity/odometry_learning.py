@@ -6,11 +6,13 @@ over three scans with the specific force alone, and the distance with that betwe
 """
 
 from collections import deque
+from math import radians
 from typing import NamedTuple
 
 import gtsam
 import numpy as np
 
+from holdfast.graph.odometry_track import believed_calibration
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.learnt_snapshot import LOWEST_DRIFT, LOWEST_NOISE, LOWEST_TILT, LearntOdometry
 from holdfast.integrity.scale_posterior import ScalePosterior
@@ -23,6 +25,7 @@ STEP_NS = 1_000_000_000
 MAX_STEP_NS = 3 * STEP_NS
 TRANSLATION_SPANS, ROTATION_SPANS = (5, 10, 20), (1, 3, 10, 20)  # steps
 DRIFT_MEMORY_S, NOISE_MEMORY_SCANS = 600.0, 300
+PARTED_SIGMA, PARTED_RAD = 5.0, radians(1.0)  # by which the odometry has turned otherwise than the gyroscope
 DELAY_NS = 20_000_000_000  # what is seen of distances is learnt so much later: until then the fixes may have walked
 ATTITUDE_SIGMA_RAD = 1e-3  # of the estimate, at least
 
@@ -69,6 +72,7 @@ class OdometryLearning:
         self._is_carried = carried is not None
         self._begin(carried or LearntOdometry())
         self._scans: deque[tuple[TrackPose, InertialMotion | None]] = deque(maxlen=3)
+        self.parts_from_gyroscope = False  # whether it has turned otherwise of late
         self._first: TrackPose | None = None  # of the step that has begun
         self._steps: deque[_Step] = deque(maxlen=max(ROTATION_SPANS) + 1)
         self._before: tuple[TrackPose, gtsam.Rot3] | None = None
@@ -123,6 +127,7 @@ class OdometryLearning:
             self._pending.pop()
 
     def _forget_steps(self) -> None:
+        self.parts_from_gyroscope = False
         self._steps.clear()
         self._yaw.begin_anew()
 
@@ -186,6 +191,12 @@ class OdometryLearning:
         scaled = here.drift_variance - then.drift_variance
         return _Evidence(here.stamp_ns, float(residual @ residual), scaled, other, 1.0 / span)
 
+    def _motion(self, smoother: Smoother, then: TrackPose, now: TrackPose) -> gtsam.Pose3:
+        """Return how the odometry has moved between two poses, mounted as is believed."""
+        calibration = self._noise.calibration
+        believed = believed_calibration(smoother, now.sensor, calibration)
+        return calibration.motion(then.T_I0_I.between(now.T_I0_I), believed)
+
     def _measured(self, smoother: Smoother, start_ns: int, end_ns: int) -> InertialMotion | None:
         """Return what the IMU measured between two poses; None where it did not measure all along."""
         imu = smoother.imu
@@ -197,7 +208,7 @@ class OdometryLearning:
         self, before: TrackPose, pose: TrackPose, measured: InertialMotion, smoother: Smoother
     ) -> None:
         """Compare the rotation between two scans with that of the gyroscope: (68)."""
-        motion = before.T_I0_I.between(pose.T_I0_I)
+        motion = self._motion(smoother, before, pose)
         duration_s = (pose.stamp_ns - before.stamp_ns) * 1e-9
         turned = gtsam.Rot3(measured.R)
         residual = gtsam.Rot3.Logmap(turned.between(motion.rotation()))
@@ -217,7 +228,7 @@ class OdometryLearning:
         lever = self._noise.calibration.lever_arm
         by_imu = 0.5 * gravity * (dt_1 + dt_2) + (to_last.p + to_last.R @ lever - lever) / dt_2
         by_imu += to_middle.R.T @ (to_middle.v - (to_middle.p + to_middle.R @ lever - lever) / dt_1)
-        motions = first.T_I0_I.between(middle.T_I0_I), middle.T_I0_I.between(last.T_I0_I)
+        motions = self._motion(smoother, first, middle), self._motion(smoother, middle, last)
         moved_1, moved_2 = (motion.transformFrom(lever) - lever for motion in motions)
         residual = moved_2 / dt_2 - motions[0].rotation().unrotate(moved_1) / dt_1 - by_imu
         weights = dt_2**-2 + (1.0 / dt_1 + 1.0 / dt_2) ** 2 + dt_1**-2
@@ -233,10 +244,11 @@ class OdometryLearning:
         if measured is None:
             self._forget_steps()
             return
+        motion = self._motion(smoother, first, last)
         if smoother.has_node(first.stamp_ns):
-            self._yaw.learn(smoother, first, last, measured.R, witness(smoother, last.stamp_ns))
+            said = witness(smoother, last.stamp_ns)
+            self._yaw.learn(smoother, first, last, motion, measured_R=measured.R, witness=said)
         duration_s = (last.stamp_ns - first.stamp_ns) * 1e-9
-        motion = first.T_I0_I.between(last.T_I0_I)
         before = self._steps[-1] if self._steps else _Step(gtsam.Rot3(), gtsam.Rot3(), 0.0, 0.0, np.zeros(3), 0.0)
         if not self._steps:
             self._steps.append(before)
@@ -251,6 +263,7 @@ class OdometryLearning:
         )
         self._steps.append(step)
         of_poses = self._noise.learnt.rotation_noise**2 * 2.0 * self._noise.pose_variances()[0]
+        self.parts_from_gyroscope = False
         for span in ROTATION_SPANS:
             if len(self._steps) > span:
                 then = self._steps[-1 - span]
@@ -260,7 +273,10 @@ class OdometryLearning:
                 turned_rad, time_s = step.turned_rad - then.turned_rad, step.time_s - then.time_s
                 other += _mean_variance(smoother.turning_covariance(turned_rad, time_s))
                 scaled = step.drift_variance - then.drift_variance
-                self._drifts[0].learn(float(residual @ residual), 3, scaled, other, 1.0 / span)
+                squared = float(residual @ residual)
+                expected = self._drifts[0].value ** 2 * scaled + other
+                self.parts_from_gyroscope |= squared > max(PARTED_SIGMA**2 * expected, PARTED_RAD**2)
+                self._drifts[0].learn(squared, 3, scaled, other, 1.0 / span)
         self._drifts[0].forget(duration_s / DRIFT_MEMORY_S)
 
     def _tell(self) -> None:

@@ -26,7 +26,7 @@ from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.coloured import NAV_SIZE, Compared, coloured, coloured_factor
 from holdfast.sensors.noise import WHITE, correlation_inflation, shared_inflation
-from holdfast.sensors.sensor import Position, PositionSensor, State
+from holdfast.sensors.sensor import Position, PositionSensor, State, is_gnss
 from holdfast.state import EventKind, Outcome
 
 REVIEW_NS = 250_000_000  # used positions are reviewed this often
@@ -76,6 +76,7 @@ class Positions:
         self._reviewed_ns = NEVER_NS
         self._departures = {name: Departures() for name in sensors}
         self.wandering: Collection[str] = ()  # receivers that are wrong, though their positions agree with each other
+        self._misplaced: set[str] = set()  # what a start has left out: somebody has typed where it stands
         self._scales = scales
         self._force = {name: ForceLearning(accelerometer) for name in sensors}
         self.believe_after_s = believe_after_s
@@ -99,9 +100,22 @@ class Positions:
         return [name for name, gate in self.gates.items() if gate.trust is Trust.LOST]
 
     def distrust(self, names: Iterable[str]) -> None:
-        """Begin with receivers that are not trusted."""
+        """Begin with receivers that are not trusted; those that are none of GNSS, beside it, are elsewhere."""
+        of_gnss = {name for name, sensor in self._sensors.items() if is_gnss(sensor)}
         for name in names:
             self.gates[name].become(Trust.LOST, hold_s=self._config.regain_s)
+            if of_gnss and name not in of_gnss:
+                self._misplaced.add(name)
+
+    @property
+    def misplaced(self) -> frozenset[str]:
+        """The receivers that are wrong about where they are, until they agree with the estimate."""
+        return frozenset(name for name in self._misplaced if self.gates[name].trust is Trust.LOST)
+
+    @property
+    def disbelieved(self) -> set[str]:
+        """The receivers whose positions are wrong, though they agree with each other."""
+        return {*self.wandering, *self.misplaced}
 
     def refuse(self, sensor: str, outcome: Outcome) -> None:
         """Note a position that the receiver itself reports as bad."""
@@ -232,7 +246,7 @@ class Positions:
     @property
     def are_unexpected(self) -> bool:
         """Whether the newest positions of all receivers agree among themselves, not with the estimate."""
-        runs = [run for name, run in self._consensus.items() if name not in self.wandering]
+        runs = [run for name, run in self._consensus.items() if name not in self.disbelieved]
         return bool(runs) and all(run.is_unexpected for run in runs)
 
     def is_rough(self, name: str) -> bool:
@@ -244,7 +258,7 @@ class Positions:
 
         Fewer are enough where there is a witness.
         """
-        runs = [(name, run) for name, run in self._consensus.items() if name not in self.wandering]
+        runs = [(name, run) for name, run in self._consensus.items() if name not in self.disbelieved]
         against = {n: run.since_ns for n, run in runs if run.is_against() or (has_witness and run.is_suspicious())}
         others = (gate for name, gate in self.gates.items() if name not in against)
         if not against or any(gate.trust is not Trust.LOST for gate in others):
@@ -253,7 +267,7 @@ class Positions:
 
     def departure(self) -> Departure | None:
         """Return how the estimate leaves the positions of a receiver faster than these walk, if it does."""
-        runs = (run.departure() for name, run in self._consensus.items() if name not in self.wandering)
+        runs = (run.departure() for name, run in self._consensus.items() if name not in self.disbelieved)
         return next((found for found in runs if found is not None), None)
 
     def doubt(self, name: str) -> None:

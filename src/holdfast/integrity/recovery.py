@@ -124,7 +124,8 @@ class Recovery:
         """
         positions = self._positions
         gate = positions.gates[name]
-        if positions.is_trusted or name in positions.wandering or not gate.contradicts_for(positions.believe_after_s):
+        is_disbelieved = positions.is_trusted or name in positions.disbelieved
+        if is_disbelieved or not gate.contradicts_for(positions.believe_after_s):
             return False
         distance = gate.distance_m()
         self._log.report(EventKind.ESTIMATE_SUSPECT, now_ns, name, f"{distance:.2f} m from the positions")

@@ -91,7 +91,14 @@ class YawLearning:
         self._places.clear()
 
     def learn(
-        self, smoother: Smoother, first: TrackPose, last: TrackPose, measured_R: Array, witness: Witness | None
+        self,
+        smoother: Smoother,
+        first: TrackPose,
+        last: TrackPose,
+        motion: gtsam.Pose3,
+        *,
+        measured_R: Array,
+        witness: Witness | None,
     ) -> None:
         """Take in a step between two poses that have nodes.
 
@@ -99,6 +106,7 @@ class YawLearning:
             smoother: whose estimate stands between the witnesses.
             first: pose at its start.
             last: pose at its end, the `first` of the next step.
+            motion: from first to last by the odometry.
             measured_R: (3, 3) rotation from first to last by the gyroscope.
             witness: a heading near the last pose, None where there is none.
         """
@@ -107,7 +115,7 @@ class YawLearning:
             then = smoother.nav(first.stamp_ns).attitude()
             self._places.append(_Place(then, 0.0, 0.0, 0.0, 0.0, np.zeros(3), 0.0, None))
         before, duration_s = self._places[-1], (last.stamp_ns - first.stamp_ns) * 1e-9
-        motion, estimated = first.T_I0_I.between(last.T_I0_I), now.between(before.R_W_I)  # back
+        estimated = now.between(before.R_W_I)  # back
         up = before.R_W_I.unrotate(np.array([0.0, 0.0, 1.0]))
         turned = gtsam.Rot3(measured_R)
         by_gyroscope = float(up @ gtsam.Rot3.Logmap(turned * estimated))

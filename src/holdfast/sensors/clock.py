@@ -11,8 +11,17 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from holdfast.messages import Array, GnssFix
-from holdfast.sensors.sensor import Innovation, Parameter, Position, PositionSensor, Role, State, innovation_factor
+from holdfast.messages import Array
+from holdfast.sensors.sensor import (
+    Innovation,
+    Parameter,
+    Position,
+    PositionSensor,
+    Role,
+    State,
+    innovation_factor,
+    is_gnss,
+)
 from holdfast.state import Outcome
 
 GNSS_CLOCK = "clock of GNSS"
@@ -30,8 +39,8 @@ class EstimatedClock:
     def __init__(self, sensor: Any, sigma_s: float) -> None:
         self._sensor = sensor
         own = Parameter(np.zeros(0), np.zeros(0)) if sensor.parameter is None else sensor.parameter
-        is_gnss = sensor.role is Role.HEADING or sensor.message is GnssFix
-        shared = GNSS_CLOCK if is_gnss and not len(own.mean) else ""
+        of_receiver = sensor.role is Role.HEADING or is_gnss(sensor)
+        shared = GNSS_CLOCK if of_receiver and not len(own.mean) else ""
         if_right = np.append(np.full(len(own.mean), np.inf), IF_RIGHT_S)
         self.parameter = Parameter(np.append(own.mean, 0.0), np.append(own.sigmas, sigma_s), if_right, shared)
 

@@ -5,6 +5,7 @@ the axes of L, and tau [s], by which its poses are younger than their stamps: (5
 """
 
 from collections.abc import Sequence
+from math import radians
 
 import gtsam
 import numpy as np
@@ -15,7 +16,9 @@ from holdfast.sensors.clock import IF_RIGHT_S
 from holdfast.sensors.sensor import STEADY, Parameter
 
 KNOWN = 1e-7  # sigma [rad, s] of what is known
+FOUND_RAD = radians(3.0)  # sigma of a mounting that was found from motions
 SIZE = 4
+NOMINAL: Array = np.zeros(SIZE)  # as configured
 
 
 class OdometryCalibration:
@@ -33,6 +36,21 @@ class OdometryCalibration:
         sigmas = np.array([*np.repeat(np.radians(config.mounting_sigma_deg), 3), config.time_offset_sigma_s])
         if_right = np.array([*np.full(3, np.inf), IF_RIGHT_S])
         self.prior = Parameter(np.zeros(SIZE), np.maximum(sigmas, KNOWN), if_right) if sigmas.any() else None
+
+    @property
+    def is_mount_estimated(self) -> bool:
+        """Whether the rotation of the mounting is not known."""
+        return self.prior is not None and self.prior.sigmas[0] > KNOWN
+
+    def mounted(self, delta: Array) -> Parameter:
+        """Return the prior of one that was found mounted otherwise, by a rotation vector (3,); it must be estimated."""
+        assert self.prior is not None
+        sigmas = np.concatenate([np.maximum(self.prior.sigmas[:3], FOUND_RAD), self.prior.sigmas[3:]])
+        return self.prior._replace(mean=np.concatenate([delta, self.prior.mean[3:]]), sigmas=sigmas)
+
+    def of_sensor(self, motion: gtsam.Pose3) -> gtsam.Pose3:
+        """Return the motion of L, as it is configured, that goes with a motion of I."""
+        return self._T_L_I.compose(motion).compose(self._T_I_L)
 
     def motion(self, motion: gtsam.Pose3, parameter: Array) -> gtsam.Pose3:
         """Return a motion of I with another mounting: C motion C^-1, C = T_I_L Exp(delta) T_L_I."""

@@ -18,7 +18,7 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.config.sensors import JudgedConfig, RobustLoss, SensorConfig
 from holdfast.geometry.world import World
-from holdfast.messages import Array, Message, SensorPose
+from holdfast.messages import Array, GnssFix, Message, SensorPose
 from holdfast.sensors.noise import UNBOUNDED, Colour, noise_model
 from holdfast.state import Outcome
 
@@ -131,6 +131,11 @@ class Parameter(NamedTuple):
     def name(self, sensor: str) -> str:
         """Return the name under which the graph knows the parameter of a sensor."""
         return self.shared or sensor
+
+
+def is_gnss(sensor: Any) -> bool:
+    """Whether a sensor is a receiver of GNSS, whatever stands before its model."""
+    return getattr(sensor, "message", None) is GnssFix
 
 
 @dataclass(frozen=True, slots=True, eq=False)
