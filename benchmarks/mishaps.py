@@ -75,6 +75,54 @@ def told(when: list[tuple[float, float]]) -> str:
     return " ".join(f"{a:.0f}+{b - a:g}" for a, b in when)
 
 
+def silent(kind: type[Message]) -> Mishap:
+    """Messages of one kind are missing, up to four times."""
+
+    def gone(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
+        left, when = without(kind, messages, spans(rng, messages, 4, [1.0, 5.0, 30.0]))
+        return left, f"silent {when}"
+
+    return gone
+
+
+def clock_of(kind: type[Message], said: str = "clock") -> Mishap:
+    """The clock of a sensor is off by up to 0.25 s."""
+
+    def off(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
+        by_ns = int(rng.uniform(-2.5e8, 2.5e8))
+        shifted = changed(kind, messages, lambda one: replace(one, stamp_ns=one.stamp_ns + by_ns))
+        return shifted, f"{said} {by_ns * 1e-9:+.2f} s"
+
+    return off
+
+
+def rare(kind: type[Message], said: str = "one") -> Mishap:
+    """Of the messages of a kind every n-th comes."""
+
+    def few(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
+        every = int(rng.choice([3, 10, 30]))
+        return every_nth(kind, messages, every), f"{said} of {every}"
+
+    return few
+
+
+def repeating(kind: type[Message], keys: tuple[str, ...], lengths_s: list[float], said: str) -> Mishap:
+    """A sensor repeats what some keys of its messages said, up to three times."""
+
+    def repeats(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
+        when, last = spans(rng, messages, 3, lengths_s), dict[str, Any]()
+
+        def held(one: Any) -> Any:
+            if not any(a < since_s(messages, one) < b for a, b in when):
+                last["message"] = one
+            still = last.get("message", one)
+            return replace(one, **{key: getattr(still, key) for key in keys})
+
+        return changed(kind, messages, held), f"{said} {told(when)}"
+
+    return repeats
+
+
 def outages(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
     """GNSS is away up to three times."""
     left, said = without(GNSS, messages, spans(rng, messages, 3, [10.0, 30.0]))

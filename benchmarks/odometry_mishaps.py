@@ -1,10 +1,10 @@
-"""What may happen to an odometry, for `kitti_mishaps.py`: jumps, silence, lies, noise, scale, mount, clock."""
+"""What may happen to an odometry, for the mishaps of KITTI and of machines: jumps, lies, noise, scale, mount, clock."""
 
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from mishaps import Messages, Mishap, changed, direction, every_nth, since_s, spans, told, without
+from mishaps import Messages, Mishap, changed, clock_of, direction, rare, repeating, silent, since_s, spans, told
 from scipy.spatial.transform import Rotation
 
 from holdfast.messages import SensorPose
@@ -52,25 +52,6 @@ def restart(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str
     return of_odometry(again, messages), f"restart {at_s:.0f}"
 
 
-def silent(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
-    """The odometry is silent up to four times."""
-    left, said = without(SensorPose, messages, spans(rng, messages, 4, [1.0, 5.0, 30.0]))
-    return left, f"silent {said}"
-
-
-def frozen(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
-    """The odometry stands still up to three times, as in a tunnel."""
-    when, last = spans(rng, messages, 3, [3.0, 10.0, 30.0]), dict[str, SensorPose]()
-
-    def held(one: SensorPose) -> SensorPose:
-        if not any(a < since_s(messages, one) < b for a, b in when):
-            last["pose"] = one
-        still = last.get("pose", one)
-        return replace(one, position=still.position, quaternion=still.quaternion)
-
-    return of_odometry(held, messages), f"frozen {told(when)}"
-
-
 def runaway(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
     """The odometry runs away up to two times, by 1 to 10 m/s, and turns by up to 11 deg/s."""
     when = spans(rng, messages, 2, [3.0, 10.0, 20.0])
@@ -111,19 +92,6 @@ def mount(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
     return of_odometry(lambda one: seen_from(posed(one, back), rotation), messages), f"mount {by_deg:.0f} deg"
 
 
-def clock(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
-    """The clock of the odometry is off by up to 0.25 s."""
-    by_ns = int(rng.uniform(-2.5e8, 2.5e8))
-    shifted = of_odometry(lambda one: replace(one, stamp_ns=one.stamp_ns + by_ns), messages)
-    return shifted, f"its clock {by_ns * 1e-9:+.2f} s"
-
-
-def rare(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
-    """Of the poses every n-th comes."""
-    every = int(rng.choice([3, 10, 30]))
-    return every_nth(SensorPose, messages, every), f"a pose of {every}"
-
-
 def late(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
     """Poses arrive late."""
     by_s = float(rng.choice([0.3, 1.0, 2.2]))
@@ -149,14 +117,14 @@ def boast(_: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
 ODOMETRY: tuple[Mishap, ...] = (
     jumps,
     restart,
-    silent,
-    frozen,
+    silent(SensorPose),
+    repeating(SensorPose, ("position", "quaternion"), [3.0, 10.0, 30.0], "frozen"),  # as in a tunnel
     runaway,
     noise,
     scale,
     mount,
-    clock,
-    rare,
+    clock_of(SensorPose, "its clock"),
+    rare(SensorPose, "a pose"),
     late,
     outliers,
     boast,

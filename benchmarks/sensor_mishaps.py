@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from mishaps import Messages, Mishap, changed, direction, every_nth, since_s, spans, told, without
+from mishaps import Messages, Mishap, changed, clock_of, direction, rare, repeating, silent, since_s, spans, told
 from scipy.spatial.transform import Rotation
 
 from holdfast.messages import Heading, Height, ImuSample, JointAngle, PointPosition, Twist
@@ -134,53 +134,8 @@ def imu_mount(rng: np.random.Generator, messages: Messages) -> tuple[Messages, s
     ), f"IMU turned {by_deg:g} deg"
 
 
-def imu_dead(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
-    """An IMU repeats one sample at times."""
-    when, last = spans(rng, messages, 3, [1.0, 3.0, 10.0]), dict[str, ImuSample]()
-
-    def held(one: ImuSample) -> ImuSample:
-        if not any(a < since_s(messages, one) < b for a, b in when):
-            last["sample"] = one
-        still = last.get("sample", one)
-        return replace(one, specific_force=still.specific_force, angular_velocity=still.angular_velocity)
-
-    return changed(ImuSample, messages, held), f"IMU repeats itself {told(when)}"
-
-
-def silent(kind: Any) -> Mishap:
-    """Messages of one kind are missing at times."""
-
-    def gone(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
-        left, when = without(kind, messages, spans(rng, messages, 4, [1.0, 5.0, 30.0]))
-        return left, f"silent {when}"
-
-    return gone
-
-
-def clock(kind: Any) -> Mishap:
-    """The clock of a sensor is off by up to 0.25 s."""
-
-    def off(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
-        by_ns = int(rng.uniform(-2.5e8, 2.5e8))
-        return changed(
-            kind, messages, lambda one: replace(one, stamp_ns=one.stamp_ns + by_ns)
-        ), f"clock {by_ns * 1e-9:+.2f} s"
-
-    return off
-
-
-def rare(kind: Any) -> Mishap:
-    """Of the messages of a kind every n-th comes."""
-
-    def few(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
-        every = int(rng.choice([3, 10, 30]))
-        return every_nth(kind, messages, every), f"one of {every}"
-
-    return few
-
-
 def boast(kind: Any, key: str) -> Mishap:
-    """What a sensor claims is a thirtieth, or nothing."""
+    """What a sensor claims is a thirtieth, a third, or thirty times as much."""
 
     def boasts(rng: np.random.Generator, messages: Messages) -> tuple[Messages, str]:
         factor, power = float(rng.choice([0.03, 0.3, 30.0])), 2 if key == "covariance" else 1
@@ -201,7 +156,7 @@ OF_KIND: dict[type, tuple[Mishap, ...]] = {
         twist_scale,
         twist_mount,
         silent(Twist),
-        clock(Twist),
+        clock_of(Twist),
         rare(Twist),
         boast(Twist, "covariance"),
     ),
@@ -210,19 +165,25 @@ OF_KIND: dict[type, tuple[Mishap, ...]] = {
         heading_sign,
         heading_at_times,
         silent(Heading),
-        clock(Heading),
+        clock_of(Heading),
         rare(Heading),
         boast(Heading, "sigma_rad"),
     ),
-    JointAngle: (encoder_offset, encoder_stuck, silent(JointAngle), clock(JointAngle), rare(JointAngle)),
-    Height: (height_offset, height_at_times, silent(Height), clock(Height), rare(Height), boast(Height, "sigma_m")),
+    JointAngle: (encoder_offset, encoder_stuck, silent(JointAngle), clock_of(JointAngle), rare(JointAngle)),
+    Height: (height_offset, height_at_times, silent(Height), clock_of(Height), rare(Height), boast(Height, "sigma_m")),
     PointPosition: (
         prism_offset,
         prism_at_times,
         silent(PointPosition),
-        clock(PointPosition),
+        clock_of(PointPosition),
         rare(PointPosition),
         boast(PointPosition, "covariance"),
     ),
-    ImuSample: (imu_mount, imu_dead, silent(ImuSample), clock(ImuSample), rare(ImuSample)),
+    ImuSample: (
+        imu_mount,
+        repeating(ImuSample, ("specific_force", "angular_velocity"), [1.0, 3.0, 10.0], "IMU repeats itself"),
+        silent(ImuSample),
+        clock_of(ImuSample),
+        rare(ImuSample),
+    ),
 }

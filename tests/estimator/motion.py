@@ -341,6 +341,23 @@ def estimates(outputs):
     return [output.estimate for output in outputs if output.estimate is not None]
 
 
+def jumped_gyroscope(samples, at_s, by_deg_s):
+    """Samples of a gyroscope whose bias about the vertical axis jumps."""
+    by = np.radians([0.0, 0.0, by_deg_s])
+    return [
+        replace(one, angular_velocity=one.angular_velocity + by) if one.stamp_ns > ns(at_s) else one for one in samples
+    ]
+
+
+def horizontal_errors_m(motion, outputs, since_s):
+    """Horizontal errors after a time."""
+    return [
+        float(np.linalg.norm((e.nav.position() - motion.nav(seconds(e.stamp_ns)).position())[:2]))
+        for e in estimates(outputs)
+        if e.stamp_ns > ns(since_s)
+    ]
+
+
 def deviation(motion, estimate):
     """Position [m], rotation [rad] and velocity [m/s] between an estimate, or an optimised state, and the truth."""
     truth = motion.nav(seconds(estimate.stamp_ns))

@@ -13,8 +13,10 @@ from motion import (
     estimates,
     fix_at,
     fixes,
+    horizontal_errors_m,
     imu,
     in_order,
+    jumped_gyroscope,
     machine,
     ns,
     run,
@@ -63,12 +65,7 @@ def beginnings_s(estimator):
 
 
 def errors_m(outputs, since_s, motion=ROAD):
-    """Horizontal errors after a time."""
-    return [
-        np.linalg.norm((e.nav.position() - motion.nav(seconds(e.stamp_ns)).position())[:2])
-        for e in estimates(outputs)
-        if e.stamp_ns > ns(since_s)
-    ]
+    return horizontal_errors_m(motion, outputs, since_s)
 
 
 def largest_step_m(outputs, since_s=0.0):
@@ -130,19 +127,11 @@ def test_a_state_that_was_thrown_away_is_found_also_beside_a_lidar_that_had_agre
     assert_found(estimator, outputs, sent, RTK, back, patience_s + 4.0)
 
 
-def jumped(sent, at_s):
-    """A gyroscope whose bias jumps by 2 deg/s."""
-    by = np.radians([0.0, 0.0, 2.0])
-    return [
-        replace(one, angular_velocity=one.angular_velocity + by) if one.stamp_ns > ns(at_s) else one for one in sent
-    ]
-
-
 @RECEIVERS
 def test_a_gyroscope_whose_bias_jumps_is_found_out(sigma, hz, doppler):
     """Each beginning took the bias of the first standstill for right, and was wrong again."""
     sent = streams(sigma, hz, doppler, 60.0)
-    sent["imu"] = jumped(sent["imu"], 20.0)
+    sent["imu"] = jumped_gyroscope(sent["imu"], 20.0, 2.0)
     _, outputs = run(machine(lidar=False, more=DOPPLER if doppler else None), in_order(*sent.values()))
     assert max(errors_m(outputs, 50.0)) < max(0.5, 5.0 * np.hypot(*sigma[:2]))
 
@@ -151,7 +140,7 @@ def test_a_gyroscope_whose_bias_jumps_is_found_out(sigma, hz, doppler):
 def test_velocities_that_have_proven_right_tell_at_once_that_the_gyroscope_jumped(hz):
     """With a position every 5 s the estimate ran 1.6 km away until enough of them had come since."""
     sent = streams(CONSUMER, hz, True, 90.0)
-    sent["imu"] = jumped(sent["imu"], 60.0)
+    sent["imu"] = jumped_gyroscope(sent["imu"], 60.0, 2.0)
     estimator, outputs = run(machine(lidar=False, more=DOPPLER), in_order(*sent.values()))
     (begun,) = [event for event in estimator.events if event.kind is EventKind.BEGUN_ANEW]
     assert "the bias of the gyroscope has jumped by" in begun.reason

@@ -5,7 +5,20 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
-from motion import HEADING_DEG, Drive, estimates, fixes, imu, in_order, machine, ns, run, scans, seconds
+from motion import (
+    HEADING_DEG,
+    Drive,
+    fixes,
+    horizontal_errors_m,
+    imu,
+    in_order,
+    jumped_gyroscope,
+    machine,
+    ns,
+    run,
+    scans,
+    seconds,
+)
 
 from holdfast.state import EventKind
 
@@ -24,9 +37,7 @@ def streams(end_s=END_S, hz=2.0):
 
 
 def errors_m(outputs, since_s, road=ROAD):
-    found = [e for e in estimates(outputs) if e.stamp_ns > ns(since_s)]
-    true = (road.nav(seconds(e.stamp_ns)).position() for e in found)
-    return [float(np.linalg.norm((e.nav.position() - p)[:2])) for e, p in zip(found, true, strict=True)]
+    return horizontal_errors_m(road, outputs, since_s)
 
 
 def of_lidar(estimator, kind):
@@ -113,20 +124,12 @@ def test_of_two_the_one_that_lies_is_left_out_of_a_start():
     assert max(errors_m(outputs, seconds(started.stamp_ns))) < 0.5
 
 
-def jumped(samples, at_s, by_deg_s):
-    """A gyroscope whose bias jumps."""
-    by = np.radians([0.0, 0.0, by_deg_s])
-    return [
-        replace(one, angular_velocity=one.angular_velocity + by) if one.stamp_ns > ns(at_s) else one for one in samples
-    ]
-
-
 def test_positions_are_no_walk_where_the_lidar_turns_otherwise_than_the_gyroscope():
     """Of a slow machine they left the estimate no faster than fixes walk, and were refused for a minute."""
     slow = Drive(start_s=4.0, ramp_s=4.0, radius_m=8.0, speed=0.1, tilt=0.0, heave_m=0.0)  # 0.8 m/s
     rng, jump_s, end_s = np.random.default_rng(1), 50.0, 75.0
     sent = (
-        jumped(imu(slow, 0.0, end_s, 50.0, rng), jump_s, 1.0),
+        jumped_gyroscope(imu(slow, 0.0, end_s, 50.0, rng), jump_s, 1.0),
         fixes(slow, 0.0, end_s, 2.0, rng, RTK, phase_s=0.0137),
         scans(slow, 0.0, end_s, 5.0, np.random.default_rng(3), (0.001, 0.01), phase_s=0.0071),
     )
@@ -141,7 +144,7 @@ def test_positions_are_no_walk_where_the_lidar_turns_otherwise_than_the_gyroscop
 def test_one_whose_rare_motions_a_gyroscope_contradicts_is_not_lost_where_fixes_say_the_same(by_deg_s):
     jump_s, end_s = 45.0, 70.0
     sent = streams(end_s)
-    sent["imu"], sent["lidar"] = jumped(sent["imu"], jump_s, by_deg_s), sent["lidar"][::5]
+    sent["imu"], sent["lidar"] = jumped_gyroscope(sent["imu"], jump_s, by_deg_s), sent["lidar"][::5]
     estimator, outputs = run(machine(heading_deg=HEADING_DEG), in_order(*sent.values()))
     assert not of_lidar(estimator, EventKind.SENSOR_LOST)
     assert max(errors_m(outputs, jump_s)) < 3.0
@@ -152,7 +155,7 @@ def test_one_that_says_what_the_fixes_say_is_a_witness_against_an_estimate_whose
     """By default fixes must agree for half a minute beside an odometry that has agreed; it was 30 m off by then."""
     jump_s, end_s = 45.0, 75.0
     sent = streams(end_s)
-    sent["imu"] = jumped(sent["imu"], jump_s, 2.0)
+    sent["imu"] = jumped_gyroscope(sent["imu"], jump_s, 2.0)
     estimator, outputs = run(machine(heading_deg=HEADING_DEG), in_order(*sent.values()))
     begun_s = [seconds(event.stamp_ns) for event in estimator.events if event.kind is EventKind.BEGUN_ANEW]
     assert begun_s and begun_s[0] < jump_s + 12.0

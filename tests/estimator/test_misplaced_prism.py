@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from motion import ARM, Drive, at, estimates, fixes, imu, in_order, machine, ns, prisms, run, scans, seconds
+from motion import ARM, Drive, at, deviation, estimates, fixes, imu, in_order, machine, ns, prisms, run, scans, seconds
 
 from holdfast.state import EventKind
 
@@ -36,11 +36,7 @@ def test_a_start_leaves_it_out_and_an_outage_does_not_let_it_in(off_m):
         event.reason for event in estimator.events if (event.kind, event.sensor) == (EventKind.RECEIVER_LOST, "prism")
     ]
     assert lost == ["at odds with the positions"]
-    off = [
-        np.linalg.norm(e.nav.position() - ROAD.nav(seconds(e.stamp_ns)).position())
-        for e in estimates(outputs)
-        if e.stamp_ns > ns(15.0)
-    ]
+    off = [deviation(ROAD, one)[0] for one in estimates(outputs) if one.stamp_ns > ns(15.0)]
     assert max(off) < 0.5
 
 

@@ -1,11 +1,10 @@
 """What the estimator begins anew from: the batch if it tells the heading, else the fixes and a heading in doubt."""
 
-from dataclasses import replace
 from time import process_time
 
 import gtsam
 import numpy as np
-from motion import ARM, Drive, G, imu, machine, ns
+from motion import ARM, Drive, G, imu, jumped_gyroscope, machine, ns
 from rig import NO_BIAS, buffered, position
 
 from holdfast.estimator.initialisation import Initialising
@@ -158,12 +157,9 @@ def test_what_led_astray_because_of_velocities_is_no_reason_to_doubt_the_imu():
 
 def jumped(until_s, *, has_doppler=True):
     """What is collected until a time where the gyroscope jumps by 3 deg/s after 30 s; velocities have proven right."""
-    rng, by = np.random.default_rng(2), np.radians([0.0, 0.0, 3.0])  # the noise of what was before stays the same
+    rng = np.random.default_rng(2)  # the noise of what was before stays the same
     config = machine(lidar=False, heading_deg=None, more=DOPPLER if has_doppler else None)
-    samples = [
-        replace(one, angular_velocity=one.angular_velocity + by) if one.stamp_ns > ns(30.0) else one
-        for one in imu(ROAD, 0.0, until_s, 100.0, np.random.default_rng(3))
-    ]
+    samples = jumped_gyroscope(imu(ROAD, 0.0, until_s, 100.0, np.random.default_rng(3)), 30.0, 3.0)
     start = Initialising(config, buffered(ROAD, until_s, config, samples=samples), sensors_of(config), G)
     for t in np.arange(0.1, until_s, 0.5):
         start.add(position(ROAD, t, ARM, rng.normal(0.0, 0.3, 3), sigma_m=0.3))

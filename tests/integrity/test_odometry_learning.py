@@ -7,7 +7,7 @@ from math import atan2
 import gtsam
 import numpy as np
 import pytest
-from motion import ARM, ARM_RIGHT, Drive, imu, machine, ns, seconds
+from motion import ARM, ARM_RIGHT, Drive, imu, jumped_gyroscope, machine, ns, seconds
 from rig import Rig, position
 
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
@@ -227,11 +227,7 @@ def test_without_headings_both_keep_the_ratio_of_the_file():
 
 def parted_s(by_deg_s, jump_s=40.0):
     """The seconds at which a lidar has turned otherwise than a gyroscope whose bias jumps."""
-    by, ends_s = np.radians([0.0, 0.0, by_deg_s]), np.arange(1.0, END_S)
-    samples = [
-        replace(one, angular_velocity=one.angular_velocity + by) if one.stamp_ns > ns(jump_s) else one
-        for one in imu(DRIVE, 0.0, END_S)
-    ]
+    ends_s, samples = np.arange(1.0, END_S), jumped_gyroscope(imu(DRIVE, 0.0, END_S), jump_s, by_deg_s)
     rigs = stages(1.0, 1.0, ends_s, samples=samples)
     return [end_s for end_s, rig in zip(ends_s, rigs, strict=True) if rig.odometries.part_from_gyroscope(ns(end_s))]
 

@@ -51,3 +51,8 @@ def course_of(
     ahead_s = (stamp_ns - last.stamp_ns) * 1e-9
     of_position = last.covariance + of_velocity * ahead_s**2
     return Course(last.p_W_P + slope * ahead_s, slope, of_position, of_velocity, p_I_P)
+
+
+def travel_m(fixes: Sequence[Position]) -> float:
+    """Return how far one receiver has been from its first position [m]."""
+    return max((float(np.linalg.norm(fix.p_W_P - fixes[0].p_W_P)) for fix in fixes), default=0.0)

@@ -8,6 +8,7 @@ the configuration. Without a heading the machine has to move: then a batch of po
 from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from math import inf, radians
 from typing import Any, TypeVar
 
@@ -16,16 +17,17 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig
-from holdfast.estimator.course import Course, course_of
+from holdfast.estimator.course import Course, course_of, travel_m
 from holdfast.estimator.first_heading import Antennas, baseline_heading, pose_heading
+from holdfast.estimator.fitting_batch import fitting_batch
 from holdfast.estimator.known_biases import KnownBiases
 from holdfast.estimator.odometry_tracks import OdometryTracks
 from holdfast.estimator.pose_as_point import PoseAsPoint, as_position
 from holdfast.estimator.velocity_check import Company, VelocityCheck
-from holdfast.graph.alignment import FITS, Alignment, BatchAligner, Jump
+from holdfast.graph.alignment import BatchAligner, Jump
 from holdfast.graph.alignment_problem import Evidence, Problems, thin
 from holdfast.graph.first_guess import level_attitude
-from holdfast.integrity.consensus import BEFORE_NS, SIGMA, Departure
+from holdfast.integrity.consensus import BEFORE_NS, Departure
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array, Message
 from holdfast.sensors.imu import ImuBuffer
@@ -43,10 +45,7 @@ from holdfast.state import OptimisedState, Outcome
 
 PLAUSIBLE_FORCE_M_S2 = (7.0, 13.0)  # mean specific force of a machine on the ground
 MIN_TRAVEL_M, MIN_TRAVEL_SIGMAS = 2.0, 5.0
-DOUBTFUL = 2.0  # squared residuals over what is claimed, where an odometry is among them
 TIMES_NEARER = 8.0  # to positions, an odometry is than the estimate that leaves them
-SHARE = 0.05  # of the way, by which an odometry may differ from positions that vouch for it
-TELLING = 0.25  # of the way: positions that are noisier do not tell
 RETRY_NS = 1_000_000_000
 MIN_POSITIONS = 3
 STANDING_S = 5.0, 15.0  # over which positions tell whether the machine stands, longer ones if the first cannot
@@ -162,13 +161,8 @@ class Initialising:
         for name, point in self._points.items():
             mine = [one for one in self._positions if one.sensor == name]
             positions = _between(mine, since_ns - BEFORE_NS, self._newest_ns)
-            since = [one for one in positions if one.stamp_ns >= since_ns]
-            if len(since) > 1:
-                noise_m, way_m = SIGMA * float(np.sqrt(since[-1].covariance.trace())), _travel_m(since)
-                tolerance_m = max(noise_m, SHARE * way_m)
-                can_tell = noise_m < TELLING * way_m
-                if can_tell and self._odometries.move_as(positions, point.p_I_P, tolerance_m, [odometry]):
-                    return True
+            if self._odometries.vouched(odometry, positions, point.p_I_P, since_ns):
+                return True
         return False
 
     @property
@@ -348,7 +342,7 @@ class Initialising:
                 f"{len(fixes)} usable positions since the IMU measures without a gap; {MIN_POSITIONS} are needed"
             )
             return None
-        travel = max(_travel_m([fix for fix in fixes if fix.sensor == name]) for name in self._points)
+        travel = max(travel_m([fix for fix in fixes if fix.sensor == name]) for name in self._points)
         needed = max(MIN_TRAVEL_M, MIN_TRAVEL_SIGMAS * float(np.sqrt(fixes[-1].covariance[:2, :2].max())))
         if travel < needed:
             self.reason = f"moved {travel:.1f} m; a heading from motion needs {needed:.1f} m"
@@ -359,18 +353,13 @@ class Initialising:
             self._last_try_ns = fixes[-1].stamp_ns
         velocities, lying = self._credible_velocities(fixes, now_ns)
         evidence = Evidence(fixes, thin(velocities))
-        evidence = evidence._replace(motions=self._odometries.factors(evidence.stamps))
         is_explained = may_have_jumped and self._velocity_check.are_explained(self._velocities, lying)
         jump_sigmas = self.biases.doubted if is_explained else None
         limit_rad = radians(self._config.initialisation.max_heading_sigma_deg)
-        alignment = self._aligner.solve(evidence, self.biases.prior, limit_rad, jump_sigmas)
-        for names in self._doubtful(evidence, alignment):
-            fewer = self._without(evidence, names)
-            other = self._aligner.solve(fewer, self.biases.prior, limit_rad, jump_sigmas)
-            is_better = len(fewer.positions) == len(evidence.positions) or other.misfit <= FITS
-            if is_better and other.excess <= (DOUBTFUL if fewer.motions else FITS):
-                alignment, evidence, self.doubtful = other, fewer, names
-                break
+        solve = partial(
+            self._aligner.solve, prior=self.biases.prior, max_heading_sigma_rad=limit_rad, jump_sigmas=jump_sigmas
+        )
+        alignment, evidence, self.doubtful = fitting_batch(solve, evidence, self._points, self._odometries)
         self.misfit, self.jump = alignment.misfit, alignment.jump
         left_out = [*lying, *sorted(self.doubtful)]
         without = f", without {', '.join(left_out)}, at odds with the positions" if left_out else ""
@@ -381,28 +370,6 @@ class Initialising:
             by_deg_s, ago_s = np.degrees(self.jump.by_rad_s), (now_ns - self.jump.stamp_ns) * 1e-9
             self.reason += f"; the bias of the gyroscope has jumped by {by_deg_s:.2g} deg/s {ago_s:.0f} s ago"
         return self._by_any_clock(alignment.state, evidence.positions[-1])
-
-    def _doubtful(self, evidence: Evidence, alignment: Alignment) -> list[frozenset[str]]:
-        """Return what may be left out of a batch that does not fit, if anything.
-
-        A receiver that is none of GNSS, whose station may be elsewhere; an odometry that is mounted otherwise, or lies:
-        one of several, or all of them.
-        """
-        receivers = {one.sensor for one in evidence.positions}
-        placed = frozenset(name for name in receivers if not is_gnss(self._points[name]))
-        placed = placed if len(placed) < len(receivers) else frozenset()
-        if alignment.excess <= DOUBTFUL:
-            return [placed] if placed and alignment.misfit > FITS else []
-        names = frozenset(self._odometries.names) if evidence.motions else frozenset[str]()
-        singles = [frozenset({name}) for name in sorted(names)] if len(names) > 1 else []
-        return [one for one in (placed, *singles, names, placed | names) if one]
-
-    def _without(self, evidence: Evidence, names: Collection[str]) -> Evidence:
-        """Return the evidence without some odometries and receivers."""
-        positions = [one for one in evidence.positions if one.sensor not in names]
-        velocities = [one for one in evidence.velocities if one.stamp_ns >= positions[0].stamp_ns]
-        fewer = Evidence(positions, velocities)
-        return fewer._replace(motions=self._odometries.factors(fewer.stamps, names) if evidence.motions else ())
 
     def _credible_velocities(self, fixes: Sequence[Position], end_ns: int) -> tuple[list[Velocity], list[str]]:
         """Return velocities since the first of some positions, and the sensors that are left out."""
@@ -432,8 +399,3 @@ class Initialising:
 def _between(measurements: Iterable[Point], start_ns: int, end_ns: int) -> list[Point]:
     """Return measurements after a time, until another, by stamp."""
     return sorted((one for one in measurements if start_ns < one.stamp_ns <= end_ns), key=lambda one: one.stamp_ns)
-
-
-def _travel_m(fixes: list[Position]) -> float:
-    """Return how far one receiver has been from its first position [m]."""
-    return max((float(np.linalg.norm(fix.p_W_P - fixes[0].p_W_P)) for fix in fixes), default=0.0)

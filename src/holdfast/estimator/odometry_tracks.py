@@ -8,11 +8,15 @@ from math import inf
 import gtsam
 import numpy as np
 
+from holdfast.estimator.course import travel_m
+from holdfast.integrity.consensus import SIGMA
 from holdfast.messages import Array
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
 from holdfast.sensors.sensor import Position
 
 LEAST = 4  # positions have a shape
+SHARE = 0.05  # of the way, by which an odometry may differ from positions that vouch for it
+TELLING = 0.25  # of the way: positions that are noisier do not tell
 
 
 class OdometryTracks:
@@ -57,23 +61,33 @@ class OdometryTracks:
                     factors.append(noise.relative_factor(*keys, before.between(after)))
         return factors
 
-    def move_as(
-        self, positions: Sequence[Position], p_I_P: Array, tolerance_m: float, names: Collection[str] | None = None
-    ) -> bool:
+    def move_as(self, positions: Sequence[Position], p_I_P: Array, tolerance_m: float) -> bool:
         """Whether an odometry has moved in the shape of some positions, wherever it sees them.
 
         Args:
             positions: of one antenna, sorted by stamp.
             p_I_P: (3,) where it is in I [m].
             tolerance_m: so near they must come, all of them, when one is laid upon the other.
-            names: of odometries; by default all.
         """
-        for track in (track for name, track in self._tracks.items() if names is None or name in names):
-            seen = [(one.p_W_P, _pose_at(track, one.stamp_ns)) for one in positions]
-            pairs = [(p_W, T.transformFrom(p_I_P)) for p_W, T in seen if T is not None]
-            if len(pairs) >= LEAST and _apart_m(pairs) < tolerance_m:
-                return True
-        return False
+        return any(_moves_as(track, positions, p_I_P, tolerance_m) for track in self._tracks.values())
+
+    def vouched(self, name: str, positions: Sequence[Position], p_I_P: Array, since_ns: int) -> bool:
+        """Whether an odometry has moved in the shape of positions, from before a time on, two of which came since.
+
+        `positions` and `p_I_P` as in `move_as`; positions whose noise is too large a share of the way do not tell.
+        """
+        since = [one for one in positions if one.stamp_ns >= since_ns]
+        if name not in self._tracks or len(since) < 2:
+            return False
+        noise_m, way_m = SIGMA * float(np.sqrt(since[-1].covariance.trace())), travel_m(since)
+        tolerance_m = max(noise_m, SHARE * way_m)
+        return noise_m < TELLING * way_m and _moves_as(self._tracks[name], positions, p_I_P, tolerance_m)
+
+
+def _moves_as(track: deque[TrackPose], positions: Sequence[Position], p_I_P: Array, tolerance_m: float) -> bool:
+    seen = [(one.p_W_P, _pose_at(track, one.stamp_ns)) for one in positions]
+    pairs = [(p_W, T.transformFrom(p_I_P)) for p_W, T in seen if T is not None]
+    return len(pairs) >= LEAST and _apart_m(pairs) < tolerance_m
 
 
 def _apart_m(pairs: list[tuple[Array, Array]]) -> float:

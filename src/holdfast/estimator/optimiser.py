@@ -36,6 +36,8 @@ from holdfast.state import EventKind, Health, OptimisedState, Outcome
 if TYPE_CHECKING:
     from holdfast.estimator.listener import Listener
 
+LOST = EventKind.RECEIVER_LOST, EventKind.SENSOR_LOST
+REGAINED = EventKind.RECEIVER_REGAINED, EventKind.SENSOR_REGAINED
 LATE_NS = 10_000_000_000  # by which a measurement that starts the estimator may be late
 
 
@@ -373,11 +375,8 @@ class Optimiser:
         distrusted, doubtful = before.distrusted, successor.start.doubtful
         mistaken = {*successor.start.mistaken(), *distrusted, *doubtful}
         for name in before.lost():
-            if name in mistaken:
-                continue
-            is_receiver = self._sensors[name].role is Role.POSITION
-            kind = EventKind.RECEIVER_REGAINED if is_receiver else EventKind.SENSOR_REGAINED
-            self._log.report(kind, now_ns, name, reason)
+            if name not in mistaken:
+                self._report(REGAINED, name, reason)
         tracking = self._start(state, successor)
         tracking.queue = before.queue
         tracking.distrust(distrusted)
@@ -388,9 +387,12 @@ class Optimiser:
         """Begin without odometries and receivers that the start has left out."""
         tracking.distrust(names)
         for name in sorted(names):
-            is_receiver = self._sensors[name].role is Role.POSITION
-            kind = EventKind.RECEIVER_LOST if is_receiver else EventKind.SENSOR_LOST
-            self._log.report(kind, self._buffer.latest_ns, name, "at odds with the positions")
+            self._report(LOST, name, "at odds with the positions")
+
+    def _report(self, kinds: tuple[EventKind, EventKind], name: str, reason: str) -> None:
+        """Report what becomes of the trust in a sensor: of a receiver of positions the first kind, else the other."""
+        kind = kinds[self._sensors[name].role is not Role.POSITION]
+        self._log.report(kind, self._buffer.latest_ns, name, reason)
 
     def drop_samples(self) -> None:
         """Drop the samples that no window needs any more."""

@@ -5,15 +5,14 @@ these that are not parallel tell by how much (hand-eye calibration with a known 
 """
 
 from collections.abc import Sequence
-from math import radians
 
 import gtsam
 import numpy as np
 
 from holdfast.messages import Array
+from holdfast.sensors.odometry_calibration import FOUND_RAD
 
 ROTATION_RAD, TRANSLATION_M = 0.01, 0.1  # sigmas of a motion of about a second
-KNOWN_RAD = radians(3.0)  # so well it must be told
 
 
 def found_mount(moved: Sequence[gtsam.Pose3], measured: Sequence[gtsam.Pose3]) -> Array | None:
@@ -28,7 +27,7 @@ def found_mount(moved: Sequence[gtsam.Pose3], measured: Sequence[gtsam.Pose3]) -
         for e, z in zip(_vectors(true), _vectors(seen), strict=True):
             told += z @ z * np.eye(3) - np.outer(z, z)
             turned += np.outer(e, z)
-    if np.linalg.eigvalsh(told)[0] < KNOWN_RAD**-2:
+    if np.linalg.eigvalsh(told)[0] < FOUND_RAD**-2:
         return None
     delta: Array = gtsam.Rot3.Logmap(gtsam.Rot3(gtsam.SO3.ClosestTo(turned).matrix()))
     return delta

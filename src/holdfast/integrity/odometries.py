@@ -1,6 +1,7 @@
 """Odometries on their way into both graphs: which jump, slip, lie or fall silent, and what they say against GNSS."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from enum import Enum
 from math import degrees
 from types import MappingProxyType
 from typing import NamedTuple
@@ -42,6 +43,12 @@ class Walk(NamedTuple):
     found: Contradiction
 
 
+class Jumps(Enum):
+    """How often an odometry has jumped of late: too often to be as good as is configured, and on, with more noise."""
+
+    FEW, OFTEN, WILD = range(3)
+
+
 class _Odometry:
     """One odometry, as long as one start of the estimator lasts."""
 
@@ -57,24 +64,21 @@ class _Odometry:
         self._period_ns = 0
         self._jumps_ns: list[int] = []
         self._trebled_ns = NEVER_NS
-        self.is_wild = False  # it jumps on, though its noise was trebled
 
-    def note_jump(self, stamp_ns: int) -> bool:
+    def note_jump(self, stamp_ns: int) -> Jumps:
         """Note a jump; trust the odometry less if it jumps too often to be as good as is configured."""
         self._jumps_ns = [jump for jump in self._jumps_ns if stamp_ns - jump < JUMPS_NS] + [stamp_ns]
         if len(self._jumps_ns) < JUMPS:
-            return False
+            return Jumps.FEW
         self._jumps_ns.clear()
         self.learning.trust_less(DISTRUST)
         before, self._trebled_ns = self._trebled_ns, stamp_ns
-        self.is_wild = stamp_ns - before < AGAIN_NS
-        return True
+        return Jumps.WILD if stamp_ns - before < AGAIN_NS else Jumps.OFTEN
 
     def lose(self) -> None:
         """It is trusted no more: its jumps were no noise."""
         self.trust.lose()
         self._jumps_ns.clear()
-        self.is_wild = False
         self.forget_frame()
 
     def forget_frame(self) -> None:
@@ -180,15 +184,17 @@ class Odometries:
             self._log.report(EventKind.ODOMETRY_JUMP, pose.stamp_ns, pose.sensor, reason)
             odometry.forget_frame()
         lies_since_ns = odometry.trust.note_motion(pose.stamp_ns, jump)
+        jumps = Jumps.FEW
         if lies_since_ns is not None and self._fixes(pose.sensor, lies_since_ns):
             odometry.contradicts_ns, lies_since_ns = now_ns, None
+        elif jump is not None and lies_since_ns is None:
+            jumps = odometry.note_jump(pose.stamp_ns)
         if jump is not None:
-            is_right = odometry.contradicts_ns == now_ns
-            is_often = lies_since_ns is None and not is_right and odometry.note_jump(pose.stamp_ns)
-            reason = f"the IMU did not measure this motion{'; too often: its noise is trebled' if is_often else ''}"
+            trebled = "" if jumps is Jumps.FEW else "; too often: its noise is trebled"
+            reason = f"the IMU did not measure this motion{trebled}"
             self._log.report(EventKind.ODOMETRY_JUMP, pose.stamp_ns, pose.sensor, reason)
             odometry.forget_frame()
-        if odometry.is_wild:
+        if jumps is Jumps.WILD:
             lies_since_ns = pose.stamp_ns
         if lies_since_ns is not None:
             self._log.record(pose.stamp_ns, pose.sensor, outcome)

@@ -13,11 +13,11 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 
-from holdfast.integrity.mount_finding import KNOWN_RAD, found_mount
+from holdfast.integrity.mount_finding import found_mount
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.odometry import TrackPose
-from holdfast.sensors.odometry_calibration import OdometryCalibration
+from holdfast.sensors.odometry_calibration import FOUND_RAD, OdometryCalibration
 
 JUMPS_IN_A_ROW, ONE_WAY = 4, 0.7  # so many of which the sum is so much of their sizes
 SLIPS_NS, LYING = 5_000_000_000, 0.25  # a second slip in this time is no slip, if by so much of the way
@@ -135,7 +135,7 @@ class OdometryTrust:
             if len(agreeing) < max(FEWEST_STEPS, MOST_AGREE * len(steps)):
                 return None
             delta = found_mount(*zip(*(self._motions_of_sensor(*step) for step in agreeing), strict=True))
-            if delta is None or _apart_rad(delta, calibration[:3]) < KNOWN_RAD:
+            if delta is None or _apart_rad(delta, calibration[:3]) < FOUND_RAD:
                 return None
             mounted = np.concatenate([delta, calibration[3:]])
             agreeing = [step for step in steps if self._moved_alike(*step, mounted)]

@@ -246,8 +246,8 @@ class Positions:
     @property
     def are_unexpected(self) -> bool:
         """Whether the newest positions of all receivers agree among themselves, not with the estimate."""
-        runs = [run for name, run in self._consensus.items() if name not in self.disbelieved]
-        return bool(runs) and all(run.is_unexpected for run in runs)
+        runs = self._credible_runs()
+        return bool(runs) and all(run.is_unexpected for run in runs.values())
 
     def is_rough(self, name: str) -> bool:
         """Whether the positions of a receiver depart from the estimate otherwise than from one that is wrong."""
@@ -258,7 +258,7 @@ class Positions:
 
         Fewer are enough where there is a witness.
         """
-        runs = [(name, run) for name, run in self._consensus.items() if name not in self.disbelieved]
+        runs = self._credible_runs().items()
         against = {n: run.since_ns for n, run in runs if run.is_against() or (has_witness and run.is_suspicious())}
         others = (gate for name, gate in self.gates.items() if name not in against)
         if not against or any(gate.trust is not Trust.LOST for gate in others):
@@ -267,8 +267,13 @@ class Positions:
 
     def departure(self) -> Departure | None:
         """Return how the estimate leaves the positions of a receiver faster than these walk, if it does."""
-        runs = (run.departure() for name, run in self._consensus.items() if name not in self.disbelieved)
-        return next((found for found in runs if found is not None), None)
+        found = (run.departure() for run in self._credible_runs().values())
+        return next((one for one in found if one is not None), None)
+
+    def _credible_runs(self) -> dict[str, Consensus]:
+        """Return the runs of the receivers that may be right against the estimate."""
+        disbelieved = self.disbelieved
+        return {name: run for name, run in self._consensus.items() if name not in disbelieved}
 
     def doubt(self, name: str) -> None:
         """Believe a receiver whose positions wander only as far as their distance from the estimate shows."""

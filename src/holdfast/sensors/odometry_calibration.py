@@ -16,7 +16,7 @@ from holdfast.sensors.clock import IF_RIGHT_S
 from holdfast.sensors.sensor import STEADY, Parameter
 
 KNOWN = 1e-7  # sigma [rad, s] of what is known
-FOUND_RAD = radians(3.0)  # sigma of a mounting that was found from motions
+FOUND_RAD = radians(3.0)  # so well motions must tell how a sensor is mounted; sigma of what they told
 SIZE = 4
 NOMINAL: Array = np.zeros(SIZE)  # as configured
 
