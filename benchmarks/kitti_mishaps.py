@@ -15,6 +15,7 @@ from drives import held_out_row, messages_of, run_system
 from further_mishaps import FURTHER, claims_of_velocity
 from mishaps import MISHAPS, any_mount, no_velocities
 from odometry_mishaps import ODOMETRY
+from scipy.spatial.transform import Rotation
 
 from holdfast.config.load import config_of
 from holdfast.config.model import Config
@@ -26,14 +27,17 @@ from holdfast.replay.held_out import HoldOut
 MOUNT = Path(__file__).parent / "configs" / "kitti_00.yaml"
 OTHERS = [one for one in MISHAPS + FURTHER if one not in {no_velocities, claims_of_velocity, any_mount}]
 RULES = [HoldOut("gnss", 2)]
+AS_MOUNTED = Rotation.identity()
 
 
-def configuration(bag: Path) -> Config:
-    """Return what `config init` writes, with the pose of the lidar."""
+def configuration(bag: Path, turned: Rotation = AS_MOUNTED) -> Config:
+    """Return what `config init` writes, with the pose of the lidar, which may be turned otherwise than it is."""
     with open_recording(bag) as opened:
         document = yaml.safe_load(first_config(opened))
-    mount = yaml.safe_load(MOUNT.read_text())["extrinsics"]
-    return config_of(document | {"extrinsics": [*mount, {"parent": "imu", "child": "gnss"}]}, "config init")
+    (mount,) = yaml.safe_load(MOUNT.read_text())["extrinsics"]
+    mount["rotation_matrix"] = (turned * Rotation.from_matrix(mount["rotation_matrix"])).as_matrix().tolist()
+    mount["translation_m"] = turned.apply(mount["translation_m"]).tolist()
+    return config_of(document | {"extrinsics": [mount, {"parent": "imu", "child": "gnss"}]}, "config init")
 
 
 def run(drive: Path, seed: int) -> Tried:

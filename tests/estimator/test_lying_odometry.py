@@ -109,6 +109,22 @@ def test_one_that_is_mounted_otherwise_is_found_so(from_s, angles):
     assert max(errors_m(outputs, 30.0)) < 2.0  # twelve seconds without GNSS, at 6 m/s
 
 
+@pytest.mark.parametrize("angles", [(0.35, 0.0, 0.0), (0.0, 0.2, 0.0), (0.0, 0.0, 0.8)])
+def test_one_that_would_turn_its_mount_degree_by_degree_is_lost_and_found_so(angles):
+    """Where the start and jumps do not show it: the estimate went the other half of the way."""
+    sent, turned = streams(30.0, hz=1.0), gtsam.Rot3.Rodrigues(*angles)
+    sent["lidar"] = mounted_otherwise(sent["lidar"], turned)
+    estimator, outputs = run(machine(heading_deg=HEADING_DEG), in_order(*sent.values()))
+    (lost,) = [event for event in estimator.events if event.kind is EventKind.SENSOR_LOST]
+    assert "turn its mount further" in lost.reason
+    assert seconds(lost.stamp_ns) < ROAD.start_s + ROAD.ramp_s
+    (begun,) = [event for event in estimator.events if event.kind is EventKind.BEGUN_ANEW]
+    (regained,) = [event for event in estimator.events if event.kind is EventKind.SENSOR_REGAINED]
+    assert lost.stamp_ns < begun.stamp_ns < regained.stamp_ns
+    assert abs(float(regained.reason.split()[1]) - np.degrees(np.linalg.norm(angles))) < 3.0
+    assert max(errors_m(outputs, 10.0)) < 0.2
+
+
 def test_of_two_the_one_that_lies_is_left_out_of_a_start():
     sent = {name: [one for one in series if one.stamp_ns > ns(5.0)] for name, series in streams().items()}
     first = sent["lidar"][0]

@@ -181,3 +181,20 @@ def test_one_that_walks_is_another_variable_in_time_and_less_certain():
     window.solve(-1)
     grown = window.covariance(after.key) - window.covariance(before.key)
     np.testing.assert_allclose(grown, np.diag(walking.walk**2) * WALK_NS * 1e-9, atol=1e-9)
+
+
+def test_what_was_begun_anew_is_not_put_back_to_what_was_configured():
+    """As what was learnt yesterday is, once measurements refute it: nothing that was configured is better here."""
+    window, parameters, anew = empty(), Parameters(), Parameter(np.array([9.0, 9.0]), np.array([0.5, 0.2]))
+    parameters.begin_anew("wheels", anew)
+    assert parameters.prior("wheels", PRIOR) is anew
+    measure(window, parameters.use(window, "wheels", PRIOR, 0).key, [12.0, 9.0])
+    window.solve(0)
+    parameters.mark_solved()
+    parameters.use(window, "wheels", PRIOR, REFRESHED_NS)
+    window.solve(1)
+    parameters.mark_solved()
+    known = parameters.use(window, "wheels", PRIOR, 2 * REFRESHED_NS)
+    assert parameters.prior("wheels", PRIOR) is anew
+    weight = 0.25 / (0.25 + 0.01)
+    assert known.value == pytest.approx([9.0 + 3.0 * weight, 9.0])

@@ -85,3 +85,26 @@ def test_what_is_known_is_held_and_if_all_is_known_nothing_is_estimated():
     sigmas = calibration(mounting_sigma_deg=0, time_offset_sigma_s=0.05).prior.sigmas
     assert sigmas[:3].max() < 1e-6 and sigmas[3] == 0.05
     assert calibration().prior.sigmas[:3] == pytest.approx(np.radians(1.0))
+
+
+@pytest.mark.parametrize(
+    ("by_deg", "sigma_deg", "is_turned"),
+    [
+        (4.9, 1.0, False),
+        (5.1, 1.0, True),
+        (4.9, 0.01, False),  # it was learnt so well yesterday; what the configuration allows is no other mount
+        (14.0, 3.0, False),
+        (16.0, 3.0, True),
+    ],
+)
+def test_a_mount_is_turned_if_it_leaves_its_prior_by_five_sigmas(by_deg, sigma_deg, is_turned):
+    """The prior stands at half a turn, where two rotation vectors are the same rotation."""
+    half_turn, configured = np.array([0.0, 0.0, np.pi]), calibration()
+    prior = configured.prior._replace(
+        mean=np.array([*half_turn, 0.0]), sigmas=np.array([*np.full(3, np.radians(sigma_deg)), 0.02])
+    )
+    for side in (-1.0, 1.0):
+        estimate = np.array([0.0, 0.0, np.pi + side * np.radians(by_deg), 0.0])
+        assert configured.is_turned(prior, estimate) is is_turned
+        estimate[2] -= 2.0 * np.pi
+        assert configured.is_turned(prior, estimate) is is_turned

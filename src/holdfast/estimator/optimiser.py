@@ -380,6 +380,7 @@ class Optimiser:
         tracking = self._start(state, successor)
         tracking.queue = before.queue
         tracking.distrust(distrusted)
+        tracking.remount(before.mounts)
         self._leave_out(tracking, doubtful - distrusted)
         self.monitor.recovered(now_ns)
 

@@ -120,6 +120,10 @@ class Successor:
         self._begun_ns, self._suspected = state.stamp_ns, None
         return Beginning(state, self.start.reason)
 
+    def doubt(self) -> None:
+        """The estimate has followed a sensor that lies: begin anew as soon as the motion tells the heading."""
+        self._is_in_doubt = True
+
     def newly_mistaken(self) -> set[str]:
         """Return the sensors of velocity that have been found mistaken since this was asked last."""
         before, self._told = self._told, set(self.start.mistaken())

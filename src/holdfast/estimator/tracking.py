@@ -34,7 +34,7 @@ from holdfast.sensors.clock import with_estimated_clock
 from holdfast.sensors.constants import Constant, priors_of, priors_of_imu
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.noise import Colour
-from holdfast.sensors.sensor import ConstraintSensor, Measurement, Role, Sensor, of_role
+from holdfast.sensors.sensor import ConstraintSensor, Measurement, Parameter, Role, Sensor, of_role
 from holdfast.state import EventKind, OptimisedState, Outcome
 
 Channel = Callable[[DualGraph, Any, int], Outcome]
@@ -204,6 +204,15 @@ class Tracking:
         self._positions.distrust(name for name in names if self._roles.get(name) is Role.POSITION)
         self._odometries.distrust(name for name in names if self._roles.get(name) is Role.ODOMETRY)
 
+    @property
+    def mounts(self) -> Mapping[str, Parameter]:
+        """Priors of odometries that are mounted otherwise than configured."""
+        return self._odometries.mounts
+
+    def remount(self, mounts: Mapping[str, Parameter]) -> None:
+        """Begin with what was known of mounts before the estimate began anew."""
+        self._odometries.remount(self.graph, mounts)
+
     def refuse(self, sensor: str, outcome: Outcome) -> None:
         """Note a message that could not be converted."""
         if self._roles[sensor] is Role.POSITION:
@@ -285,6 +294,8 @@ class Tracking:
         # else it is the positions that have begun to err
         is_alone = has_witness or is_turned or not self._odometries.has_agreed()
         contradiction = self._contradiction(has_witness=has_witness) if is_alone else None
+        if self._odometries.newly_turned():
+            self.successor.doubt()
         beginning = self.successor.settle_doubt()
         if beginning is None and contradiction is not None:
             beginning = self.successor.begin(published.newest, contradiction.since_ns)

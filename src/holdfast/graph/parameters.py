@@ -56,6 +56,7 @@ class Parameters:
         self, refreshed_ns: int = REFRESHED_NS, carried: Mapping[str, Parameter] = MappingProxyType({})
     ) -> None:
         self._refreshed_ns, self._carried = refreshed_ns, carried
+        self._anew: Mapping[str, Parameter] = MappingProxyType({})  # which stand in for the configured ones, for good
         self._known: dict[str, Known] = {}
         self._made = 0
 
@@ -77,9 +78,10 @@ class Parameters:
 
         `start` (p,) is where it is linearised first; without it at the mean of the prior.
         """
-        configured = prior
-        if name in self._carried:
-            prior, start = self._carried[name], None
+        configured = self._anew.get(name, prior)
+        prior = self.prior(name, prior)
+        if name in self._carried or name in self._anew:
+            start = None
         known = self._known.get(name)
         if known is None or known.key not in solver:
             known = self._insert(solver, name, prior, stamp_ns, start)
@@ -98,7 +100,8 @@ class Parameters:
     def begin_anew(self, name: str, prior: Parameter) -> None:
         """Forget what is known of a sensor's parameter; this prior stands in for that of the configuration."""
         self._known.pop(name, None)
-        self._carried = {**self._carried, name: prior}
+        self._carried = {other: one for other, one in self._carried.items() if other != name}
+        self._anew = {**self._anew, name: prior}
 
     def estimate(self, name: str) -> tuple[Array, Array] | None:
         """Return the estimate (p,) of a sensor's parameter and its sigmas (p,), None while there is none."""
@@ -110,8 +113,12 @@ class Parameters:
         known = self._known.get(name)
         if known is not None:
             return known.value, known.covariance
-        prior = self._carried.get(name, prior)
+        prior = self.prior(name, prior)
         return prior.mean, np.diag(prior.sigmas**2)
+
+    def prior(self, name: str, configured: Parameter) -> Parameter:
+        """Return the prior that a parameter began with."""
+        return self._carried.get(name, self._anew.get(name, configured))
 
     def review(self, solver: Solver, priors: Mapping[str, Parameter]) -> bool:
         """Read the parameters of some names from a solver that has converged; return whether it must once more.
@@ -120,7 +127,7 @@ class Parameters:
         """
         has_changed = False
         for name, configured in priors.items():
-            known, prior = self._known.get(name), self._carried.get(name, configured)
+            known, prior = self._known.get(name), self.prior(name, configured)
             if known is None or known.key not in solver:
                 continue
             value, covariance = solver.vector(known.key), solver.covariance(known.key)
@@ -136,7 +143,7 @@ class Parameters:
             return None
         sigmas = np.sqrt(np.diag(known.covariance))
         is_off = prior.if_right is not None and known.right is None
-        believed = _without_belief(known, self._carried.get(name, prior))
+        believed = _without_belief(known, self.prior(name, prior))
         return Constant(known.value, sigmas, *believed, prior, is_off)
 
     def mark_solved(self) -> None:

@@ -200,6 +200,10 @@ class Smoother:
         """Return the estimate (p,) of a sensor's parameter, the mean of its prior while there is none."""
         return self._parameters.belief(name, prior)[0]
 
+    def parameter_prior(self, name: str, configured: Parameter) -> Parameter:
+        """Return the prior that a sensor's parameter began with."""
+        return self._parameters.prior(name, configured)
+
     def begin_parameter_anew(self, name: str, prior: Parameter) -> None:
         """Know this alone of a sensor's parameter from now on."""
         self._parameters.begin_anew(name, prior)

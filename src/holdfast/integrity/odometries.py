@@ -17,15 +17,17 @@ from holdfast.integrity.drift_monitor import Contradiction, DriftMonitor
 from holdfast.integrity.innovation import PERIODS_OF_SILENCE
 from holdfast.integrity.learnt_snapshot import LearntOdometry
 from holdfast.integrity.odometry_learning import OdometryLearning
-from holdfast.integrity.odometry_trust import OdometryTrust, Watched
+from holdfast.integrity.odometry_trust import AGREES_RAD, OdometryTrust, Watched
 from holdfast.integrity.yaw_learning import HeadingWitness
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
+from holdfast.sensors.sensor import Parameter
 from holdfast.state import EventKind, Outcome
 
 DISTRUST = 3.0  # factor on the noise of an odometry that proves to be worse than configured
 NOT_MEASURED = "the IMU did not measure its motions, one after another"
+TURNED = "its motions beside the fixes turn its mount further than the configuration is known to be wrong"
 AGAIN_NS = 5_000_000_000  # an odometry whose noise is trebled twice in this time is lost
 ERRS_NS = 5_000_000_000  # for so long a gyroscope is doubted
 JUMPS, JUMPS_NS = 4, 20_000_000_000  # so many jumps in this time are no jumps but noise
@@ -111,6 +113,9 @@ class Odometries:
         headings: what they say of the heading of an estimate.
         fixes: whether they say the same as an odometry.
         carried: what was learnt of odometries before, by name.
+
+    Attributes:
+        mounts: priors that stand in for the configured ones, of odometries that are mounted otherwise, by name.
     """
 
     def __init__(
@@ -128,6 +133,8 @@ class Odometries:
         self._is_monitored = config.gate.drift_monitor
         self._log = log
         self._headings, self._fixes = headings, fixes
+        self._has_turned = False
+        self.mounts: dict[str, Parameter] = {}
 
     def __len__(self) -> int:
         return len(self._odometries)
@@ -196,9 +203,13 @@ class Odometries:
             odometry.forget_frame()
         if jumps is Jumps.WILD:
             lies_since_ns = pose.stamp_ns
+        reason = NOT_MEASURED
+        if lies_since_ns is None and not graph.is_lost and self._is_turned(graph, odometry, pose.sensor):
+            lies_since_ns, reason, self._has_turned = graph.main.oldest_ns, TURNED, True
+            self._mount(graph, pose.sensor, odometry.model.calibration.mounted(np.zeros(3), AGREES_RAD))
         if lies_since_ns is not None:
             self._log.record(pose.stamp_ns, pose.sensor, outcome)
-            self._lose(graph, pose.sensor, lies_since_ns, now_ns, NOT_MEASURED)
+            self._lose(graph, pose.sensor, lies_since_ns, now_ns, reason)
             return outcome
         if pose.excess is not None:
             odometry.forget_frame()  # it does not know its motion: it cannot contradict, nor be learnt from
@@ -209,6 +220,24 @@ class Odometries:
             graph.main.imu_noise.yaw_scale = min(scales)
         self._log.record(pose.stamp_ns, pose.sensor, outcome)
         return outcome
+
+    def _is_turned(self, graph: DualGraph, odometry: _Odometry, name: str) -> bool:
+        calibration = odometry.model.calibration
+        if calibration.prior is None or not calibration.is_mount_estimated:
+            return False
+        prior = graph.main.parameter_prior(name, calibration.prior)
+        return calibration.is_turned(prior, self._calibration(graph, name))
+
+    def _mount(self, graph: DualGraph, name: str, prior: Parameter) -> None:
+        """Know no more of how an odometry is mounted from now on, and after the estimate has begun anew."""
+        self.mounts[name] = prior
+        for smoother in graph.smoothers():
+            smoother.begin_parameter_anew(name, prior)
+
+    def remount(self, graph: DualGraph, mounts: Mapping[str, Parameter]) -> None:
+        """Begin with what was known of mounts before the estimate began anew."""
+        for name, prior in mounts.items():
+            self._mount(graph, name, prior)
 
     def _watch(self, graph: DualGraph, odometry: _Odometry, pose: TrackPose, now_ns: int) -> Outcome:
         """Compare how an odometry that is not trusted moves with how the estimate does, with fixes if there are any."""
@@ -222,9 +251,7 @@ class Odometries:
             if odometry.trust.watch(pose, seen, self._calibration(graph, pose.sensor), is_led=not graph.is_lost):
                 reason = "it moves as the estimate again"
                 if (mount := odometry.trust.mount) is not None:
-                    mounted = odometry.model.calibration.mounted(mount)
-                    for smoother in graph.smoothers():
-                        smoother.begin_parameter_anew(pose.sensor, mounted)
+                    self._mount(graph, pose.sensor, odometry.model.calibration.mounted(mount))
                     off_deg = degrees(float(np.linalg.norm(mount)))
                     reason = f"mounted {off_deg:.0f} deg otherwise than configured it moves as the estimate"
                 self._log.report(EventKind.SENSOR_REGAINED, now_ns, pose.sensor, reason)
@@ -293,6 +320,11 @@ class Odometries:
     def has_agreed(self) -> bool:
         """Whether one that is still there has agreed with GNSS since the start: then the estimate was right, once."""
         return any(one.monitor.has_agreed for one in self._odometries.values() if not one.is_lost)
+
+    def newly_turned(self) -> bool:
+        """Whether one has turned its mount, and the estimate with it, since this was asked last."""
+        before, self._has_turned = self._has_turned, False
+        return before
 
     def part_from_gyroscope(self, now_ns: int) -> bool:
         """Whether all that are trusted have of late turned otherwise than the gyroscope, by far, or fixes say so."""

@@ -17,7 +17,7 @@ from holdfast.integrity.mount_finding import found_mount
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.odometry import TrackPose
-from holdfast.sensors.odometry_calibration import FOUND_RAD, OdometryCalibration
+from holdfast.sensors.odometry_calibration import FOUND_RAD, OdometryCalibration, apart_rad
 
 JUMPS_IN_A_ROW, ONE_WAY = 4, 0.7  # so many of which the sum is so much of their sizes
 SLIPS_NS, LYING = 5_000_000_000, 0.25  # a second slip in this time is no slip, if by so much of the way
@@ -135,7 +135,7 @@ class OdometryTrust:
             if len(agreeing) < max(FEWEST_STEPS, MOST_AGREE * len(steps)):
                 return None
             delta = found_mount(*zip(*(self._motions_of_sensor(*step) for step in agreeing), strict=True))
-            if delta is None or _apart_rad(delta, calibration[:3]) < FOUND_RAD:
+            if delta is None or apart_rad(delta, calibration[:3]) < FOUND_RAD:
                 return None
             mounted = np.concatenate([delta, calibration[3:]])
             agreeing = [step for step in steps if self._moved_alike(*step, mounted)]
@@ -183,11 +183,6 @@ class OdometryTrust:
         reach_m = max(AGREES_M, AGREES * moved_m) + SIGMA * _sigma_m(then, now, moved_m)
         turned_rad = np.linalg.norm(gtsam.Rot3.Logmap(apart.rotation()))
         return bool(np.linalg.norm(apart.translation()) <= reach_m and turned_rad <= AGREES_RAD + SIGMA * attitude_rad)
-
-
-def _apart_rad(a: Array, b: Array) -> float:
-    """Return the angle between the rotations of two rotation vectors (3,) [rad]."""
-    return float(np.linalg.norm(gtsam.Rot3.Logmap(gtsam.Rot3.Expmap(a).between(gtsam.Rot3.Expmap(b)))))
 
 
 def _sigma_m(then: Watched, now: Watched, moved_m: float) -> float:

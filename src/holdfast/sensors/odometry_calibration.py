@@ -17,6 +17,7 @@ from holdfast.sensors.sensor import STEADY, Parameter
 
 KNOWN = 1e-7  # sigma [rad, s] of what is known
 FOUND_RAD = radians(3.0)  # so well motions must tell how a sensor is mounted; sigma of what they told
+TURNED = 5.0  # sigmas of a prior, by which an estimate of the mount is none
 SIZE = 4
 NOMINAL: Array = np.zeros(SIZE)  # as configured
 
@@ -42,11 +43,21 @@ class OdometryCalibration:
         """Whether the rotation of the mounting is not known."""
         return self.prior is not None and self.prior.sigmas[0] > KNOWN
 
-    def mounted(self, delta: Array) -> Parameter:
-        """Return the prior of one that was found mounted otherwise, by a rotation vector (3,); it must be estimated."""
+    def mounted(self, delta: Array, sigma_rad: float = FOUND_RAD) -> Parameter:
+        """Return the prior of one that is mounted otherwise, by a rotation vector (3,); it must be estimated."""
         assert self.prior is not None
-        sigmas = np.concatenate([np.maximum(self.prior.sigmas[:3], FOUND_RAD), self.prior.sigmas[3:]])
+        sigmas = np.concatenate([np.maximum(self.prior.sigmas[:3], sigma_rad), self.prior.sigmas[3:]])
         return self.prior._replace(mean=np.concatenate([delta, self.prior.mean[3:]]), sigmas=sigmas)
+
+    def is_turned(self, prior: Parameter, parameter: Array) -> bool:
+        """Whether an estimate (4,) has left a prior, or the configured one, further than the mount is doubted.
+
+        Small turns are what it is linear in. A sensor that is turned far moves otherwise from the first metre, and
+        turns the estimate with it, degree by degree.
+        """
+        assert self.prior is not None
+        sigma_rad = max(prior.sigmas[0], self.prior.sigmas[0])
+        return apart_rad(prior.mean[:3], parameter[:3]) > TURNED * float(sigma_rad)
 
     def of_sensor(self, motion: gtsam.Pose3) -> gtsam.Pose3:
         """Return the motion of L, as it is configured, that goes with a motion of I."""
@@ -145,3 +156,8 @@ class OdometryCalibration:
         by_delta = by_correction @ gtsam.Rot3.ExpmapDerivative(-parameter[:3])
         result: Array = -off.inverse().AdjointMap() @ by_delta
         return result
+
+
+def apart_rad(a: Array, b: Array) -> float:
+    """Return the angle between the rotations of two rotation vectors (3,) [rad]."""
+    return float(np.linalg.norm(gtsam.Rot3.Logmap(gtsam.Rot3.Expmap(a).between(gtsam.Rot3.Expmap(b)))))
