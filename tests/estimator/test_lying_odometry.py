@@ -125,6 +125,28 @@ def test_one_that_would_turn_its_mount_degree_by_degree_is_lost_and_found_so(ang
     assert max(errors_m(outputs, 10.0)) < 0.2
 
 
+@pytest.mark.parametrize("arm", [(3.0, 0.0, 0.0), (0.0, -2.0, 0.0)])
+def test_one_that_is_elsewhere_on_the_machine_is_found_there(arm):
+    """A sign of its lever arm is wrong in the file."""
+    sent, moved, outage_s = streams(), np.array(arm), 36.0
+    sent["lidar"] = [
+        replace(
+            one, position=one.position + gtsam.Rot3.Quaternion(one.quaternion[3], *one.quaternion[:3]).rotate(moved)
+        )
+        for one in sent["lidar"]
+    ]
+    sent["gnss"] = [one for one in sent["gnss"] if one.stamp_ns < ns(outage_s)]
+    estimator, outputs = run(machine(heading_deg=HEADING_DEG), in_order(*sent.values()))
+
+    (told, *_) = [event for event in estimator.events if "beside where it is configured" in event.reason]
+    assert (told.kind, told.sensor) == (EventKind.CALIBRATION, "lidar")
+    constant = estimator.learnt().constants["lidar arm"]
+    assert constant.is_off and (np.abs(constant.mean - moved) < 3.0 * np.array(constant.sigmas)).all()
+    assert max(constant.sigmas[:2]) < 0.5
+    assert max(errors_m(outputs, 12.0)) < 0.5  # twelve seconds of it without GNSS, at 6 m/s
+    assert not of_lidar(estimator, EventKind.SENSOR_LOST)
+
+
 def test_of_two_the_one_that_lies_is_left_out_of_a_start():
     sent = {name: [one for one in series if one.stamp_ns > ns(5.0)] for name, series in streams().items()}
     first = sent["lidar"][0]

@@ -1,4 +1,4 @@
-"""The mounting and the clock of an odometry as a parameter: what its factors say of it."""
+"""The mounting, the lever arm and the clock of an odometry as parameters: what its factors say of it."""
 
 import gtsam
 import numpy as np
@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from holdfast.config.sensors import OdometryConfig
-from holdfast.sensors.odometry_calibration import SIZE, OdometryCalibration
+from holdfast.sensors.odometry_calibration import SIZE, OdometryCalibration, joined
 
-F, X, P = gtsam.symbol("l", 0), gtsam.symbol("x", 0), gtsam.symbol("E", 0)
+F, X, P, A = (gtsam.symbol(letter, 0) for letter in "lxED")
 T_I_L = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.1, -0.2, 0.4), np.array([0.8, 0.3, 1.9]))
 STEP = 1e-6
 
@@ -24,6 +24,7 @@ def values_at(rng, parameter):
         pose = gtsam.Pose3.Expmap(rng.normal(0.0, 1.0, 6))
         values.insert(key, gtsam.NavState(pose, rng.normal(0.0, 1.0, 3)))
     values.insert(P, parameter)
+    values.insert(A, rng.normal(0.0, 1.0, 3))
     return values
 
 
@@ -33,7 +34,7 @@ def numeric(factor, values, key, size):
         ends = []
         for sign in (1.0, -1.0):
             step = gtsam.VectorValues()
-            for other, other_size in ((F, 9), (X, 9), (P, SIZE)):
+            for other, other_size in ((F, 9), (X, 9), (P, SIZE), (A, 3)):
                 step.insert(other, np.zeros(other_size) if other != key else sign * STEP * np.eye(size)[k])
             ends.append(factor.unwhitenedError(values.retract(step)))
         columns.append((ends[0] - ends[1]) / (2.0 * STEP))
@@ -48,40 +49,43 @@ def test_both_factors_have_the_derivatives_that_they_claim(seed):
         rng.normal(0, 0.02, 6)
     )
     unit = gtsam.noiseModel.Isotropic.Sigma
-    anchored = calibration().anchored_factor((F, X, P), motion, np.zeros(3), np.zeros(6), unit(6, 1.0))
-    drift = calibration().drift_factor((F, X, P), motion, unit(9, 1.0))
+    anchored = calibration().anchored_factor((F, X, P, A), motion, np.zeros(3), np.zeros(6), unit(6, 1.0))
+    drift = calibration().drift_factor((F, X, P, A), motion, unit(9, 1.0))
     for factor in (anchored, drift):
         claimed = factor.linearize(values).jacobian()[0]
-        found = np.hstack([numeric(factor, values, key, size) for key, size in ((F, 9), (X, 9), (P, SIZE))])
+        found = np.hstack([numeric(factor, values, key, size) for key, size in ((F, 9), (X, 9), (P, SIZE), (A, 3))])
         np.testing.assert_allclose(claimed, found, atol=2e-6 * max(1.0, abs(claimed).max()))
 
 
 @given(st.integers(0, 10_000))
 def test_the_error_is_zero_where_mounting_and_clock_are_as_they_are(seed):
-    """A lidar that is turned by delta, and whose poses are tau younger than their stamps, on a machine that turns."""
+    """A lidar that is turned by delta, d elsewhere and tau younger than its stamps, on a machine that turns."""
     rng = np.random.default_rng(seed)
     parameter = np.array([*rng.normal(0.0, 0.05, 3), rng.normal(0.0, 0.03)])
     rate, velocity = rng.normal(0.0, 0.5, 3), rng.normal(0.0, 1.0, 3)
     beyond = rng.normal(0.0, 0.3, 6)
     frame, pose = (gtsam.Pose3.Expmap(rng.normal(0.0, 1.0, 6)) for _ in range(2))
     later = pose * gtsam.Pose3.Expmap((np.concatenate([rate, velocity]) + beyond) * parameter[3])
-    true_mount = T_I_L * gtsam.Pose3(gtsam.Rot3.Expmap(parameter[:3]), np.zeros(3))
+    arm = rng.normal(0.0, 1.0, 3)
+    true_mount = T_I_L * gtsam.Pose3(gtsam.Rot3.Expmap(parameter[:3]), arm)
     motion_of_lidar = (frame * true_mount).between(later * true_mount)
     as_configured = T_I_L * motion_of_lidar * T_I_L.inverse()
     values = gtsam.Values()
     values.insert(F, gtsam.NavState(frame, np.zeros(3)))
     values.insert(X, gtsam.NavState(pose, pose.rotation().rotate(velocity)))
     values.insert(P, parameter)
+    values.insert(A, arm)
     factor = calibration().anchored_factor(
-        (F, X, P), as_configured, rate, beyond, gtsam.noiseModel.Isotropic.Sigma(6, 1.0)
+        (F, X, P, A), as_configured, rate, beyond, gtsam.noiseModel.Isotropic.Sigma(6, 1.0)
     )
     np.testing.assert_allclose(factor.unwhitenedError(values), 0.0, atol=1e-9)
-    moved = calibration().after(values.atNavState(X), rate, parameter, beyond)
+    moved = calibration().after(values.atNavState(X), rate, joined(parameter, arm), beyond)
     np.testing.assert_allclose(gtsam.Pose3.Logmap(moved.between(later)), 0.0, atol=1e-12)
 
 
 def test_what_is_known_is_held_and_if_all_is_known_nothing_is_estimated():
     assert calibration(mounting_sigma_deg=0, time_offset_sigma_s=0).prior is None
+    assert calibration(mounting_sigma_deg=0).arm_prior is None  # "0: known"
     sigmas = calibration(mounting_sigma_deg=0, time_offset_sigma_s=0.05).prior.sigmas
     assert sigmas[:3].max() < 1e-6 and sigmas[3] == 0.05
     assert calibration().prior.sigmas[:3] == pytest.approx(np.radians(1.0))

@@ -33,11 +33,13 @@ from holdfast.messages import Array
 from holdfast.sensors.clock import with_estimated_clock
 from holdfast.sensors.constants import OBSERVED, LearntConstant, priors_of, priors_of_imu
 from holdfast.sensors.learnt_joint import LearntJoint
+from holdfast.sensors.odometry_calibration import arm_name
 from holdfast.sensors.registry import sensors_of
 from holdfast.sensors.sensor import Parameter
 
 SEEN = 0.55  # sigma of a logarithm above which a factor is not known: half of the prior's
 SIGMA = 3.0
+FIRST, LAST = 0, -1  # key of a frame: rotation before translation
 SLACK_M, SLACK_ZERO_RAD = 0.01, 1e-3
 FACTOR = 2.0
 SHOWN = 4  # lines at the end of a command
@@ -76,7 +78,9 @@ def learnt_rows(learnt: LearntSnapshot, config: Config) -> list[Row]:
     rows: list[Row] = []
     for name, sensor in sensors_of(config).items():
         for constant in priors_of({name: with_estimated_clock(sensor)}):
-            if constant in learnt.constants:
+            if constant == arm_name(name) and constant in learnt.constants:
+                rows += _of_odometry_arm(name, config, learnt.constants[constant], learnt.constants.get(name))
+            elif constant in learnt.constants:
                 rows += _of_constant(name, config, learnt.constants[constant], is_shared=constant != name)
     for name, prior in priors_of_imu(config).items():
         if name in learnt.constants:
@@ -250,12 +254,28 @@ def _of_arm(name: str, config: Config, arm: Array, sigmas: Array) -> Iterator[Ro
         yield Row(name, f"lever arm, {axis}", key, "m", configured, value, sigma, is_wrong, write if is_wrong else "")
 
 
-def _moved(name: str, config: Config, correction: Array) -> tuple[str, str]:
-    """Return the key of the frame of a sensor, and what it is to be if the frame is moved (4, 4)."""
+def _of_odometry_arm(
+    name: str, config: Config, learnt: LearntConstant, calibration: LearntConstant | None
+) -> Iterator[Row]:
+    """Yield the rows of the lever arm (3,) [m] of an odometry along its own axes, if it is not as configured."""
+    if not learnt.is_off:
+        return
+    correction = np.eye(4)
+    if calibration is not None:
+        correction[:3, :3] = gtsam.Rot3.Expmap(np.array(calibration.mean[:3])).matrix()
+    correction[:3, 3] = learnt.mean
+    key, write = _moved(name, config, correction, LAST)
+    for axis, off, sigma in zip(AXES, learnt.mean, learnt.sigmas, strict=True):
+        is_wrong = abs(off) > SIGMA * sigma + SLACK_M
+        yield Row(name, f"lever arm, along its {axis}", key, "m", 0.0, off, sigma, is_wrong, write if is_wrong else "")
+
+
+def _moved(name: str, config: Config, correction: Array, which: int = FIRST) -> tuple[str, str]:
+    """Return a key of the frame of a sensor, the first or the last, and what it is if the frame is moved (4, 4)."""
     changes = moved(config, config.frame_of(name), correction)
     if isinstance(changes, str) or not changes:
         return "extrinsics", "" if not changes else str(changes)
-    return path_text(changes[0].path), yaml_text(changes[0].value)
+    return path_text(changes[which].path), yaml_text(changes[which].value)
 
 
 def _unit(section: Any, key: str) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from holdfast.graph.smoother import FREE, Smoother
 from holdfast.messages import Array
 from holdfast.sensors.odometry import STILL_M_S, OdometryNoise, TrackPose, is_possible, with_excess
-from holdfast.sensors.odometry_calibration import NOMINAL, OdometryCalibration
+from holdfast.sensors.odometry_calibration import NOMINAL, OdometryCalibration, arm_name, joined
 from holdfast.sensors.sensor import State
 from holdfast.state import Outcome
 
@@ -26,8 +26,13 @@ Mode = Literal["anchored", "relative", "frozen"]
 
 
 def believed_calibration(smoother: Smoother, odometry: str, calibration: OdometryCalibration) -> Array:
-    """Return what is believed of the mounting and the clock of an odometry (4,)."""
-    return NOMINAL if calibration.prior is None else smoother.parameter_belief(odometry, calibration.prior)
+    """Return what is believed of how and where an odometry is mounted, and of its clock (7,)."""
+    if calibration.prior is None:
+        return NOMINAL
+    belief = smoother.parameter_belief(odometry, calibration.prior)
+    if calibration.arm_prior is None:
+        return joined(belief)
+    return joined(belief, smoother.parameter_belief(arm_name(odometry), calibration.arm_prior))
 
 
 class Joined(NamedTuple):
@@ -138,21 +143,25 @@ class OdometryTrack:
             return Outcome.NO_PREDECESSOR  # from before a jump
         smoother.keep_frame(at.key, pose.stamp_ns)
         motion, state = at.first.T_I0_I.between(pose.T_I0_I), smoother.mean_at(pose.stamp_ns)
-        calibration_key, offset_s = self._calibration(smoother, pose)
+        calibration_keys, offset_s = self._calibration(smoother, pose)
         rate, beyond = state.angular_velocity, state.twist_beyond(offset_s)
         smoother.enter(
             pose,
-            self._noise.anchored_factor(at.key, key, motion, calibration_key, angular_velocity=rate, beyond=beyond),
+            self._noise.anchored_factor(at.key, key, motion, calibration_keys, angular_velocity=rate, beyond=beyond),
         )
         return Outcome.USED
 
-    def _calibration(self, smoother: Smoother, pose: TrackPose) -> tuple[int | None, float]:
-        """Return the key of what is estimated of the odometry, None if nothing is, and the offset of its clock [s]."""
+    def _calibration(self, smoother: Smoother, pose: TrackPose) -> tuple[tuple[int, ...], float]:
+        """Return the keys of what is estimated of the odometry, none if nothing is, and the offset of its clock [s]."""
         prior = self._noise.calibration.prior
         if prior is None:
-            return None, 0.0
+            return (), 0.0
         key, value, _ = smoother.parameter(pose.sensor, prior, pose.stamp_ns)
-        return key, float(value[-1])
+        arm_prior = self._noise.calibration.arm_prior
+        if arm_prior is None:
+            return (key,), float(value[-1])
+        arm_key, _, _ = smoother.parameter(arm_name(pose.sensor), arm_prior, pose.stamp_ns)
+        return (key, arm_key), float(value[-1])
 
     def _begin_epoch(self, smoother: Smoother, before: _Epoch | None, pose: TrackPose) -> _Epoch:
         here = smoother.nav(pose.stamp_ns).pose()
@@ -163,9 +172,9 @@ class OdometryTrack:
         else:
             motion = before.first.T_I0_I.between(pose.T_I0_I)
             duration_s = (pose.stamp_ns - before.first.stamp_ns) * 1e-9
-            calibration_key, _ = self._calibration(smoother, pose)
+            calibration_keys, _ = self._calibration(smoother, pose)
             up = here.rotation().unrotate(np.array([0.0, 0.0, 1.0]))
-            drift = self._noise.drift_factor(before.key, key, motion, duration_s, up, calibration_key, pose.excess)
+            drift = self._noise.drift_factor(before.key, key, motion, duration_s, up, calibration_keys, pose.excess)
             smoother.add(drift)
         self._epochs.append(_Epoch(pose, key))
         return self._epochs[-1]

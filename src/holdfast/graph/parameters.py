@@ -218,13 +218,13 @@ def _evidence(known: Known, prior: Parameter) -> float | None:
     precision = 1.0 / known.covariance.diagonal() - 1.0 / prior.sigmas**2
     if known.right is not None:
         precision -= 1.0 / (HELD * prior.if_right) ** 2
-    may_be_right = np.isfinite(prior.if_right)
-    if (precision < 1.0 / prior.sigmas**2)[may_be_right].any():
+    is_told = np.isfinite(prior.if_right) & (precision >= 1.0 / prior.sigmas**2)
+    if not is_told.any():
         return None
     variance = 1.0 / np.maximum(precision, 1e-6 / prior.sigmas**2)  # of what the measurements say alone
     off = (known.value - prior.mean) * variance / known.covariance.diagonal()
     ratio = _log_density(off, variance + prior.if_right**2) - _log_density(off, variance + prior.sigmas**2)
-    return float(ratio[may_be_right].sum())
+    return float(ratio[is_told].sum())
 
 
 def _held(solver: Solver, known: Known, prior: Parameter) -> Known:

@@ -12,12 +12,13 @@ from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.clock import has_estimated_clock
 from holdfast.sensors.odometry import OdometryModel
+from holdfast.sensors.odometry_calibration import arm_name
 from holdfast.sensors.sensor import Sensor
 from holdfast.state import EventKind
 
 REVIEW_NS = 1_000_000_000
 SIGMA = 4.0  # it is tested every second
-SLACK_S, SLACK_RAD, SLACK_RATIO = 2e-3, 5e-3, 3e-3  # an error that nobody need correct
+SLACK_S, SLACK_RAD, SLACK_RATIO, SLACK_M = 2e-3, 5e-3, 3e-3, 0.03  # an error that nobody need correct
 NEWS = 0.25  # of what was told last
 
 
@@ -26,7 +27,7 @@ class Finding(NamedTuple):
 
     Attributes:
         what: which of its constants.
-        off: by how much [s, rad or 1].
+        off: by how much [s, rad, m or 1].
         sigma: of that.
         slack: below it nothing is told.
     """
@@ -66,6 +67,8 @@ class Calibration:
             estimate = smoother.parameter_estimate(name if parameter is None else parameter.name(name))
             if estimate is not None:
                 self._tell(name, _findings(sensor, *estimate), now_ns)
+            if isinstance(sensor, OdometryModel) and (arm := smoother.parameter_estimate(arm_name(name))) is not None:
+                self._tell(name, _findings_of_arm(*arm), now_ns)
         scale = smoother.parameter_estimate(self._imu)
         if scale is not None:
             self._tell(self._imu, _findings_of_gyroscope(*scale), now_ns)
@@ -98,6 +101,18 @@ def _findings(sensor: Sensor, value: Array, sigmas: Array) -> Iterator[tuple[Fin
             f"rotated by {x:.2f}, {y:.2f}, {z:.2f} deg about its own axes"
         )
         yield Finding("mounting", off_rad, sigma_rad, SLACK_RAD), text
+
+
+def _findings_of_arm(arm: Array, sigmas: Array) -> Iterator[tuple[Finding, str]]:
+    """Yield the lever arm of an odometry with what is to be told of it."""
+    off_m = float(np.linalg.norm(arm))
+    sigma_m = float(np.linalg.norm(arm / max(off_m, 1e-9) * sigmas))
+    x, y, z = arm
+    text = (
+        f"{off_m:.2f} m beside where it is configured, sigma {sigma_m:.2f} m: "
+        f"moved by {x:.2f}, {y:.2f}, {z:.2f} m along its own axes"
+    )
+    yield Finding("lever arm", off_m, sigma_m, SLACK_M), text
 
 
 def _findings_of_gyroscope(scale: Array, sigmas: Array) -> Iterator[tuple[Finding, str]]:

@@ -17,11 +17,12 @@ from holdfast.integrity.drift_monitor import Contradiction, DriftMonitor
 from holdfast.integrity.innovation import PERIODS_OF_SILENCE
 from holdfast.integrity.learnt_snapshot import LearntOdometry
 from holdfast.integrity.odometry_learning import OdometryLearning
-from holdfast.integrity.odometry_trust import AGREES_RAD, OdometryTrust, Watched
+from holdfast.integrity.odometry_trust import AGREES_M, AGREES_RAD, OdometryTrust, Watched
 from holdfast.integrity.yaw_learning import HeadingWitness
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
+from holdfast.sensors.odometry_calibration import arm_name
 from holdfast.sensors.sensor import Parameter
 from holdfast.state import EventKind, Outcome
 
@@ -268,7 +269,18 @@ class Odometries:
                         self._log.recount(name, Outcome.USED, Outcome.CONTRADICTED)
                         self._log.record(one.stamp_ns, name, Outcome.CONTRADICTED)
             graph.begin_tracks_anew(smoother, name)
+        self._forget_arm(graph, name)
         self._log.report(EventKind.SENSOR_LOST, now_ns, name, reason)
+
+    def _forget_arm(self, graph: DualGraph, name: str) -> None:
+        """Forget where an odometry is if that was not known yet: its lies may have looked like it."""
+        prior, known = self._odometries[name].model.calibration.arm_prior, graph.main.parameter_estimate(arm_name(name))
+        if prior is None or known is None:
+            return
+        arm, sigmas = known
+        if np.linalg.norm(arm * sigmas) > AGREES_M * np.linalg.norm(arm):
+            for smoother in graph.smoothers():
+                smoother.begin_parameter_anew(arm_name(name), prior)
 
     def review(self, now_ns: int) -> None:
         """Lose the odometries that are silent."""
@@ -355,5 +367,5 @@ class Odometries:
                 yield name, pose
 
     def _calibration(self, graph: DualGraph, odometry: str) -> Array:
-        """Return what the main graph estimates of an odometry (4,): its mounting and its clock."""
+        """Return what the main graph estimates of an odometry (7,): its mounting, its lever arm and its clock."""
         return believed_calibration(graph.main, odometry, self._odometries[odometry].model.calibration)

@@ -14,6 +14,7 @@ from holdfast.loops.submaps import Submaps
 from holdfast.loops.verification import Target, verified
 from holdfast.messages import Array
 from holdfast.recording.raw import RawBag
+from holdfast.sensors.odometry_calibration import mounted
 from holdfast.smoothing.block import Track
 from holdfast.smoothing.closures import Closure, Found, Stretch
 from holdfast.state import Trajectory
@@ -90,7 +91,7 @@ class LoopCloser:
         T_I_L: Array = self._config.T_I(frame)
         for name in self._config.sensors_of(DriftingConfig):
             if self._config.frame_of(name) == frame and name in calibrations:
-                T_I_L = T_I_L @ gtsam.Pose3(gtsam.Rot3.Expmap(calibrations[name][:3]), np.zeros(3)).matrix()
+                T_I_L = T_I_L @ mounted(calibrations[name]).matrix()
         return T_I_L
 
     def _register(

@@ -14,6 +14,7 @@ from holdfast.sensors.clock import IF_RIGHT_S, has_estimated_clock
 from holdfast.sensors.gnss import GnssModel
 from holdfast.sensors.nonholonomic import NonholonomicModel
 from holdfast.sensors.odometry import OdometryModel
+from holdfast.sensors.odometry_calibration import arm_name
 from holdfast.sensors.sensor import Parameter, Sensor
 from holdfast.sensors.twist import TwistModel
 
@@ -29,7 +30,7 @@ class LearntConstant(Section):
 
     mean: tuple[float, ...] = Field(min_length=1, description="as estimated")
     sigmas: tuple[float, ...] = Field(min_length=1, description="of each")
-    is_off: bool = Field(False, description="its clock is believed to be otherwise than configured")
+    is_off: bool = Field(False, description="its clock or lever arm is believed to be otherwise than configured")
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -65,16 +66,24 @@ def priors_of(sensors: Mapping[str, Sensor]) -> dict[str, Parameter]:
         prior = sensor.calibration.prior if isinstance(sensor, OdometryModel) else getattr(sensor, "parameter", None)
         if prior is not None:
             found[prior.name(name)] = prior
+        if isinstance(sensor, OdometryModel) and sensor.calibration.arm_prior is not None:
+            found[arm_name(name)] = sensor.calibration.arm_prior
     return found
 
 
-def change_of(sensor: Sensor) -> Array | None:
-    """Return by how much (p,) the constant of a sensor may be another one on the next day, as sigmas.
+def changes_of(name: str, sensor: Sensor) -> dict[str, Array]:
+    """Return by how much (p,) the constants of a sensor may be others on the next day, as sigmas, as `priors_of` does.
 
-    None where it has none, or one of the world instead of the machine.
+    Those of the world instead of the machine are left out.
     """
     if isinstance(sensor, OdometryModel):
-        return np.array([ANGLE_RAD, ANGLE_RAD, ANGLE_RAD, IF_RIGHT_S])
+        changes = {name: np.array([*np.full(3, ANGLE_RAD), IF_RIGHT_S]), arm_name(name): np.full(3, ARM_M)}
+        return {constant: changes[constant] for constant in priors_of({name: sensor})}
+    change = _change_of(sensor)
+    return {} if change is None else dict.fromkeys(priors_of({name: sensor}), change)
+
+
+def _change_of(sensor: Sensor) -> Array | None:
     parameter: Parameter | None = getattr(sensor, "parameter", None)
     if parameter is None:
         return None
@@ -107,7 +116,7 @@ def carried(prior: Parameter, mean: Array, sigmas: Array, change: Array, *, is_o
         prior: what the configuration says.
         mean: what was learnt.
         sigmas: of that.
-        change: what `change_of` says.
+        change: what `changes_of` says.
         is_off: the clock was believed to be off.
     """
     if_right = np.full(len(prior.mean), np.inf) if prior.if_right is None else prior.if_right

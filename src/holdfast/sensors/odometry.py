@@ -184,7 +184,7 @@ class OdometryNoise:
         frame_key: int,
         key: int,
         motion: gtsam.Pose3,
-        calibration_key: int | None = None,
+        calibration_keys: tuple[int, ...] = (),
         *,
         angular_velocity: Array = STANDING,
         beyond: Array = STEADY,
@@ -196,10 +196,10 @@ class OdometryNoise:
         the offset of the clock is `beyond` (6,) that of the node.
         """
         covariance = self._at_imu(0.5 * self._learnt_sigmas() ** 2)
-        if calibration_key is None:
+        if not calibration_keys:
             return self._between(frame_key, key, motion, covariance)
         noise = noise_model(covariance, self._config.robust_loss)
-        keys = frame_key, key, calibration_key
+        keys = frame_key, key, *calibration_keys
         return self.calibration.anchored_factor(keys, motion, angular_velocity, beyond, noise)
 
     def pseudo_global_factor(self, key: int, T_W_I: gtsam.Pose3, excess: Array | None = None) -> gtsam.NonlinearFactor:
@@ -218,7 +218,7 @@ class OdometryNoise:
         motion: gtsam.Pose3,
         duration_s: float,
         up: Array,
-        calibration_key: int | None = None,
+        calibration_keys: tuple[int, ...] = (),
         excess: Array | None = None,
     ) -> gtsam.NonlinearFactor:
         """Return the factor between two poses on the track, which may drift between them: (29) in docs/math.md.
@@ -233,8 +233,8 @@ class OdometryNoise:
         yaw_drift = max(learnt.yaw_drift, min(1.0, LEAST_YAW_DRIFT / max(self._config.drift_rad_per_sqrt_rad, 1e-12)))
         covariance[:6, :6] += ((yaw_drift * drift[0]) ** 2 - sigmas[0] ** 2) * np.outer(about_up, about_up)
         model = gtsam.noiseModel.Gaussian.Covariance(covariance)
-        if calibration_key is not None:
-            return self.calibration.drift_factor((before_key, key, calibration_key), motion, model)
+        if calibration_keys:
+            return self.calibration.drift_factor((before_key, key, *calibration_keys), motion, model)
         return gtsam.BetweenFactorNavState(before_key, key, gtsam.NavState(motion, np.zeros(3)), model)
 
     def _distance_m(self, motion: gtsam.Pose3) -> float:

@@ -15,7 +15,7 @@ from holdfast.covariances import Covariances
 from holdfast.estimator.standstill import Standing
 from holdfast.graph.batch import Batch, Solved
 from holdfast.graph.nodes import Link
-from holdfast.graph.odometry_track import OdometryTrack
+from holdfast.graph.odometry_track import OdometryTrack, believed_calibration
 from holdfast.graph.smoother import Smoother
 from holdfast.sensors.clock import with_estimated_clock
 from holdfast.sensors.constants import priors_of, priors_of_imu
@@ -187,7 +187,8 @@ class Segment:
         links = self._smoother.links()
         track = track_of(self._recorded.buffer, self._batch, links, self._gravity)
         calibrations = {
-            name: estimate[0] for name in self._tracks if (estimate := self._smoother.parameter_estimate(name))
+            name: believed_calibration(self._smoother, name, model.calibration)
+            for name, model in of_role(self._sensors, Role.ODOMETRY).items()
         }
         found = closer(Stretch(track, self._covariances(links), self._closed_ns, calibrations))
         self._closed_ns = self.newest_ns
