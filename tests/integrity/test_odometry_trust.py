@@ -11,7 +11,7 @@ from holdfast.sensors.odometry import TrackPose
 from holdfast.sensors.odometry_calibration import OdometryCalibration
 
 ASIDE = np.array([0.0, 0.0, 0.0, 12.0, 3.0, 0.0])  # sigmas
-STILL = np.zeros(4)
+STILL = np.zeros(7)
 
 
 def begun():

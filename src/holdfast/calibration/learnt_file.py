@@ -21,9 +21,10 @@ from holdfast.errors import ConfigError
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntOdometry, LearntSnapshot
 from holdfast.output_folder import check_output_file
 from holdfast.sensors.clock import with_estimated_clock
-from holdfast.sensors.constants import priors_of, priors_of_imu
+from holdfast.sensors.constants import arms_of, priors_of, priors_of_imu
 from holdfast.sensors.learnt_joint import NOTHING_OF_JOINT
 from holdfast.sensors.mount import Mount
+from holdfast.sensors.odometry_calibration import arm_name
 from holdfast.sensors.registry import sensors_of
 from holdfast.whole_file import write_whole
 
@@ -155,7 +156,8 @@ def _fitting(file: LearntFile, config: Config) -> Loaded:
     constants = {
         constant: one
         for constant, one in file.learnt.constants.items()
-        if constant in owners and all(_holds(changed.get(name), constant == name) for name in owners[constant])
+        if constant in owners
+        and all(_holds(changed.get(name), constant in {name, arm_name(name)}) for name in owners[constant])
     }
     noise = {name: one for name, one in file.learnt.noise.items() if name in known}
     at_joint = [changed.get(one[0]) for one in (config.joint, config.base_imu) if one is not None]
@@ -186,7 +188,7 @@ def _owners(config: Config) -> dict[str, list[str]]:
     """Return the sensors that have each constant, by the name under which the graph knows it."""
     found = {name: [name] for name in priors_of_imu(config)}
     for name, sensor in sensors_of(config).items():
-        for constant in priors_of({name: with_estimated_clock(sensor)}):
+        for constant in (*priors_of({name: with_estimated_clock(sensor)}), *arms_of({name: sensor})):
             found.setdefault(constant, []).append(name)
     return found
 

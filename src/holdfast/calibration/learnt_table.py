@@ -78,10 +78,10 @@ def learnt_rows(learnt: LearntSnapshot, config: Config) -> list[Row]:
     rows: list[Row] = []
     for name, sensor in sensors_of(config).items():
         for constant in priors_of({name: with_estimated_clock(sensor)}):
-            if constant == arm_name(name) and constant in learnt.constants:
-                rows += _of_odometry_arm(name, config, learnt.constants[constant], learnt.constants.get(name))
-            elif constant in learnt.constants:
+            if constant in learnt.constants:
                 rows += _of_constant(name, config, learnt.constants[constant], is_shared=constant != name)
+        if (arm := learnt.constants.get(arm_name(name))) is not None and arm.is_off:
+            rows += _of_odometry_arm(name, config, arm, learnt.constants.get(name))
     for name, prior in priors_of_imu(config).items():
         if name in learnt.constants:
             rows += _of_imu(name, prior, learnt.constants[name])
@@ -257,9 +257,7 @@ def _of_arm(name: str, config: Config, arm: Array, sigmas: Array) -> Iterator[Ro
 def _of_odometry_arm(
     name: str, config: Config, learnt: LearntConstant, calibration: LearntConstant | None
 ) -> Iterator[Row]:
-    """Yield the rows of the lever arm (3,) [m] of an odometry along its own axes, if it is not as configured."""
-    if not learnt.is_off:
-        return
+    """Yield the rows of the lever arm (3,) [m] of an odometry along its own axes."""
     correction = np.eye(4)
     if calibration is not None:
         correction[:3, :3] = gtsam.Rot3.Expmap(np.array(calibration.mean[:3])).matrix()

@@ -6,7 +6,17 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.messages import Array
-from holdfast.sensors.constants import RATIO, Constant, LearntConstant, carried, changes_of, priors_of_imu
+from holdfast.sensors.constants import (
+    ARM_M,
+    RATIO,
+    Constant,
+    LearntConstant,
+    arms_of,
+    carried,
+    change_of,
+    priors_of,
+    priors_of_imu,
+)
 from holdfast.sensors.sensor import Parameter, Sensor
 
 
@@ -20,8 +30,10 @@ def constants_of_machine(config: Config, sensors: Mapping[str, Sensor], doubted:
     """
     found = {name: np.full(len(prior.mean), RATIO) for name, prior in priors_of_imu(config).items()}
     for name, sensor in sensors.items():
-        if name not in doubted:
-            found.update(changes_of(name, sensor))
+        change = change_of(sensor)
+        if change is not None and name not in doubted:
+            found.update((constant, change) for constant in priors_of({name: sensor}))
+        found.update((constant, np.full(3, ARM_M)) for constant in arms_of({name: sensor}))
     return found
 
 

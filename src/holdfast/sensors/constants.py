@@ -66,24 +66,22 @@ def priors_of(sensors: Mapping[str, Sensor]) -> dict[str, Parameter]:
         prior = sensor.calibration.prior if isinstance(sensor, OdometryModel) else getattr(sensor, "parameter", None)
         if prior is not None:
             found[prior.name(name)] = prior
-        if isinstance(sensor, OdometryModel) and sensor.calibration.arm_prior is not None:
-            found[arm_name(name)] = sensor.calibration.arm_prior
     return found
 
 
-def changes_of(name: str, sensor: Sensor) -> dict[str, Array]:
-    """Return by how much (p,) the constants of a sensor may be others on the next day, as sigmas, as `priors_of` does.
+def arms_of(sensors: Mapping[str, Sensor]) -> dict[str, Parameter]:
+    """Return the lever arms of odometries, which the graph estimates beside their other constants."""
+    odometries = {name: one.calibration for name, one in sensors.items() if isinstance(one, OdometryModel)}
+    return {arm_name(name): one.arm_prior for name, one in odometries.items() if one.arm_prior is not None}
 
-    Those of the world instead of the machine are left out.
+
+def change_of(sensor: Sensor) -> Array | None:
+    """Return by how much (p,) the constant of a sensor may be another one on the next day, as sigmas.
+
+    None where it has none, or one of the world instead of the machine.
     """
     if isinstance(sensor, OdometryModel):
-        changes = {name: np.array([*np.full(3, ANGLE_RAD), IF_RIGHT_S]), arm_name(name): np.full(3, ARM_M)}
-        return {constant: changes[constant] for constant in priors_of({name: sensor})}
-    change = _change_of(sensor)
-    return {} if change is None else dict.fromkeys(priors_of({name: sensor}), change)
-
-
-def _change_of(sensor: Sensor) -> Array | None:
+        return np.array([ANGLE_RAD, ANGLE_RAD, ANGLE_RAD, IF_RIGHT_S])
     parameter: Parameter | None = getattr(sensor, "parameter", None)
     if parameter is None:
         return None
@@ -116,7 +114,7 @@ def carried(prior: Parameter, mean: Array, sigmas: Array, change: Array, *, is_o
         prior: what the configuration says.
         mean: what was learnt.
         sigmas: of that.
-        change: what `changes_of` says.
+        change: what `change_of` says.
         is_off: the clock was believed to be off.
     """
     if_right = np.full(len(prior.mean), np.inf) if prior.if_right is None else prior.if_right
