@@ -137,7 +137,6 @@ def test_one_that_is_elsewhere_on_the_machine_is_found_there(arm):
     ]
     sent["gnss"] = [one for one in sent["gnss"] if one.stamp_ns < ns(outage_s)]
     estimator, outputs = run(machine(heading_deg=HEADING_DEG), in_order(*sent.values()))
-
     (told, *_) = [event for event in estimator.events if "beside where it is configured" in event.reason]
     assert (told.kind, told.sensor) == (EventKind.CALIBRATION, "lidar")
     constant = estimator.learnt().constants["lidar arm"]
