@@ -30,13 +30,13 @@ RULES = [HoldOut("gnss", 2)]
 AS_MOUNTED = Rotation.identity()
 
 
-def configuration(bag: Path, turned: Rotation = AS_MOUNTED) -> Config:
-    """Return what `config init` writes, with the pose of the lidar, which may be turned otherwise than it is."""
+def configuration(bag: Path, turned: Rotation = AS_MOUNTED, moved: np.ndarray | float = 0.0) -> Config:
+    """Return what `config init` writes, with the pose of the lidar, which may be turned and moved (3,) in its axes."""
     with open_recording(bag) as opened:
         document = yaml.safe_load(first_config(opened))
     (mount,) = yaml.safe_load(MOUNT.read_text())["extrinsics"]
     mount["rotation_matrix"] = (turned * Rotation.from_matrix(mount["rotation_matrix"])).as_matrix().tolist()
-    mount["translation_m"] = turned.apply(mount["translation_m"]).tolist()
+    mount["translation_m"] = (turned.apply(mount["translation_m"]) + moved).tolist()
     return config_of(document | {"extrinsics": [mount, {"parent": "imu", "child": "gnss"}]}, "config init")
 
 

@@ -4,11 +4,12 @@ import json
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 sys.path.append(str(Path(__file__).parents[1] / "estimator"))
 
-from motion import machine
+from motion import T_I_L, machine
 
 from holdfast.calibration.learnt_file import check_learnt_file, load_learnt, save_learnt
 from holdfast.calibration.learnt_table import learnt_rows, plain_rows, wrong_lines
@@ -187,6 +188,31 @@ def test_constants_are_told_with_the_value_to_write():
     about_z = rows["lidar", "mounting, about its z", "rotation_matrix"]
     assert about_z.looks_wrong and about_z.learnt == pytest.approx(1.719, abs=0.001) and about_z.write.startswith("[[")
     assert not rows["gnss", "clock", "time_offset_s"].looks_wrong
+
+
+def test_a_lever_arm_is_told_along_the_axes_that_are_known():
+    """In the axes of the lidar, which are not those of the entry; what nobody saw stays as the file has it."""
+    arm = LearntConstant(mean=(-1.6, 0.01, 0.4), sigmas=(0.02, 0.02, 1.5), is_off=True)
+    config = machine()
+    written = np.array(T_I_L.transformFrom(np.array([-1.6, 0.0, 0.0])))
+    rows = {row.what: row for row in learnt_rows(LearntSnapshot(constants={"lidar arm": arm}), config)}
+    along_x = rows["lever arm, along its x"]
+    assert (along_x.looks_wrong, along_x.learnt, along_x.unit) == (True, -1.6, "m")
+    assert along_x.key.endswith("translation_m")
+    assert json.loads(along_x.write) == pytest.approx(written, abs=1e-3)
+    assert not rows["lever arm, along its y"].looks_wrong and not rows["lever arm, along its z"].looks_wrong
+    right = LearntSnapshot(constants={"lidar arm": arm.model_copy(update={"is_off": False})})
+    assert not learnt_rows(right, config)
+
+
+def test_a_lever_arm_is_kept_until_the_frame_is_moved(tmp_path):
+    arm = LearntConstant(mean=(-1.6, 0.01, 0.4), sigmas=(0.02, 0.02, 1.5), is_off=True)
+    known = LearntSnapshot(constants={"lidar arm": arm})
+    save_learnt(tmp_path / "learnt.json", known, machine())
+    assert load_learnt(tmp_path / "learnt.json", machine()) == (known, [])
+    learnt, (warning,) = load_learnt(tmp_path / "learnt.json", machine(lidar_={"mounting_sigma_deg": 2.0}))
+    assert not learnt.constants and "mounting_sigma_deg" in warning
+    assert not load_learnt(tmp_path / "learnt.json", machine(lidar=False))[0].constants
 
 
 def test_a_boastful_receiver_is_told():

@@ -257,14 +257,14 @@ def _of_arm(name: str, config: Config, arm: Array, sigmas: Array) -> Iterator[Ro
 def _of_odometry_arm(
     name: str, config: Config, learnt: LearntConstant, calibration: LearntConstant | None
 ) -> Iterator[Row]:
-    """Yield the rows of the lever arm (3,) [m] of an odometry along its own axes."""
+    """Yield the rows of the lever arm (3,) [m] of an odometry along its own axes; what is not told stays as it is."""
+    are_wrong = [abs(off) > SIGMA * sigma + SLACK_M for off, sigma in zip(learnt.mean, learnt.sigmas, strict=True)]
     correction = np.eye(4)
     if calibration is not None:
         correction[:3, :3] = gtsam.Rot3.Expmap(np.array(calibration.mean[:3])).matrix()
-    correction[:3, 3] = learnt.mean
+    correction[:3, 3] = np.where(are_wrong, learnt.mean, 0.0)
     key, write = _moved(name, config, correction, LAST)
-    for axis, off, sigma in zip(AXES, learnt.mean, learnt.sigmas, strict=True):
-        is_wrong = abs(off) > SIGMA * sigma + SLACK_M
+    for axis, off, sigma, is_wrong in zip(AXES, learnt.mean, learnt.sigmas, are_wrong, strict=True):
         yield Row(name, f"lever arm, along its {axis}", key, "m", 0.0, off, sigma, is_wrong, write if is_wrong else "")
 
 

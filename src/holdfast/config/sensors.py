@@ -166,7 +166,11 @@ class DriftingConfig(MountedConfig):
     drift_rad_per_sqrt_m: float = quantity("rad/sqrt(m)", 1e-3, ge=0, le=1, doc="random walk of attitude over distance")
     drift_rad_per_sqrt_rad: float = quantity("sqrt(rad)", 5e-3, ge=0, le=1, doc="random walk of attitude over rotation")
     mounting_sigma_deg: float = quantity(
-        "deg", 1.0, ge=0, le=45, doc="of the frame's rotation in `extrinsics`, which is estimated; 0: known"
+        "deg",
+        1.0,
+        ge=0,
+        le=45,
+        doc="of the frame's rotation in `extrinsics`, which is estimated, as is its place; 0: both are known",
     )
     time_offset_sigma_s: float = quantity("s", 0.03, ge=0, le=1, doc="of `time_offset_s`, which is estimated; 0: known")
     covariance: Literal["directions", "always", "never"] = Field(
