@@ -51,6 +51,11 @@ def happen(
     return messages, ", ".join(happened)
 
 
+def cells(row: dict[str, Any], *keys: str) -> list[str]:
+    """Return errors of `held_out_row` as cells of a table."""
+    return [f"{row[key]:.2f}" if key in row else "never started" for key in keys]
+
+
 def print_seeds(titles: Sequence[str], run: Callable[[int], Tried], seeds: Sequence[int]) -> None:
     """Print a row per seed, as they end: what a run says of it below titles of its own, and the errors."""
     print("Horizontal errors at held-out fixes [m]; the line is that between the fixes used\n")
@@ -58,8 +63,7 @@ def print_seeds(titles: Sequence[str], run: Callable[[int], Tried], seeds: Seque
     print(f"|---:|{'---|' * len(titles)}---:|---:|---:|---:|")
     with ProcessPoolExecutor(2) as pool:
         for seed, (said, row) in zip(seeds, pool.map(run, seeds), strict=True):
-            cells = [f"{row[key]:.2f}" if key in row else "never started" for key in ("rms", "ratio", "max", "nees")]
-            print(f"| {seed} | {' | '.join([*said, *cells])} |", flush=True)
+            print(f"| {seed} | {' | '.join([*said, *cells(row, 'rms', 'ratio', 'max', 'nees')])} |", flush=True)
 
 
 def main() -> None:

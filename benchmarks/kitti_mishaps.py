@@ -49,6 +49,15 @@ def run(drive: Path, seed: int) -> Tried:
     return [happened], held_out_row(config, tried, messages, drive / "reference.csv")
 
 
+def kitti_in(data: Path) -> Path | None:
+    """Return KITTI's drive below a folder; None where it is absent, which is said."""
+    drive = data / "kitti_00"
+    if (drive / "bag").exists():
+        return drive
+    print(f"{drive.name}: skipped, no recording at {data}")
+    return None
+
+
 def main() -> None:
     """Run what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -56,11 +65,8 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=24)
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     given = parser.parse_args()
-    drive: Path = given.data / "kitti_00"
-    if not (drive / "bag").exists():
-        print(f"kitti_00: skipped, no recording at {given.data}")
-        return
-    print_seeds(["mishaps"], partial(run, drive), range(given.first, given.first + given.count))
+    if (drive := kitti_in(given.data)) is not None:
+        print_seeds(["mishaps"], partial(run, drive), range(given.first, given.first + given.count))
 
 
 if __name__ == "__main__":

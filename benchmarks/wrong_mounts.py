@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from drive_mishaps import cells
 from drives import held_out_row, messages_of, run_system
-from kitti_mishaps import RULES, configuration
+from kitti_mishaps import RULES, configuration, kitti_in
 from scipy.spatial.transform import Rotation
 
 from holdfast.estimator.estimator import Estimator
 
-NONE = Path("reference.csv")  # of KITTI there is none
 ANGLES_DEG, DISTANCES_M = (2.0, 5.0, 10.0, 20.0, 45.0, 90.0, 180.0), (0.3, 1.0, 3.0, 10.0)
 
 
@@ -36,7 +36,7 @@ def run(drive: Path, wrong: Wrong) -> dict[str, Any]:
     turned, moved = (vector, np.zeros(3)) if wrong.unit == "deg" else (np.zeros(3), vector)
     config = configuration(drive / "bag", Rotation.from_rotvec(turned, degrees=True), moved)
     messages = messages_of(drive, config)
-    return held_out_row(config, run_system(Estimator(config), messages, RULES), messages, NONE)
+    return held_out_row(config, run_system(Estimator(config), messages, RULES), messages, drive / "reference.csv")
 
 
 def main() -> None:
@@ -47,9 +47,7 @@ def main() -> None:
     parser.add_argument("--axes", nargs="+", default=["x", "y", "z"])
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     given = parser.parse_args()
-    drive: Path = given.data / "kitti_00"
-    if not (drive / "bag").exists():
-        print(f"kitti_00: skipped, no recording at {given.data}")
+    if (drive := kitti_in(given.data)) is None:
         return
     print("Horizontal errors at held-out fixes [m]\n")
     print("| axis | turned or moved by | RMS | largest | NEES / 3 | events |")
@@ -62,8 +60,8 @@ def main() -> None:
     ]
     with ProcessPoolExecutor(2) as pool:
         for one, row in zip(wrong, pool.map(partial(run, drive), wrong), strict=True):
-            cells = [f"{row[key]:.2f}" if key in row else "never started" for key in ("rms", "max", "nees")]
-            print(f"| {one.axis} | {one.by:g} {one.unit} | {' | '.join(cells)} | {row.get('events', '')} |", flush=True)
+            said = [one.axis, f"{one.by:g} {one.unit}", *cells(row, "rms", "max", "nees"), row.get("events", "")]
+            print(f"| {' | '.join(said)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -31,9 +31,9 @@ from holdfast.integrity.learnt_snapshot import (
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.messages import Array
 from holdfast.sensors.clock import with_estimated_clock
-from holdfast.sensors.constants import OBSERVED, LearntConstant, priors_of, priors_of_imu
+from holdfast.sensors.constants import OBSERVED, LearntConstant, length_and_sigma, priors_of, priors_of_imu
 from holdfast.sensors.learnt_joint import LearntJoint
-from holdfast.sensors.odometry_calibration import arm_name
+from holdfast.sensors.odometry_calibration import NOMINAL, arm_name, mounted
 from holdfast.sensors.registry import sensors_of
 from holdfast.sensors.sensor import Parameter
 
@@ -198,8 +198,7 @@ def _of_mounting(name: str, config: Config, rotation: Array, sigmas: Array) -> I
 
 def _of_rotation(name: str, what: str, rotation: Array, sigmas: Array, told: tuple[str, str]) -> Iterator[Row]:
     """Yield the rows of a rotation (n,) [rad] about the first axes, given its key and what to write there."""
-    off = float(np.linalg.norm(rotation))
-    sigma = float(np.linalg.norm(rotation / max(off, 1e-9) * sigmas))
+    off, sigma = length_and_sigma(rotation, sigmas)
     is_wrong, (key, write) = off > SIGMA * sigma + SLACK_RAD, told
     for axis, value, of in zip(AXES, np.degrees(rotation).tolist(), np.degrees(sigmas).tolist(), strict=False):
         is_most = is_wrong and abs(radians(value)) >= off / 2.0
@@ -259,11 +258,8 @@ def _of_odometry_arm(
 ) -> Iterator[Row]:
     """Yield the rows of the lever arm (3,) [m] of an odometry along its own axes; what is not told stays as it is."""
     are_wrong = [abs(off) > SIGMA * sigma + SLACK_M for off, sigma in zip(learnt.mean, learnt.sigmas, strict=True)]
-    correction = np.eye(4)
-    if calibration is not None:
-        correction[:3, :3] = gtsam.Rot3.Expmap(np.array(calibration.mean[:3])).matrix()
-    correction[:3, 3] = np.where(are_wrong, learnt.mean, 0.0)
-    key, write = _moved(name, config, correction, LAST)
+    arm, turned = np.where(are_wrong, learnt.mean, 0.0), NOMINAL[:3] if calibration is None else calibration.mean[:3]
+    key, write = _moved(name, config, mounted(np.concatenate([turned, arm])).matrix(), LAST)
     for axis, off, sigma, is_wrong in zip(AXES, learnt.mean, learnt.sigmas, are_wrong, strict=True):
         yield Row(name, f"lever arm, along its {axis}", key, "m", 0.0, off, sigma, is_wrong, write if is_wrong else "")
 

@@ -31,7 +31,7 @@ from holdfast.integrity.recovery import Recovery
 from holdfast.integrity.states import JointAt, States
 from holdfast.integrity.yaw_learning import Witness
 from holdfast.sensors.clock import with_estimated_clock
-from holdfast.sensors.constants import Constant, arms_of, priors_of, priors_of_imu
+from holdfast.sensors.constants import Constant, priors_of_machine
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.noise import Colour
 from holdfast.sensors.sensor import ConstraintSensor, Measurement, Parameter, Role, Sensor, of_role
@@ -139,7 +139,7 @@ class Tracking:
         self._epochs = Epochs()
         self._calibration = Calibration(sensors, config.imu_name, log)
         self._noise_review = NoiseReview(config.imu_name, log)
-        self._priors = priors_of(sensors) | arms_of(sensors) | priors_of_imu(config)
+        self._priors = priors_of_machine(config, sensors)
         self._machine_constants = constants_of_machine(config, sensors, lever_arms.doubts())
         self.queue = MeasurementQueue()
         known = carried_priors(carried.constants, self._priors, self._machine_constants)

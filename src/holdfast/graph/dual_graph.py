@@ -131,6 +131,11 @@ class DualGraph:
         self._main.smoother.move(correction, position_sigma_m)
         self._main.begin_tracks_anew()
 
+    def begin_parameter_anew(self, name: str, prior: Parameter) -> None:
+        """Know this alone of a sensor's parameter from now on."""
+        for smoother in self.smoothers():
+            smoother.begin_parameter_anew(name, prior)
+
     def begin_tracks_anew(self, smoother: Smoother, odometry: str | None = None) -> None:
         """Begin the track of an odometry, or of all, anew in a smoother that lost its window or its position."""
         for graph in self._graphs():

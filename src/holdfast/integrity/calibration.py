@@ -11,6 +11,7 @@ from holdfast.graph.smoother import Smoother
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.clock import has_estimated_clock
+from holdfast.sensors.constants import length_and_sigma
 from holdfast.sensors.odometry import OdometryModel
 from holdfast.sensors.odometry_calibration import arm_name
 from holdfast.sensors.sensor import Sensor
@@ -93,8 +94,7 @@ def _findings(sensor: Sensor, value: Array, sigmas: Array) -> Iterator[tuple[Fin
         )
         yield Finding("clock", abs(off_s), sigma_s, SLACK_S), text
     if is_odometry:
-        off_rad, along = float(np.linalg.norm(value[:3])), value[:3] / max(float(np.linalg.norm(value[:3])), 1e-9)
-        sigma_rad = float(np.linalg.norm(along * sigmas[:3]))
+        off_rad, sigma_rad = length_and_sigma(value[:3], sigmas[:3])
         x, y, z = np.degrees(value[:3])
         text = (
             f"mounted {degrees(off_rad):.1f} deg otherwise than configured, sigma {degrees(sigma_rad):.1f} deg: "
@@ -105,8 +105,7 @@ def _findings(sensor: Sensor, value: Array, sigmas: Array) -> Iterator[tuple[Fin
 
 def _findings_of_arm(arm: Array, sigmas: Array) -> Iterator[tuple[Finding, str]]:
     """Yield the lever arm of an odometry with what is to be told of it."""
-    off_m = float(np.linalg.norm(arm))
-    sigma_m = float(np.linalg.norm(arm / max(off_m, 1e-9) * sigmas))
+    off_m, sigma_m = length_and_sigma(arm, sigmas)
     x, y, z = arm
     text = (
         f"{off_m:.2f} m beside where it is configured, sigma {sigma_m:.2f} m: "

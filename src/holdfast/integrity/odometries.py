@@ -21,6 +21,7 @@ from holdfast.integrity.odometry_trust import AGREES_M, AGREES_RAD, OdometryTrus
 from holdfast.integrity.yaw_learning import HeadingWitness
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
+from holdfast.sensors.constants import length_and_sigma
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
 from holdfast.sensors.odometry_calibration import arm_name
 from holdfast.sensors.sensor import Parameter
@@ -207,7 +208,7 @@ class Odometries:
         reason = NOT_MEASURED
         if lies_since_ns is None and not graph.is_lost and self._is_turned(graph, odometry, pose.sensor):
             lies_since_ns, reason, self._has_turned = graph.main.oldest_ns, TURNED, True
-            self._mount(graph, pose.sensor, odometry.model.calibration.mounted(np.zeros(3), AGREES_RAD))
+            self._mount(graph, pose.sensor, odometry.model.calibration.prior_about(np.zeros(3), AGREES_RAD))
         if lies_since_ns is not None:
             self._log.record(pose.stamp_ns, pose.sensor, outcome)
             self._lose(graph, pose.sensor, lies_since_ns, now_ns, reason)
@@ -232,8 +233,7 @@ class Odometries:
     def _mount(self, graph: DualGraph, name: str, prior: Parameter) -> None:
         """Know no more of how an odometry is mounted from now on, and after the estimate has begun anew."""
         self.mounts[name] = prior
-        for smoother in graph.smoothers():
-            smoother.begin_parameter_anew(name, prior)
+        graph.begin_parameter_anew(name, prior)
 
     def remount(self, graph: DualGraph, mounts: Mapping[str, Parameter]) -> None:
         """Begin with what was known of mounts before the estimate began anew."""
@@ -252,7 +252,7 @@ class Odometries:
             if odometry.trust.watch(pose, seen, self._calibration(graph, pose.sensor), is_led=not graph.is_lost):
                 reason = "it moves as the estimate again"
                 if (mount := odometry.trust.mount) is not None:
-                    self._mount(graph, pose.sensor, odometry.model.calibration.mounted(mount))
+                    self._mount(graph, pose.sensor, odometry.model.calibration.prior_about(mount))
                     off_deg = degrees(float(np.linalg.norm(mount)))
                     reason = f"mounted {off_deg:.0f} deg otherwise than configured it moves as the estimate"
                 self._log.report(EventKind.SENSOR_REGAINED, now_ns, pose.sensor, reason)
@@ -277,10 +277,9 @@ class Odometries:
         prior, known = self._odometries[name].model.calibration.arm_prior, graph.main.parameter_estimate(arm_name(name))
         if prior is None or known is None:
             return
-        arm, sigmas = known
-        if np.linalg.norm(arm * sigmas) > AGREES_M * np.linalg.norm(arm):
-            for smoother in graph.smoothers():
-                smoother.begin_parameter_anew(arm_name(name), prior)
+        _, sigma_m = length_and_sigma(*known)
+        if sigma_m > AGREES_M:
+            graph.begin_parameter_anew(arm_name(name), prior)
 
     def review(self, now_ns: int) -> None:
         """Lose the odometries that are silent."""

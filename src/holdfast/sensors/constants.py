@@ -75,6 +75,17 @@ def arms_of(sensors: Mapping[str, Sensor]) -> dict[str, Parameter]:
     return {arm_name(name): one.arm_prior for name, one in odometries.items() if one.arm_prior is not None}
 
 
+def priors_of_machine(config: Config, sensors: Mapping[str, Sensor]) -> dict[str, Parameter]:
+    """Return all that the graph estimates of the sensors and of the primary IMU."""
+    return priors_of(sensors) | arms_of(sensors) | priors_of_imu(config)
+
+
+def length_and_sigma(vector: Array, sigmas: Array) -> tuple[float, float]:
+    """Return how long a vector (n,) is and the sigma along it, given those (n,) of its components."""
+    length = float(np.linalg.norm(vector))
+    return length, float(np.linalg.norm(vector / max(length, 1e-9) * sigmas))
+
+
 def change_of(sensor: Sensor) -> Array | None:
     """Return by how much (p,) the constant of a sensor may be another one on the next day, as sigmas.
 

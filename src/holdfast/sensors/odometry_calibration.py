@@ -49,7 +49,7 @@ class OdometryCalibration:
         """Whether the rotation of the mounting is not known."""
         return self.prior is not None and self.prior.sigmas[0] > KNOWN
 
-    def mounted(self, delta: Array, sigma_rad: float = FOUND_RAD) -> Parameter:
+    def prior_about(self, delta: Array, sigma_rad: float = FOUND_RAD) -> Parameter:
         """Return the prior of one that is mounted otherwise, by a rotation vector (3,); it must be estimated."""
         assert self.prior is not None
         sigmas = np.concatenate([np.maximum(self.prior.sigmas[:3], sigma_rad), self.prior.sigmas[3:]])

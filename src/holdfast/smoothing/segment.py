@@ -18,7 +18,7 @@ from holdfast.graph.nodes import Link
 from holdfast.graph.odometry_track import OdometryTrack, believed_calibration
 from holdfast.graph.smoother import Smoother
 from holdfast.sensors.clock import with_estimated_clock
-from holdfast.sensors.constants import arms_of, priors_of, priors_of_imu
+from holdfast.sensors.constants import priors_of_machine
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise
 from holdfast.sensors.sensor import Measurement, Parameter, Role, Sensor, of_role
 from holdfast.smoothing.block import Biases, Block, Refused, Work
@@ -113,7 +113,7 @@ class Segment:
         return clocked if is_off else sensor
 
     def _priors(self) -> dict[str, Parameter]:
-        return priors_of(self._sensors) | arms_of(self._sensors) | priors_of_imu(self._config)
+        return priors_of_machine(self._config, self._sensors)
 
     def _lead_to(self, time_ns: int) -> None:
         """Make nodes where nothing was measured for long."""
