@@ -9,7 +9,6 @@ from holdfast.calibration.evidence import Evidence
 from holdfast.config.edit import Change
 from holdfast.config.model import Config
 from holdfast.sensors.clock import IF_RIGHT_S, with_estimated_clock
-from holdfast.sensors.constants import priors_of
 from holdfast.sensors.registry import sensors_of
 
 FLOOR_S = 5e-4  # sigma: sampling of the IMU, filters inside of it
@@ -63,7 +62,7 @@ def _by_constant(config: Config) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for name, sensor in sensors_of(config).items():
         if float(getattr(config.sensors[name], "time_offset_sigma_s", 0.0)) > 0.0:
-            constants = priors_of({name: with_estimated_clock(sensor)})
-            for constant in constants:
-                found.setdefault(constant, []).append(name)
+            for prior in with_estimated_clock(sensor).parameters:
+                if prior.has_clock:
+                    found.setdefault(prior.name(name), []).append(name)
     return found

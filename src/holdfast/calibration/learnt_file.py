@@ -5,7 +5,7 @@ it is the firmer word: what was learnt against the old number is dropped, and to
 """
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Set
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -20,11 +20,11 @@ from holdfast.config.sensors import MountedConfig, SensorConfig
 from holdfast.errors import ConfigError
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntOdometry, LearntSnapshot
 from holdfast.output_folder import check_output_file
-from holdfast.sensors.clock import with_estimated_clock
-from holdfast.sensors.constants import arms_of, priors_of, priors_of_imu
+from holdfast.sensors.clock import CLOCK, with_estimated_clock
+from holdfast.sensors.constants import priors_of_imu
 from holdfast.sensors.learnt_joint import NOTHING_OF_JOINT
+from holdfast.sensors.lever_arm import ARM
 from holdfast.sensors.mount import Mount
-from holdfast.sensors.odometry_calibration import arm_name
 from holdfast.sensors.registry import sensors_of
 from holdfast.whole_file import write_whole
 
@@ -156,8 +156,7 @@ def _fitting(file: LearntFile, config: Config) -> Loaded:
     constants = {
         constant: one
         for constant, one in file.learnt.constants.items()
-        if constant in owners
-        and all(_holds(changed.get(name), constant in {name, arm_name(name)}) for name in owners[constant])
+        if constant in owners and all(_holds(changed.get(name), keys) for name, keys in owners[constant])
     }
     noise = {name: one for name, one in file.learnt.noise.items() if name in known}
     at_joint = [changed.get(one[0]) for one in (config.joint, config.base_imu) if one is not None]
@@ -178,18 +177,19 @@ def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str,
     return found
 
 
-def _holds(changed: Mapping[str, str] | None, is_its_own: bool) -> bool:
-    """Whether a constant of a sensor is still as it was learnt; one that sensors share is a clock."""
-    keys = CLOCK_KEYS | MOUNT_KEYS if is_its_own else CLOCK_KEYS
+def _holds(changed: Mapping[str, str] | None, keys: Set[str]) -> bool:
+    """Whether a constant of a sensor, which depends on some keys, is still as it was learnt."""
     return changed is not None and changed.keys().isdisjoint(keys | {"kind"})
 
 
-def _owners(config: Config) -> dict[str, list[str]]:
-    """Return the sensors that have each constant, by the name under which the graph knows it."""
-    found = {name: [name] for name in priors_of_imu(config)}
+def _owners(config: Config) -> dict[str, list[tuple[str, Set[str]]]]:
+    """Return the sensors that have each constant, with the keys that it depends on, by its name in the graph."""
+    found: dict[str, list[tuple[str, Set[str]]]] = {name: [(name, MOUNT_KEYS)] for name in priors_of_imu(config)}
+    keys_of_part = {ARM: MOUNT_KEYS, CLOCK: CLOCK_KEYS}
     for name, sensor in sensors_of(config).items():
-        for constant in (*priors_of({name: with_estimated_clock(sensor)}), *arms_of({name: sensor})):
-            found.setdefault(constant, []).append(name)
+        for prior in with_estimated_clock(sensor).parameters:
+            keys = keys_of_part.get(prior.part, CLOCK_KEYS | MOUNT_KEYS)
+            found.setdefault(prior.name(name), []).append((name, keys))
     return found
 
 

@@ -31,9 +31,10 @@ from holdfast.integrity.learnt_snapshot import (
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.messages import Array
 from holdfast.sensors.clock import with_estimated_clock
-from holdfast.sensors.constants import OBSERVED, LearntConstant, length_and_sigma, priors_of, priors_of_imu
+from holdfast.sensors.constants import OBSERVED, LearntConstant, length_and_sigma, priors_of_imu
 from holdfast.sensors.learnt_joint import LearntJoint
-from holdfast.sensors.odometry_calibration import NOMINAL, arm_name, mounted
+from holdfast.sensors.lever_arm import ARM
+from holdfast.sensors.odometry_calibration import NOMINAL, mounted
 from holdfast.sensors.registry import sensors_of
 from holdfast.sensors.sensor import Parameter
 
@@ -77,11 +78,9 @@ def learnt_rows(learnt: LearntSnapshot, config: Config) -> list[Row]:
     """Return everything that is known of what was learnt."""
     rows: list[Row] = []
     for name, sensor in sensors_of(config).items():
-        for constant in priors_of({name: with_estimated_clock(sensor)}):
-            if constant in learnt.constants:
-                rows += _of_constant(name, config, learnt.constants[constant], is_shared=constant != name)
-        if (arm := learnt.constants.get(arm_name(name))) is not None and arm.is_off:
-            rows += _of_odometry_arm(name, config, arm, learnt.constants.get(name))
+        for prior in with_estimated_clock(sensor).parameters:
+            if (constant := learnt.constants.get(prior.name(name))) is not None:
+                rows += _of_constant(name, config, prior, constant, learnt.constants.get(name))
     for name, prior in priors_of_imu(config).items():
         if name in learnt.constants:
             rows += _of_imu(name, prior, learnt.constants[name])
@@ -157,18 +156,22 @@ def _of_noise(name: str, config: Config, learnt: LearntNoiseScale) -> list[Row]:
     return rows
 
 
-def _of_constant(name: str, config: Config, learnt: LearntConstant, *, is_shared: bool) -> Iterator[Row]:
-    """Yield the rows of one sensor's constant, which ends with its clock if that is estimated."""
+def _of_constant(
+    name: str, config: Config, prior: Parameter, learnt: LearntConstant, own: LearntConstant | None
+) -> Iterator[Row]:
+    """Yield the rows of one of a sensor's constants; `own` is that which has the sensor's name."""
     section, mean, sigmas = config.sensors[name], np.array(learnt.mean), np.array(learnt.sigmas)
-    if getattr(section, "time_offset_sigma_s", 0.0) > 0.0:
-        yield _of_clock(name, section.time_offset_s, float(mean[-1]), float(sigmas[-1]), is_off=learnt.is_off)
-        mean, sigmas = mean[:-1], sigmas[:-1]
-    if is_shared or not len(mean):
+    if prior.part == ARM:
+        is_told = learnt.is_off or prior.if_right is None
+        if is_told and isinstance(section, DriftingConfig):
+            yield from _of_odometry_arm(name, config, learnt, own)
+        elif is_told:
+            yield from _of_arm(name, config, mean, sigmas)
         return
+    if prior.has_clock and getattr(section, "time_offset_sigma_s", 0.0) > 0.0:
+        yield _of_clock(name, section.time_offset_s, float(mean[-1]), float(sigmas[-1]), is_off=learnt.is_off)
     if isinstance(section, DriftingConfig) and section.mounting_sigma_deg > 0.0:
         yield from _of_mounting(name, config, mean[:3], sigmas[:3])
-    elif isinstance(section, GnssConfig):
-        yield from _of_arm(name, config, mean, sigmas)
     elif isinstance(section, TwistConfig):
         yield Row(name, "scale factor", "", "1", 1.0, 1.0 + float(mean[0]), float(sigmas[0]))
     elif isinstance(section, NonholonomicConfig):

@@ -13,6 +13,7 @@ from holdfast.calibration.placing import corrected, entry_of
 from holdfast.config.edit import Change
 from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig, HeadingConfig
+from holdfast.sensors.lever_arm import arm_name
 
 PRIOR_M = 0.05  # how well a tape measures
 SLOW_M = 0.005, 0.005, 0.01  # sigma: slow errors of fixes, which a machine that hardly turns takes for an arm
@@ -41,8 +42,8 @@ def lever_arms(evidence: Sequence[Evidence], original: Config) -> Found:
     estimates: list[Estimated] = []
     changes: list[Change] = []
     for name in original.sensors_of(GnssConfig):
-        known, frame = of_name(evidence, name), original.frame_of(name)
-        if not known or len(known[0].measured) != 3:
+        known, frame = of_name(evidence, arm_name(name)), original.frame_of(name)
+        if not known:
             continue
         offset, covariance = combined(known)
         offset += known[0].prior.mean - original.T_I(frame)[:3, 3]

@@ -12,8 +12,9 @@ from holdfast.config.sensors import InertialConfig
 from holdfast.event_log import EventLog
 from holdfast.kernel import layout
 from holdfast.messages import Array
-from holdfast.sensors.constants import ANGLE_RAD, LearntConstant
+from holdfast.sensors.constants import LearntConstant
 from holdfast.sensors.learnt_joint import LearntJoint
+from holdfast.sensors.sensor import CHANGE_RAD
 from holdfast.state import EventKind
 
 REVIEW_NS = 1_000_000_000
@@ -74,7 +75,7 @@ def tilts(zero: Any, before: LearntJoint) -> tuple[tuple[Array, Array], tuple[Ar
 def _with_before(tilt: Array, variances: Array, before: LearntConstant | None) -> tuple[Array, Array]:
     if before is None:
         return tilt, variances
-    kept, of_kept = np.array(before.mean), np.square(before.sigmas) + ANGLE_RAD**2
+    kept, of_kept = np.array(before.mean), np.square(before.sigmas) + CHANGE_RAD**2
     if (np.abs(tilt - kept) > FITTING_SIGMA * np.sqrt(variances + of_kept)).any():
         return tilt, variances
     share = of_kept / (of_kept + variances)

@@ -14,8 +14,9 @@ from holdfast.chassis.encoder import JointModel
 from holdfast.chassis.encoder_zero import TILT_SIGMA_RAD, tilts
 from holdfast.kernel.turn_joint import begin_with_zero
 from holdfast.messages import Array
-from holdfast.sensors.constants import ANGLE_RAD, ANOTHER, OBSERVED, LearntConstant
+from holdfast.sensors.constants import ANOTHER, OBSERVED, LearntConstant
 from holdfast.sensors.learnt_joint import LearntJoint
+from holdfast.sensors.sensor import CHANGE_RAD
 
 
 def begin_with(record: Any, learnt: LearntJoint, encoder: JointModel, gyro: BaseGyro) -> None:
@@ -34,7 +35,7 @@ def begin_with(record: Any, learnt: LearntJoint, encoder: JointModel, gyro: Base
         return
     zero, changes = record[0]["zero"], (sqrt(encoder.zero_variance), radians(gyro.config.mounting_sigma_deg))
     zero["kept_rad"], zero["kept_variance"] = remainder(learnt.zero.mean[0], tau), learnt.zero.sigmas[0] ** 2
-    zero["kept_change"] = sum(min(ANGLE_RAD, one) ** 2 for one in changes)
+    zero["kept_change"] = sum(min(CHANGE_RAD, one) ** 2 for one in changes)
     zero["another_log_odds"] = log(ANOTHER / (1.0 - ANOTHER))
     begin_with_zero(record)
 

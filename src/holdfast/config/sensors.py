@@ -106,8 +106,13 @@ class GnssConfig(PositionConfig):
         "fix 2.5, 2.5, 4, sbas 0.8, 0.8, 1.5, gbas 0.02, 0.02, 0.04",
     )
     min_sigma_m: float = quantity("m", 0.005, gt=0, doc="floor under the receiver's claim, per axis")
-    lever_arm_sigma_m: float = quantity(
-        "m", 0.0, ge=0, le=1, doc="of the antenna's place in `extrinsics`, which is estimated; 0: known"
+    lever_arm_sigma_m: float | None = quantity(
+        "m",
+        None,
+        ge=0,
+        le=1,
+        doc="of the antenna's place in `extrinsics`, which is estimated; 0: known; by default as if known until it "
+        "proves to be wrong",
     )
     correlation_s: float = quantity(
         "s", 0.25, ge=0, le=60, doc="correlation time of the errors: fixes closer together weigh less each"

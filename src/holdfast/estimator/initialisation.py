@@ -31,6 +31,7 @@ from holdfast.integrity.consensus import BEFORE_NS, Departure
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array, Message
 from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.lever_arm import is_in_doubt
 from holdfast.sensors.odometry import TrackPose
 from holdfast.sensors.preintegration import ImuNoise
 from holdfast.sensors.sensor import Measurement, Position, Role, Sensor, Velocity, is_gnss, of_role
@@ -74,13 +75,13 @@ class Initialising:
         points = of_role(sensors, Role.POSITION)  # those of GNSS first: of another somebody has typed where it stands
         self._points = dict(sorted(points.items(), key=lambda one: not is_gnss(one[1])))
         poses = of_role(sensors, Role.POSE)
-        self._poses = {name: one for name, one in poses.items() if not self._points or one.parameter is None}
+        self._poses = {name: one for name, one in poses.items() if not self._points or not one.parameters}
         self._headings = of_role(sensors, Role.HEADING)
         self._odometries = OdometryTracks(of_role(sensors, Role.ODOMETRY))
         if not self._points:  # W is where the poses are given
             self._points = {name: PoseAsPoint(name) for name in self._poses}
         antennas = [self._points[name] for name in config.sensors_of(GnssConfig)][:2]
-        are_sure = len(antennas) == 2 and all(one.parameter is None for one in antennas)
+        are_sure = len(antennas) == 2 and not any(is_in_doubt(one.parameters) for one in antennas)
         self._antennas: Antennas | None = (antennas[0], antennas[1]) if are_sure else None
         self._triggers = {one.role for one in of_role(sensors, Role.POSITION, Role.POSE).values()}
         self._positions: deque[Position] = deque()
@@ -299,7 +300,7 @@ class Initialising:
         arm: Array = sensor.p_I_P
         mean: Array = np.mean([one.p_W_P for one in fixes], axis=0)
         position: Array = mean - R_W_I.rotate(arm)
-        of_arm = np.zeros(3) if sensor.parameter is None else sensor.parameter.sigmas
+        of_arm = sensor.parameters[0].sigmas if is_in_doubt(sensor.parameters) else np.zeros(3)
         return position, fixes[-1].covariance + np.diag(of_arm**2), arm
 
     def _heading(self, now_ns: int, level: gtsam.Rot3) -> tuple[float, float] | None:

@@ -17,7 +17,7 @@ class PoseAsPoint:
     """An absolute pose as what the batch takes: the position of the IMU itself."""
 
     p_I_P = np.zeros(3)
-    parameter: Parameter | None = None
+    parameters: tuple[Parameter, ...] = ()
 
     def __init__(self, name: str) -> None:
         self.name = name

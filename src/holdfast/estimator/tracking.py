@@ -142,7 +142,7 @@ class Tracking:
         self._priors = priors_of_machine(config, sensors)
         self._machine_constants = constants_of_machine(config, sensors, lever_arms.doubts())
         self.queue = MeasurementQueue()
-        known = carried_priors(carried.constants, self._priors, self._machine_constants)
+        known = carried_priors(carried.constants, self._machine_constants)
         self.graph = DualGraph(config, buffer, gravity, self._odometries.new_tracks(), state, carried=known)
         self.graph.main.imu_noise.walk_scale = successor.walk_scale
         self._hold_mistaken(state.stamp_ns)

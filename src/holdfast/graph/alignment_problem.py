@@ -12,6 +12,7 @@ from holdfast.graph.first_guess import FASTEST_M_S, level_attitude
 from holdfast.graph.nodes import to_grid
 from holdfast.messages import Array
 from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.lever_arm import is_in_doubt
 from holdfast.sensors.noise import correlation_inflation, shared_inflation
 from holdfast.sensors.preintegration import ImuNoise, preintegrate
 from holdfast.sensors.sensor import Position, PositionSensor, Velocity, VelocitySensor
@@ -109,7 +110,7 @@ class Problems:
 
     Attributes:
         buffer: as given, as are `noise` and `positions`.
-        arms: key and prior of the lever arms that are estimated, by sensor.
+        arms: key and prior of the lever arms that are in doubt, by sensor.
     """
 
     def __init__(
@@ -121,8 +122,8 @@ class Problems:
     ) -> None:
         self.buffer, self.noise = buffer, noise
         self.positions, self._velocities = positions, velocities
-        estimated = [(name, one.parameter) for name, one in positions.items() if one.parameter is not None]
-        self.arms = {name: (gtsam.symbol("a", k), prior) for k, (name, prior) in enumerate(estimated)}
+        doubted = [(name, one.parameters[0]) for name, one in positions.items() if is_in_doubt(one.parameters)]
+        self.arms = {name: (gtsam.symbol("a", k), prior) for k, (name, prior) in enumerate(doubted)}
         self._deltas: dict[tuple[int, int], gtsam.PreintegratedImuMeasurements] = {}
         self._bias = gtsam.imuBias.ConstantBias()  # about which they are linear
 

@@ -16,7 +16,7 @@ import numpy as np
 from holdfast.graph.smoother import FREE, Smoother
 from holdfast.messages import Array
 from holdfast.sensors.odometry import STILL_M_S, OdometryNoise, TrackPose, is_possible, with_excess
-from holdfast.sensors.odometry_calibration import NOMINAL, OdometryCalibration, arm_name, joined
+from holdfast.sensors.odometry_calibration import NOMINAL, OdometryCalibration, joined
 from holdfast.sensors.sensor import State
 from holdfast.state import Outcome
 
@@ -27,12 +27,8 @@ Mode = Literal["anchored", "relative", "frozen"]
 
 def believed_calibration(smoother: Smoother, odometry: str, calibration: OdometryCalibration) -> Array:
     """Return what is believed of how and where an odometry is mounted, and of its clock (7,)."""
-    if calibration.prior is None:
-        return NOMINAL
-    belief = smoother.parameter_belief(odometry, calibration.prior)
-    if calibration.arm_prior is None:
-        return joined(belief)
-    return joined(belief, smoother.parameter_belief(arm_name(odometry), calibration.arm_prior))
+    beliefs = [smoother.parameter_belief(one.name(odometry), one)[0] for one in calibration.parameters]
+    return joined(*beliefs) if beliefs else NOMINAL
 
 
 class Joined(NamedTuple):
@@ -153,15 +149,9 @@ class OdometryTrack:
 
     def _calibration(self, smoother: Smoother, pose: TrackPose) -> tuple[tuple[int, ...], float]:
         """Return the keys of what is estimated of the odometry, none if nothing is, and the offset of its clock [s]."""
-        prior = self._noise.calibration.prior
-        if prior is None:
-            return (), 0.0
-        key, value, _ = smoother.parameter(pose.sensor, prior, pose.stamp_ns)
-        arm_prior = self._noise.calibration.arm_prior
-        if arm_prior is None:
-            return (key,), float(value[-1])
-        arm_key, _, _ = smoother.parameter(arm_name(pose.sensor), arm_prior, pose.stamp_ns)
-        return (key, arm_key), float(value[-1])
+        parameters = self._noise.calibration.parameters
+        found = [smoother.parameter(one.name(pose.sensor), one, pose.stamp_ns) for one in parameters]
+        return tuple(key for key, _, _ in found), float(found[0][1][-1]) if found else 0.0
 
     def _begin_epoch(self, smoother: Smoother, before: _Epoch | None, pose: TrackPose) -> _Epoch:
         here = smoother.nav(pose.stamp_ns).pose()

@@ -11,26 +11,30 @@ from typing import NamedTuple
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from holdfast.graph.solver import Placed, Solver
 from holdfast.messages import Array
-from holdfast.sensors.constants import Constant
+from holdfast.sensors.constants import OBSERVED, Constant
 from holdfast.sensors.noise import FREE_VARIANCE
 from holdfast.sensors.sensor import Parameter
 
 MAX_SIZE = 12
 RIGHT, OFF = 0.0, -log(3.0)  # log ratio of the densities under what was configured and under the prior
 HELD = 0.02  # of the error that counts as right: as if there were none
+TOLD = OBSERVED**-2.0 - 1.0  # times the information in the prior, measurements must say of an element
 REFUTED = 3.0  # sigmas of what was learnt before a restart
 REFRESHED_NS = 1_000_000_000  # a marginal is read this often
 WALK_NS = 10_000_000_000  # a parameter that walks is another variable after so long
+NOT_HELD: Array = np.zeros(1)
 NOT_AGAIN_NS = 1 << 62  # when it is read next, where whoever solves asks for it
 
 
 class Known(NamedTuple):
     """A parameter: its key, estimate (p,) and covariance (p, p), and whether the solver has solved it.
 
-    `right` is the factor that holds it where it was configured, if it is believed to be right; `carried` that which
+    `is_right` where it is believed to be as configured. `hold` is the factor that holds it there, or those elements of
+    one that is off of which nothing is known; `holding` (p,) is the information in that. `carried` is the factor that
     says what was learnt of it before a restart. `begun_ns` is when it became a variable.
     """
 
@@ -40,7 +44,9 @@ class Known(NamedTuple):
     is_solved: bool
     read_ns: int
     begun_ns: int
-    right: Placed | None = None
+    is_right: bool = False
+    hold: Placed | None = None
+    holding: Array = NOT_HELD
     carried: Placed | None = None
 
 
@@ -65,7 +71,7 @@ class Parameters:
         other = copy(self)
         other._known = {
             name: known._replace(
-                right=known.right and counterpart(known.right), carried=known.carried and counterpart(known.carried)
+                hold=known.hold and counterpart(known.hold), carried=known.carried and counterpart(known.carried)
             )
             if known.key in solver
             else known
@@ -116,6 +122,12 @@ class Parameters:
         prior = self.prior(name, prior)
         return prior.mean, np.diag(prior.sigmas**2)
 
+    def unheld_covariance(self, name: str, prior: Parameter) -> Array:
+        """Return the covariance (p, p) of a parameter as it is if it is not believed to be as configured."""
+        known = self._known.get(name)
+        prior = self.prior(name, prior)
+        return np.diag(prior.sigmas**2) if known is None else _unheld(known, prior.mean)[1]
+
     def prior(self, name: str, configured: Parameter) -> Parameter:
         """Return the prior that a parameter began with."""
         return self._carried.get(name, self._anew.get(name, configured))
@@ -133,7 +145,7 @@ class Parameters:
             value, covariance = solver.vector(known.key), solver.covariance(known.key)
             read = known._replace(value=value, covariance=covariance, read_ns=NOT_AGAIN_NS)
             self._known[name] = _believed(solver, read, prior)
-            has_changed |= (self._known[name].right is None) != (known.right is None)
+            has_changed |= self._known[name].hold is not known.hold
         return has_changed
 
     def constant(self, name: str, prior: Parameter) -> Constant | None:
@@ -142,9 +154,8 @@ class Parameters:
         if known is None:
             return None
         sigmas = np.sqrt(np.diag(known.covariance))
-        is_off = prior.if_right is not None and known.right is None
-        believed = _without_belief(known, self.prior(name, prior))
-        return Constant(known.value, sigmas, *believed, prior, is_off)
+        is_off = prior.if_right is not None and not known.is_right
+        return Constant(known.value, sigmas, *_unheld(known, self.prior(name, prior).mean), prior, is_off)
 
     def mark_solved(self) -> None:
         """Note that the solver has taken in all that it was given."""
@@ -184,69 +195,83 @@ class Parameters:
         mean, covariance = prior.mean, np.diag(prior.sigmas**2)
         value = mean if start is None else start
         if before is not None:
-            value, mean, covariance = before.value, *_without_belief(before, prior)
+            value, mean, covariance = before.value, *_unheld(before, prior.mean)
         key = self._new_key(len(mean))
         solver.insert(key, value, stamp_ns)
         placed = solver.add(gtsam.PriorFactorVector(key, mean, gtsam.noiseModel.Gaussian.Covariance(covariance)))
         known = Known(key, value, covariance, False, stamp_ns, stamp_ns)
         if before is None and prior is self._carried.get(name):
             known = known._replace(carried=placed)
-        is_right = prior.if_right is not None if before is None else before.right is not None
-        return _held(solver, known, prior) if is_right else known
+        if prior.if_right is None:
+            return known
+        if before is None or before.is_right:
+            return _held(solver, known, prior, np.isfinite(prior.if_right))
+        return _held(solver, known, prior, before.holding * np.ones(len(mean)) > 0.0)._replace(is_right=False)
 
 
 def _believed(solver: Solver, known: Known, prior: Parameter) -> Known:
-    """Let a parameter go where an error is more plausible than what was configured, or back: (54) in docs/math.md."""
-    log_ratio = _evidence(known, prior)
-    if log_ratio is None:
-        return known
-    if known.right is None and log_ratio > RIGHT:
-        return _held(solver, known, prior)
-    if known.right is not None and log_ratio < OFF:
-        solver.retract(known.right)
-        return known._replace(covariance=_without_belief(known, prior)[1], right=None)
-    return known
+    """Let a parameter go where an error is more plausible than what was configured, or back: (54) in docs/math.md.
 
-
-def _evidence(known: Known, prior: Parameter) -> float | None:
-    """Return how much more plausible it is that a parameter is right than that it is off, as a logarithm.
-
-    None where the measurements say less than the prior, or where there is no telling.
+    What nothing tells of one that is off stays where it was configured.
     """
     if prior.if_right is None:
-        return None
-    precision = 1.0 / known.covariance.diagonal() - 1.0 / prior.sigmas**2
-    if known.right is not None:
-        precision -= 1.0 / (HELD * prior.if_right) ** 2
-    is_told = np.isfinite(prior.if_right) & (precision >= 1.0 / prior.sigmas**2)
+        return known
+    log_ratio, is_told = _evidence(known, prior, prior.if_right)
     if not is_told.any():
-        return None
+        return known
+    if known.is_right:
+        return _let_go(solver, known, prior, is_told) if log_ratio < OFF else known
+    if log_ratio > RIGHT:
+        return _held(solver, known, prior, np.isfinite(prior.if_right))
+    return _let_go(solver, known, prior, is_told) if (known.holding * is_told).any() else known
+
+
+def _evidence(known: Known, prior: Parameter, if_right: Array) -> tuple[float, NDArray[np.bool_]]:
+    """Return how much more plausible it is that a parameter is right than that it is off, as a logarithm.
+
+    And (p,) of which elements the measurements tell: of others they say too little beside the prior.
+    """
+    precision = 1.0 / known.covariance.diagonal() - 1.0 / prior.sigmas**2 - known.holding
+    is_told = np.isfinite(if_right) & (precision >= TOLD / prior.sigmas**2)
     variance = 1.0 / np.maximum(precision, 1e-6 / prior.sigmas**2)  # of what the measurements say alone
     off = (known.value - prior.mean) * variance / known.covariance.diagonal()
-    ratio = _log_density(off, variance + prior.if_right**2) - _log_density(off, variance + prior.sigmas**2)
-    return float(ratio[is_told].sum())
+    ratio = _log_density(off, variance + if_right**2) - _log_density(off, variance + prior.sigmas**2)
+    return float(ratio[is_told].sum()), is_told
 
 
-def _held(solver: Solver, known: Known, prior: Parameter) -> Known:
-    """Hold a parameter where it was configured."""
-    if prior.if_right is None:
-        return known
-    sigmas = np.where(np.isfinite(prior.if_right), HELD * prior.if_right, FREE_VARIANCE**0.5)
-    factor = gtsam.PriorFactorVector(known.key, prior.mean, gtsam.noiseModel.Diagonal.Sigmas(sigmas))
-    before = np.linalg.inv(known.covariance)
-    covariance = np.linalg.inv(before + np.diag(sigmas**-2.0))
-    value = prior.mean + covariance @ before @ (known.value - prior.mean)
-    return known._replace(value=value, covariance=covariance, is_solved=False, right=solver.add(factor))
+def _held(solver: Solver, known: Known, prior: Parameter, which: NDArray[np.bool_]) -> Known:
+    """Hold those elements of a parameter that `which` (p,) says where they were configured, and no others."""
+    assert prior.if_right is not None
+    if known.hold is not None:
+        solver.retract(known.hold)
+    value, covariance = _unheld(known, prior.mean)
+    if not which.any():
+        return known._replace(covariance=covariance, is_right=False, hold=None, holding=NOT_HELD)
+    sigmas = np.where(which, HELD * prior.if_right, FREE_VARIANCE**0.5)
+    placed = solver.add(gtsam.PriorFactorVector(known.key, prior.mean, gtsam.noiseModel.Diagonal.Sigmas(sigmas)))
+    holding = np.where(which, sigmas**-2.0, 0.0)
+    free = np.linalg.inv(covariance)
+    covariance = np.linalg.inv(free + np.diag(holding))
+    value = prior.mean + covariance @ free @ (value - prior.mean)
+    return known._replace(
+        value=value, covariance=covariance, is_solved=False, is_right=True, hold=placed, holding=holding
+    )
 
 
-def _without_belief(known: Known, prior: Parameter) -> tuple[Array, Array]:
-    """Return the estimate (p,) and covariance (p, p) of a parameter as they are if it is not believed to be right."""
-    if known.right is None or prior.if_right is None:
+def _let_go(solver: Solver, known: Known, prior: Parameter, is_told: NDArray[np.bool_]) -> Known:
+    """Hold no more what measurements tell of a parameter that is off; until it is solved it stays where it is."""
+    changed = _held(solver, known, prior, (known.holding > 0.0) & ~is_told)
+    return changed._replace(value=known.value, is_solved=known.is_solved, is_right=False)
+
+
+def _unheld(known: Known, mean: Array) -> tuple[Array, Array]:
+    """Return the estimate (p,) and covariance (p, p) of a parameter as they are if nothing holds it at a mean (p,)."""
+    if known.hold is None:
         return known.value, known.covariance
     information = np.linalg.inv(known.covariance)
-    covariance = np.linalg.inv(information - np.diag((HELD * prior.if_right) ** -2.0))
-    off: Array = covariance @ information @ (known.value - prior.mean)
-    return prior.mean + off, covariance
+    covariance = np.linalg.inv(information - np.diag(known.holding))
+    off: Array = covariance @ information @ (known.value - mean)
+    return mean + off, covariance
 
 
 def _log_density(off: Array, variance: Array) -> Array:

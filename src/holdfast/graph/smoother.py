@@ -196,9 +196,13 @@ class Smoother:
         known = self._parameters.use(self._window, name, prior, to_grid(stamp_ns), start)
         return known.key, known.value, known.covariance
 
-    def parameter_belief(self, name: str, prior: Parameter) -> Array:
-        """Return the estimate (p,) of a sensor's parameter, the mean of its prior while there is none."""
-        return self._parameters.belief(name, prior)[0]
+    def parameter_belief(self, name: str, prior: Parameter) -> tuple[Array, Array]:
+        """Return the estimate (p,) and covariance (p, p) of a sensor's parameter, of its prior while there is none."""
+        return self._parameters.belief(name, prior)
+
+    def unheld_covariance(self, name: str, prior: Parameter) -> Array:
+        """Return the covariance (p, p) of a sensor's parameter as it is if it is not believed to be as configured."""
+        return self._parameters.unheld_covariance(name, prior)
 
     def parameter_prior(self, name: str, configured: Parameter) -> Parameter:
         """Return the prior that a sensor's parameter began with."""

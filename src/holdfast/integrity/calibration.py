@@ -10,11 +10,10 @@ from holdfast.event_log import EventLog
 from holdfast.graph.smoother import Smoother
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
-from holdfast.sensors.clock import has_estimated_clock
 from holdfast.sensors.constants import length_and_sigma
+from holdfast.sensors.lever_arm import ARM
 from holdfast.sensors.odometry import OdometryModel
-from holdfast.sensors.odometry_calibration import arm_name
-from holdfast.sensors.sensor import Sensor
+from holdfast.sensors.sensor import Parameter, Sensor
 from holdfast.state import EventKind
 
 REVIEW_NS = 1_000_000_000
@@ -64,12 +63,10 @@ class Calibration:
             return
         self._reviewed_ns = now_ns
         for name, sensor in self._sensors.items():
-            parameter = getattr(sensor, "parameter", None)
-            estimate = smoother.parameter_estimate(name if parameter is None else parameter.name(name))
-            if estimate is not None:
-                self._tell(name, _findings(sensor, *estimate), now_ns)
-            if isinstance(sensor, OdometryModel) and (arm := smoother.parameter_estimate(arm_name(name))) is not None:
-                self._tell(name, _findings_of_arm(*arm), now_ns)
+            for prior in sensor.parameters:
+                estimate = smoother.parameter_estimate(prior.name(name))
+                if estimate is not None:
+                    self._tell(name, _findings(sensor, prior, *estimate), now_ns)
         scale = smoother.parameter_estimate(self._imu)
         if scale is not None:
             self._tell(self._imu, _findings_of_gyroscope(*scale), now_ns)
@@ -82,10 +79,9 @@ class Calibration:
                 self._log.report(EventKind.CALIBRATION, now_ns, name, in_words)
 
 
-def _findings(sensor: Sensor, value: Array, sigmas: Array) -> Iterator[tuple[Finding, str]]:
+def _findings(sensor: Sensor, prior: Parameter, value: Array, sigmas: Array) -> Iterator[tuple[Finding, str]]:
     """Yield the constants of a sensor with what is to be told of them."""
-    is_odometry = isinstance(sensor, OdometryModel)
-    if is_odometry or has_estimated_clock(sensor):
+    if prior.has_clock:
         off_s, sigma_s = float(value[-1]), float(sigmas[-1])
         early_or_late = "early" if off_s > 0.0 else "late"
         text = (
@@ -93,7 +89,16 @@ def _findings(sensor: Sensor, value: Array, sigmas: Array) -> Iterator[tuple[Fin
             f"add {off_s:.4f} to time_offset_s"
         )
         yield Finding("clock", abs(off_s), sigma_s, SLACK_S), text
-    if is_odometry:
+    is_odometry = isinstance(sensor, OdometryModel)
+    if prior.part == ARM:
+        off_m, sigma_m = length_and_sigma(value - prior.mean, sigmas)
+        x, y, z = value - prior.mean
+        text = (
+            f"{off_m:.2f} m beside where it is configured, sigma {sigma_m:.2f} m: "
+            f"moved by {x:.2f}, {y:.2f}, {z:.2f} m along {'its own axes' if is_odometry else 'the axes of the IMU'}"
+        )
+        yield Finding("lever arm", off_m, sigma_m, SLACK_M), text
+    elif is_odometry:
         off_rad, sigma_rad = length_and_sigma(value[:3], sigmas[:3])
         x, y, z = np.degrees(value[:3])
         text = (
@@ -101,17 +106,6 @@ def _findings(sensor: Sensor, value: Array, sigmas: Array) -> Iterator[tuple[Fin
             f"rotated by {x:.2f}, {y:.2f}, {z:.2f} deg about its own axes"
         )
         yield Finding("mounting", off_rad, sigma_rad, SLACK_RAD), text
-
-
-def _findings_of_arm(arm: Array, sigmas: Array) -> Iterator[tuple[Finding, str]]:
-    """Yield the lever arm of an odometry with what is to be told of it."""
-    off_m, sigma_m = length_and_sigma(arm, sigmas)
-    x, y, z = arm
-    text = (
-        f"{off_m:.2f} m beside where it is configured, sigma {sigma_m:.2f} m: "
-        f"moved by {x:.2f}, {y:.2f}, {z:.2f} m along its own axes"
-    )
-    yield Finding("lever arm", off_m, sigma_m, SLACK_M), text
 
 
 def _findings_of_gyroscope(scale: Array, sigmas: Array) -> Iterator[tuple[Finding, str]]:

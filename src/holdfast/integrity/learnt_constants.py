@@ -5,36 +5,24 @@ from collections.abc import Collection, Mapping
 import numpy as np
 
 from holdfast.config.model import Config
-from holdfast.messages import Array
-from holdfast.sensors.constants import (
-    ARM_M,
-    RATIO,
-    Constant,
-    LearntConstant,
-    arms_of,
-    carried,
-    change_of,
-    priors_of,
-    priors_of_imu,
-)
+from holdfast.sensors.constants import Constant, LearntConstant, carried, priors_of_machine
+from holdfast.sensors.lever_arm import arm_of
 from holdfast.sensors.sensor import Parameter, Sensor
 
 
-def constants_of_machine(config: Config, sensors: Mapping[str, Sensor], doubted: Collection[str]) -> dict[str, Array]:
-    """Return the constants that are the same on the next day, each (p,) with how much it may have changed.
+def constants_of_machine(
+    config: Config, sensors: Mapping[str, Sensor], doubted: Collection[str]
+) -> dict[str, Parameter]:
+    """Return the priors of the constants that are almost the same on the next day.
 
     Args:
         config: of the machine.
         sensors: the models, by name, with clocks that are estimated.
         doubted: antennas whose lever arms are in doubt: how far is not for what was learnt before to say.
     """
-    found = {name: np.full(len(prior.mean), RATIO) for name, prior in priors_of_imu(config).items()}
-    for name, sensor in sensors.items():
-        change = change_of(sensor)
-        if change is not None and name not in doubted:
-            found.update((constant, change) for constant in priors_of({name: sensor}))
-        found.update((constant, np.full(3, ARM_M)) for constant in arms_of({name: sensor}))
-    return found
+    priors = priors_of_machine(config, sensors)
+    in_doubt = {arm.name(name) for name in doubted if (arm := arm_of(sensors[name].parameters)) is not None}
+    return {name: one for name, one in priors.items() if one.change is not None and name not in in_doubt}
 
 
 def learnt_constants(constants: Mapping[str, Constant]) -> dict[str, LearntConstant]:
@@ -47,19 +35,11 @@ def learnt_constants(constants: Mapping[str, Constant]) -> dict[str, LearntConst
     return found
 
 
-def carried_priors(
-    learnt: Mapping[str, LearntConstant], priors: Mapping[str, Parameter], changes: Mapping[str, Array]
-) -> dict[str, Parameter]:
-    """Return the priors of constants that were learnt before.
-
-    Args:
-        learnt: by name.
-        priors: what the configuration says.
-        changes: what `constants_of_machine` says.
-    """
+def carried_priors(learnt: Mapping[str, LearntConstant], priors: Mapping[str, Parameter]) -> dict[str, Parameter]:
+    """Return the priors of constants that were learnt before, given what `constants_of_machine` says."""
     found: dict[str, Parameter] = {}
     for name, one in learnt.items():
-        if name in priors and name in changes and len(one.mean) == len(priors[name].mean):
-            mean, sigmas = np.array(one.mean), np.array(one.sigmas)
-            found[name] = carried(priors[name], mean, sigmas, changes[name], is_off=one.is_off)
+        prior = priors.get(name)
+        if prior is not None and prior.change is not None and len(one.mean) == len(prior.mean):
+            found[name] = carried(prior, prior.change, one)
     return found

@@ -267,7 +267,7 @@ class LeverArms:
 
 def _believed(sensor: Sensor, doubts: Mapping[str, float], misplaced: Set[str]) -> Sensor:
     if isinstance(sensor, GnssModel) and sensor.name in doubts:
-        return sensor.with_estimated_arm(doubts[sensor.name])
+        return sensor.with_doubtful_arm(doubts[sensor.name])
     if isinstance(sensor, HeadingModel) and not misplaced.isdisjoint(sensor.antennas):
         return sensor.without_axis()
     return sensor

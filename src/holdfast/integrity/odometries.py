@@ -23,7 +23,6 @@ from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.constants import length_and_sigma
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
-from holdfast.sensors.odometry_calibration import arm_name
 from holdfast.sensors.sensor import Parameter
 from holdfast.state import EventKind, Outcome
 
@@ -274,12 +273,13 @@ class Odometries:
 
     def _forget_arm(self, graph: DualGraph, name: str) -> None:
         """Forget where an odometry is if that was not known yet: its lies may have looked like it."""
-        prior, known = self._odometries[name].model.calibration.arm_prior, graph.main.parameter_estimate(arm_name(name))
-        if prior is None or known is None:
+        arm = self._odometries[name].model.calibration.arm_prior
+        known = None if arm is None else graph.main.parameter_estimate(arm.name(name))
+        if arm is None or known is None:
             return
         _, sigma_m = length_and_sigma(*known)
         if sigma_m > AGREES_M:
-            graph.begin_parameter_anew(arm_name(name), prior)
+            graph.begin_parameter_anew(arm.name(name), arm)
 
     def review(self, now_ns: int) -> None:
         """Lose the odometries that are silent."""

@@ -6,11 +6,15 @@ from itertools import pairwise
 from math import inf
 from typing import NamedTuple
 
+import numpy as np
+
 from holdfast.config.model import GateConfig
 from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
+from holdfast.graph.sensor_parameters import with_parameters
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.antenna_pairs import witness_of
+from holdfast.integrity.arm_doubt import ArmDoubt
 from holdfast.integrity.baseline import BaselineTest
 from holdfast.integrity.consensus import Consensus, Departure
 from holdfast.integrity.departures import Departures
@@ -26,12 +30,11 @@ from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.coloured import NAV_SIZE, Compared, coloured, coloured_factor
 from holdfast.sensors.noise import WHITE, correlation_inflation, shared_inflation
-from holdfast.sensors.sensor import Position, PositionSensor, State, is_gnss
+from holdfast.sensors.sensor import Position, PositionSensor, is_gnss
 from holdfast.state import EventKind, Outcome
 
 REVIEW_NS = 250_000_000  # used positions are reviewed this often
 SLOW_S, LOWEST_SLOW = 1.0, 0.01  # most of such a claim is a slow error, by which neighbours are alike
-ARM_SIZE = 3  # of a parameter that holds a lever arm
 LEARNT_FROM = Outcome.USED, Outcome.INNOVATION
 BENIGN = {Outcome.LOW_STATUS, Outcome.LARGE_COVARIANCE, Outcome.NO_COVARIANCE, Outcome.NOT_FINITE}
 
@@ -74,6 +77,7 @@ class Positions:
         self._baseline = BaselineTest(lever_arms)
         self._log = log
         self._reviewed_ns = NEVER_NS
+        self._arm_doubts = {name: ArmDoubt(sensor) for name, sensor in sensors.items()}
         self._departures = {name: Departures() for name in sensors}
         self.wandering: Collection[str] = ()  # receivers that are wrong, though their positions agree with each other
         self._misplaced: set[str] = set()  # what a start has left out: somebody has typed where it stands
@@ -136,7 +140,8 @@ class Positions:
         position = replace(position, covariance=position.covariance * above, colour=colour)
         found = self._compare(smoother, key, position)
         innovation, state = found.innovation, found.state
-        prediction = predict(innovation, state)
+        of_arm = self._arm_doubts[name].of_prediction(smoother, state.nav.attitude())
+        prediction = predict(innovation, state, of_arm)
         worse = None
         if self._config.baseline:
             worse = self._baseline.contradicted(position, prediction.nis, state.nav.attitude())
@@ -149,7 +154,7 @@ class Positions:
         is_expected = prediction.nis <= gate.limit
         self._consensus[name].add(position, outcome, innovation.y, is_expected=is_expected)
         self._note_departure(claimed, prediction.innovation, scale, is_refused=is_refused)
-        if gate.trust is Trust.TRUSTED and outcome in LEARNT_FROM and len(state.parameter) < ARM_SIZE:
+        if gate.trust is Trust.TRUSTED and outcome in LEARNT_FROM and _is_known(of_arm, innovation.R):
             lowest = LOWEST_SLOW if position.correlation_s >= SLOW_S and found.slow is None else LOWEST
             scale.learn(innovation._replace(R=innovation.R / above), state, position, self._log, lowest)
         if outcome is Outcome.USED:
@@ -162,6 +167,7 @@ class Positions:
             known = found if smoother is graph.main else None
             if self._enter(graph.main, position, inflation, known):
                 self.used.add(position)
+                self._arm_doubts[name].note_used(state.nav.attitude())
         elif outcome is not Outcome.QUARANTINED:
             self._log.report(EventKind.REJECTED, position.stamp_ns, name, outcome)
         gate_limit = gate.limit_on_nis
@@ -296,6 +302,7 @@ class Positions:
         if is_faulty:
             for position in self.used.of(name, now_ns - self._quarantine_ns(name)):
                 self.take_out(smoother, position, Outcome.QUARANTINED)
+            self._arm_doubts[name].forget(smoother)
         gate.become(Trust.LOST, hold_s=self._config.regain_s if is_faulty else 0.0)
         self._log.report(
             EventKind.RECEIVER_LOST, now_ns, name, f"{in_words(gate.reasons)}; gate power {gate.power_m:.2f} m"
@@ -321,21 +328,18 @@ class Positions:
     def _compare(self, smoother: Smoother, key: int, position: Position) -> Compared:
         """Compare a position with the state at its node."""
         colour, stamp_ns = position.colour, position.stamp_ns
-        parameter_keys, state = self._state(smoother, position)
-        keys = [key, *parameter_keys]
-        innovation = self._sensors[position.sensor].innovation(position, state)
+        sensor = self._sensors[position.sensor]
+        parameter_keys, state = with_parameters(smoother, sensor, smoother.state_at(stamp_ns), stamp_ns)
+        keys, innovation = [key, *parameter_keys], sensor.innovation(position, state)
         if colour is None:
             return Compared(keys, state, innovation)
         slow = smoother.slow_error(position.sensor, colour, stamp_ns, position.p_W_P)
         return coloured(keys, state, innovation, colour, slow)
 
-    def _state(self, smoother: Smoother, position: Position) -> tuple[list[int], State]:
-        """Return the key of the receiver's parameter, if it has one, and the state at the node of a position."""
-        state, prior = smoother.state_at(position.stamp_ns), self._sensors[position.sensor].parameter
-        if prior is None:
-            return [], state
-        key, value, covariance = smoother.parameter(prior.name(position.sensor), prior, position.stamp_ns)
-        return [key], state._replace(parameter=value, parameter_covariance=covariance)
+
+def _is_known(of_arm: Array | None, claimed: Array) -> bool:
+    """Whether doubt in a lever arm (3, 3) [m^2] is less than what a position claims (3, 3)."""
+    return of_arm is None or float(np.trace(of_arm)) <= float(np.trace(claimed))
 
 
 def _correlation_s(position: Position) -> float:

@@ -2,8 +2,7 @@
 
 from typing import Any
 
-import numpy as np
-
+from holdfast.graph.sensor_parameters import with_beliefs
 from holdfast.graph.smoother import Smoother
 from holdfast.sensors.sensor import Innovation, Joint, PositionSensor, StateSensor
 from holdfast.state import Outcome
@@ -20,10 +19,5 @@ def residual(
         smoother: whose estimate it is compared with.
         joint: the turn joint at its time.
     """
-    stamp_ns, parameter = measurement.stamp_ns, sensor.parameter
-    state = smoother.mean_at(stamp_ns, joint)
-    if parameter is not None:
-        known = smoother.parameter_estimate(parameter.name(measurement.sensor))
-        value, sigmas = (parameter.mean, parameter.sigmas) if known is None else known
-        state = state._replace(parameter=value, parameter_covariance=np.diag(sigmas**2))
+    state = with_beliefs(smoother, sensor, smoother.mean_at(measurement.stamp_ns, joint))
     return sensor.innovation(measurement, state)

@@ -4,6 +4,7 @@ from math import inf
 
 import numpy as np
 
+from holdfast.graph.sensor_parameters import believed_parameters
 from holdfast.graph.smoother import Smoother
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
@@ -81,7 +82,8 @@ class UsedPositions:
     def _residual_nis(self, positions: list[Position], smoother: Smoother) -> Array:
         """Return the squared residuals (N,) of positions at the optimised states over their covariance."""
         names = {one.sensor for one in positions}
-        constants = {name: receiver_constants(self._sensors[name], self._estimated(name, smoother)) for name in names}
+        sensors = {name: self._sensors[name] for name in names}
+        constants = {n: receiver_constants(one, believed_parameters(smoother, one)) for n, one in sensors.items()}
         rows = {stamp: row for row, stamp in enumerate({one.stamp_ns for one in positions})}
         motions = [Motion.of(smoother.nav(stamp), smoother.angular_velocity(stamp)) for stamp in rows]
         index = [rows[one.stamp_ns] for one in positions]
@@ -91,8 +93,3 @@ class UsedPositions:
         weighted = np.linalg.solve(np.array([one.covariance for one in positions]), y[:, :, None])[:, :, 0]
         squared: Array = (y * weighted).sum(axis=1)
         return squared
-
-    def _estimated(self, name: str, smoother: Smoother) -> Array | None:
-        parameter = self._sensors[name].parameter
-        found = None if parameter is None else smoother.parameter_estimate(parameter.name(name))
-        return None if found is None else found[0]

@@ -7,6 +7,7 @@ import gtsam
 
 from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
+from holdfast.graph.sensor_parameters import with_parameters
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.innovation import Change, InnovationGate
 from holdfast.integrity.noise_scale import LOWEST, NoiseScale
@@ -157,13 +158,10 @@ class JudgedSensor:
         return self._sensor.factor(found.keys, measurement, found.state, claimed, scale)
 
     def _state(self, smoother: Smoother, measurement: Measurement) -> tuple[list[int], State]:
-        stamp_ns, prior = measurement.stamp_ns, self._sensor.parameter
+        stamp_ns = measurement.stamp_ns
         state = smoother.state_at(stamp_ns, self._joint_at(stamp_ns))
-        if prior is None:
-            return [], state
         start = self._sensor.first_parameter(measurement, state)
-        key, value, covariance = smoother.parameter(prior.name(self._sensor.name), prior, stamp_ns, start)
-        return [key], state._replace(parameter=value, parameter_covariance=covariance)
+        return with_parameters(smoother, self._sensor, state, stamp_ns, start)
 
 
 def _colour(measurement: Measurement) -> Colour | None:

@@ -282,11 +282,11 @@ class HeldOutJudge:
     def _calibrated(self, position: Position, in_outage: bool) -> _Due:
         """Return a position with what has been learnt of its receiver until now."""
         sensor = with_estimated_clock(self._sensors[position.sensor])
-        name = "" if sensor.parameter is None else sensor.parameter.name(position.sensor)
-        known = None if self._estimator is None else self._estimator.learnt().constants.get(name)
-        arm, offset_s = receiver_constants(sensor, None if known is None else np.array(known.mean))
-        is_late = known is not None and known.is_off
-        return _Due(position, in_outage, position.stamp_ns + (round(offset_s * 1e9) if is_late else 0), arm)
+        known = {} if self._estimator is None else self._estimator.learnt().constants
+        learnt = [known.get(prior.name(position.sensor)) for prior in sensor.parameters]
+        means = [prior.mean if one is None else one.mean for prior, one in zip(sensor.parameters, learnt, strict=True)]
+        arm, offset_s = receiver_constants(sensor, np.concatenate([np.zeros(0), *means]))
+        return _Due(position, in_outage, position.stamp_ns + round(offset_s * 1e9), arm)
 
     def _judge(self, due: _Due) -> None:
         position, in_outage, time_ns, arm = due

@@ -1,4 +1,4 @@
-"""A sensor whose clock is off by a constant that the graph estimates, behind the sensor's own parameter.
+"""A sensor whose clock is off by a constant that the graph estimates, behind the sensor's own parameters.
 
 A measurement stamped t was taken at t + tau. Over so short a time the state moves by a twist, its mean as the IMU
 measured it, so that h(x(t + tau)) = h(x) + H xi tau: (53) in docs/math.md. That holds for every sensor whose innovation
@@ -24,12 +24,12 @@ from holdfast.sensors.sensor import (
 )
 from holdfast.state import Outcome
 
-GNSS_CLOCK = "clock of GNSS"
+CLOCK, GNSS_CLOCK = "clock", "clock of GNSS"
 IF_RIGHT_S = 5e-3  # of clocks that are synchronised: sensors have filters inside
 
 
 class EstimatedClock:
-    """A sensor with its offset [s] as the last element of its parameter; all else is the sensor's.
+    """A sensor with its offset [s] as the last of its parameters; all else is the sensor's.
 
     Args:
         sensor: of which an innovation and a factor are asked.
@@ -38,19 +38,18 @@ class EstimatedClock:
 
     def __init__(self, sensor: Any, sigma_s: float) -> None:
         self._sensor = sensor
-        own = Parameter(np.zeros(0), np.zeros(0)) if sensor.parameter is None else sensor.parameter
-        of_receiver = sensor.role is Role.HEADING or is_gnss(sensor)
-        shared = GNSS_CLOCK if of_receiver and not len(own.mean) else ""
-        if_right = np.append(np.full(len(own.mean), np.inf), IF_RIGHT_S)
-        self.parameter = Parameter(np.append(own.mean, 0.0), np.append(own.sigmas, sigma_s), if_right, shared)
+        shared = GNSS_CLOCK if sensor.role is Role.HEADING or is_gnss(sensor) else ""
+        if_right = np.array([IF_RIGHT_S])
+        clock = Parameter(
+            np.zeros(1), np.array([sigma_s]), if_right, shared, part=CLOCK, change=if_right, has_clock=True
+        )
+        self.parameters: tuple[Parameter, ...] = (*sensor.parameters, clock)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._sensor, name)
 
     def first_parameter(self, measurement: Any, state: State) -> Array:
-        """Return the parameter (p,) about which the first factor is linearised."""
-        if len(self.parameter.mean) == 1:
-            return self.parameter.mean
+        """Return the parameters (p,) about which the first factor is linearised."""
         return np.append(self._sensor.first_parameter(measurement, state), 0.0)
 
     def innovation(self, measurement: Any, state: State) -> Innovation | Outcome:
@@ -71,7 +70,7 @@ class EstimatedClock:
     def factor(
         self, keys: Sequence[int], measurement: Any, state: State, innovation: Innovation, inflation: float
     ) -> gtsam.NonlinearFactor:
-        """Return the factor of a measurement on a node and the parameter."""
+        """Return the factor of a measurement on a node and the parameters."""
         return innovation_factor(self, keys, measurement, state, innovation.R * inflation)
 
 
@@ -85,22 +84,20 @@ class PositionClock:
         return getattr(self._clocked, name)
 
     def factor(self, keys: Sequence[int], position: Position, inflation: float, state: State) -> gtsam.NonlinearFactor:
-        """Return the factor of a position on a node and the parameter."""
+        """Return the factor of a position on a node and the parameters."""
         covariance = position.covariance * inflation
         return innovation_factor(self._clocked, keys, position, state, covariance, self._clocked.loss)
 
 
-def receiver_constants(sensor: PositionSensor, value: Array | None) -> tuple[Array, float]:
+def receiver_constants(sensor: PositionSensor, value: Array) -> tuple[Array, float]:
     """Return the lever arm (3,) [m] and the offset [s] of a receiver, given what is estimated of it (p,)."""
-    if sensor.parameter is None or value is None:
-        return sensor.p_I_P, 0.0
     has_clock = has_estimated_clock(sensor)
     own = value[:-1] if has_clock else value
     return own if own.size else sensor.p_I_P, float(value[-1]) if has_clock else 0.0
 
 
 def has_estimated_clock(sensor: Any) -> bool:
-    """Whether the last element of the sensor's parameter is its offset."""
+    """Whether the last of the sensor's parameters is its offset."""
     return isinstance(sensor, EstimatedClock | PositionClock)
 
 

@@ -6,6 +6,7 @@ then say as much as they do, of position as of heading: their common error is es
 """
 
 from collections.abc import Callable, Sequence
+from itertools import chain
 from math import sqrt
 from typing import Any, NamedTuple
 
@@ -15,9 +16,11 @@ import numpy as np
 from holdfast.config.sensors import RobustLoss
 from holdfast.messages import Array
 from holdfast.sensors.noise import UNBOUNDED, Colour, noise_model
-from holdfast.sensors.sensor import Comparing, Innovation, State, innovation_at
+from holdfast.sensors.sensor import Comparing, Innovation, State, by_parameter, innovation_at
 
 NAV_SIZE = 9
+GIVEN = 3  # keys that GTSAM's linear factor takes
+BETWEEN = gtsam.symbol("~", 0)
 LINEAR_RAD = 0.02  # sigma of an attitude that is known well enough for a factor that is linear about the prediction
 
 
@@ -41,8 +44,8 @@ class Compared(NamedTuple):
     """A measurement beside the state that explains it.
 
     Attributes:
-        keys: of the node, of the parameter if there is one.
-        state: of node and parameter; its covariance (9 + m, 9 + m) is the joint one with the slow error.
+        keys: of the node and of the parameters.
+        state: of node and parameters; its covariance (9 + m, 9 + m) is the joint one with the slow error.
         innovation: its `H` (m, 9 + m) has the slow error behind the node, and its `R` is that of the white part.
         slow: the slow error, None where the whole error is white.
     """
@@ -73,7 +76,7 @@ def coloured_factor(  # noqa: PLR0917 (what a factor is made of)
     *,
     new: gtsam.Values | None = None,
 ) -> gtsam.NonlinearFactor:
-    """Return the factor of a measurement on a node, on its parameter if there is one, and on its slow error.
+    """Return the factor of a measurement on a node, on the sensor's parameters, and on its slow error.
 
     It is linear about the prediction where that is good: as precise, and far cheaper than one that is evaluated anew.
 
@@ -94,17 +97,40 @@ def coloured_factor(  # noqa: PLR0917 (what a factor is made of)
     if loss.kind != "none" or state.covariance[:3, :3].trace() > LINEAR_RAD**2:
         return _nonlinear(sensor, [*keys, slow.key], measurement, state, root, noise_model(noise, loss))
     at = gtsam.Values() if new is None else gtsam.Values(new)
-    values: tuple[Any, ...] = state.nav, state.parameter
-    by_own = zip(keys, values, (innovation.H[:, :NAV_SIZE], innovation.J), strict=False)
+    sizes = [len(prior.mean) for prior in sensor.parameters]
+    parameters = zip(by_parameter(state.parameter[None, :], sizes), by_parameter(innovation.J, sizes), strict=True)
+    variables = [
+        (state.nav, innovation.H[:, :NAV_SIZE]),
+        *((value[0], by_variable) for value, by_variable in parameters),
+        (slow.value, root),
+    ]
     whitening = _inverse_root(noise)
-    blocks: list[Any] = []
-    for key, value, by_variable in (*by_own, (slow.key, slow.value, root)):
+    blocks: list[tuple[int, Array]] = []
+    for key, (value, by_variable) in zip((*keys, slow.key), variables, strict=True):
         if not at.exists(key):
             at.insert(key, value)
-        blocks += [key, whitening @ by_variable]
-    blocks += [whitening @ innovation.y, gtsam.noiseModel.Unit.Create(len(noise))]
-    jacobian_factor: Callable[..., gtsam.JacobianFactor] = gtsam.JacobianFactor  # of two variables, or of three
-    return gtsam.LinearContainerFactor(jacobian_factor(*blocks), at)
+        blocks.append((key, whitening @ by_variable))
+    return gtsam.LinearContainerFactor(_jacobian_factor(blocks, whitening @ innovation.y), at)
+
+
+def _jacobian_factor(blocks: Sequence[tuple[int, Array]], y: Array) -> gtsam.JacobianFactor:
+    """Return the factor |sum of A x - y| with unit noise, given up to five keys with their A (m, n).
+
+    GTSAM's own takes three. Of more keys, two halves are joined by a variable between them, which is eliminated.
+    """
+    make: Callable[..., gtsam.JacobianFactor] = gtsam.JacobianFactor
+    unit = gtsam.noiseModel.Unit.Create(len(y))
+    if len(blocks) <= GIVEN:
+        return make(*chain.from_iterable(blocks), y, unit)
+    between, root = np.eye(len(y)), sqrt(2.0)  # by which the noise of two halves is more
+    halves = gtsam.GaussianFactorGraph()
+    for sign, half, right in ((1.0, blocks[: GIVEN - 1], root * y), (-1.0, blocks[GIVEN - 1 :], np.zeros(len(y)))):
+        scaled = chain.from_iterable((key, root * by_variable) for key, by_variable in half)
+        halves.add(make(BETWEEN, sign * between, *scaled, right, unit))
+    eliminated = gtsam.Ordering()
+    eliminated.push_back(BETWEEN)
+    _, factor = gtsam.JacobianFactor(halves).eliminate(eliminated)
+    return factor
 
 
 def _nonlinear(  # noqa: PLR0917 (what a factor is made of)
@@ -113,8 +139,8 @@ def _nonlinear(  # noqa: PLR0917 (what a factor is made of)
     def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
         found = innovation_at(sensor, keys[:-1], measurement, state, values, len(root))
         if jacobians is not None:
-            blocks = (found.H, found.J, root) if len(keys) > 2 else (found.H, root)
-            for k, block in enumerate(blocks):
+            sizes = [values.atVector(key).size for key in keys[1:-1]]
+            for k, block in enumerate((found.H, *by_parameter(found.J, sizes), root)):
                 jacobians[k] = block
         residual: Array = root @ values.atVector(keys[-1]) - found.y
         return residual

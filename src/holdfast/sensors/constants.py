@@ -1,7 +1,6 @@
 """Which constants of sensors the graph estimates, what it knows of one, and what it does of one learnt before."""
 
 from collections.abc import Mapping
-from math import radians
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -10,15 +9,8 @@ from pydantic import Field, model_validator
 from holdfast.config.model import Config
 from holdfast.config.section import Section
 from holdfast.messages import Array
-from holdfast.sensors.clock import IF_RIGHT_S, has_estimated_clock
-from holdfast.sensors.gnss import GnssModel
-from holdfast.sensors.nonholonomic import NonholonomicModel
-from holdfast.sensors.odometry import OdometryModel
-from holdfast.sensors.odometry_calibration import arm_name
 from holdfast.sensors.sensor import Parameter, Sensor
-from holdfast.sensors.twist import TwistModel
 
-ANGLE_RAD, ARM_M, SCALE = radians(0.25), 0.01, 0.005  # by which a mount gives, and rolling radii change
 RATIO = 1e-3  # by which the scale factors of a gyroscope change with the temperature of a day
 RATIO_WALK = 0.003  # of the prior of a gyroscope's scale factors in a second, per sqrt(s), as its temperature changes
 OBSERVED = 0.5  # of the sigma of a prior: what is known no better has not been learnt
@@ -61,46 +53,18 @@ class Constant(NamedTuple):
 
 def priors_of(sensors: Mapping[str, Sensor]) -> dict[str, Parameter]:
     """Return what the graph estimates of some sensors, by the name under which it knows it."""
-    found: dict[str, Parameter] = {}
-    for name, sensor in sensors.items():
-        prior = sensor.calibration.prior if isinstance(sensor, OdometryModel) else getattr(sensor, "parameter", None)
-        if prior is not None:
-            found[prior.name(name)] = prior
-    return found
-
-
-def arms_of(sensors: Mapping[str, Sensor]) -> dict[str, Parameter]:
-    """Return the lever arms of odometries, which the graph estimates beside their other constants."""
-    odometries = {name: one.calibration for name, one in sensors.items() if isinstance(one, OdometryModel)}
-    return {arm_name(name): one.arm_prior for name, one in odometries.items() if one.arm_prior is not None}
+    return {one.name(name): one for name, sensor in sensors.items() for one in sensor.parameters}
 
 
 def priors_of_machine(config: Config, sensors: Mapping[str, Sensor]) -> dict[str, Parameter]:
     """Return all that the graph estimates of the sensors and of the primary IMU."""
-    return priors_of(sensors) | arms_of(sensors) | priors_of_imu(config)
+    return priors_of(sensors) | priors_of_imu(config)
 
 
 def length_and_sigma(vector: Array, sigmas: Array) -> tuple[float, float]:
     """Return how long a vector (n,) is and the sigma along it, given those (n,) of its components."""
     length = float(np.linalg.norm(vector))
     return length, float(np.linalg.norm(vector / max(length, 1e-9) * sigmas))
-
-
-def change_of(sensor: Sensor) -> Array | None:
-    """Return by how much (p,) the constant of a sensor may be another one on the next day, as sigmas.
-
-    None where it has none, or one of the world instead of the machine.
-    """
-    if isinstance(sensor, OdometryModel):
-        return np.array([ANGLE_RAD, ANGLE_RAD, ANGLE_RAD, IF_RIGHT_S])
-    parameter: Parameter | None = getattr(sensor, "parameter", None)
-    if parameter is None:
-        return None
-    if has_estimated_clock(sensor):
-        return np.array([*np.full(len(parameter.mean) - 1, ARM_M), IF_RIGHT_S])
-    kinds = (GnssModel, ARM_M), (TwistModel, SCALE), (NonholonomicModel, ANGLE_RAD)
-    found = next((change for kind, change in kinds if isinstance(sensor, kind)), None)
-    return None if found is None else np.full(len(parameter.mean), found)
 
 
 def priors_of_imu(config: Config) -> dict[str, Parameter]:
@@ -112,29 +76,26 @@ def priors_of_imu(config: Config) -> dict[str, Parameter]:
     if not config.graph.gyroscope_scale or ratio == 0.0:
         return {}
     sigmas = np.full(3, ratio)
-    return {config.imu_name: Parameter(np.zeros(3), sigmas, walk=RATIO_WALK * sigmas)}
+    return {config.imu_name: Parameter(np.zeros(3), sigmas, walk=RATIO_WALK * sigmas, change=np.full(3, RATIO))}
 
 
-def carried(prior: Parameter, mean: Array, sigmas: Array, change: Array, *, is_off: bool) -> Parameter:
-    """Return the prior of a constant that was learnt before; all arrays are (p,).
+def carried(prior: Parameter, change: Array, learnt: LearntConstant) -> Parameter:
+    """Return the prior of a constant that was learnt before.
 
-    Its mean is what was learnt, its sigma is not below that and how much it may have changed. A clock that was
-    believed to be right keeps the prior of the configuration.
+    Its mean is what was learnt, its sigma is not below that and how much it may have changed. What was believed to be
+    as configured keeps the prior of the configuration.
 
     Args:
         prior: what the configuration says.
-        mean: what was learnt.
-        sigmas: of that.
-        change: what `change_of` says.
-        is_off: the clock was believed to be off.
+        change: (p,) sigmas by which it may have changed since.
+        learnt: before.
     """
+    mean, sigmas, is_off = np.array(learnt.mean), np.array(learnt.sigmas), learnt.is_off
     if_right = np.full(len(prior.mean), np.inf) if prior.if_right is None else prior.if_right
     is_learnt = np.isinf(if_right) | is_off
     left = np.where(is_learnt, np.inf, if_right)
-    return Parameter(
-        np.where(is_learnt, mean, prior.mean),
-        np.where(is_learnt, np.minimum(prior.sigmas, np.hypot(sigmas, change)), prior.sigmas),
-        left if np.isfinite(left).any() else None,
-        prior.shared,
-        prior.walk,
+    return prior._replace(
+        mean=np.where(is_learnt, mean, prior.mean),
+        sigmas=np.where(is_learnt, np.minimum(prior.sigmas, np.hypot(sigmas, change)), prior.sigmas),
+        if_right=left if np.isfinite(left).any() else None,
     )

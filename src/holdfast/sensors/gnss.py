@@ -13,6 +13,7 @@ from holdfast.config.sensors import GnssConfig
 from holdfast.geometry.earth import Geodetic
 from holdfast.geometry.world import World
 from holdfast.messages import Array, FixStatus, GnssFix, Message
+from holdfast.sensors.lever_arm import doubtful_arm, measured_arm
 from holdfast.sensors.noise import Colour
 from holdfast.sensors.position import position_factor, position_innovation
 from holdfast.sensors.sensor import Innovation, Parameter, Position, Role, State, is_claim, lever_arm, register
@@ -50,16 +51,22 @@ class GnssModel:
         self.name = name
         self.offset_ns = round(config.time_offset_s * 1e9)
         self.p_I_P = p_I_P
-        self.parameter: Parameter | None = None
+        self.parameters: tuple[Parameter, ...] = (measured_arm(p_I_P),)
         self.limit = config.gate_sigma**2
         self.loss, self.offset_sigma_s = config.robust_loss, config.time_offset_sigma_s
         self._config = config
         self._colour = _resolved(config.slow_time_constant_s) if config.slow_size else None
 
-    def with_estimated_arm(self, sigma_m: float) -> "GnssModel":
-        """Return a model of the same antenna whose lever arm is to be estimated, known to a sigma [m] per axis."""
+    def with_doubtful_arm(self, sigma_m: float) -> "GnssModel":
+        """Return a model of the same antenna whose lever arm is known to a sigma [m] per axis only."""
         other = copy(self)
-        other.parameter = Parameter(self.p_I_P, np.full(3, sigma_m))
+        other.parameters = (doubtful_arm(self.p_I_P, sigma_m),)
+        return other
+
+    def with_known_arm(self) -> "GnssModel":
+        """Return a model of the same antenna whose lever arm is known."""
+        other = copy(self)
+        other.parameters = ()
         return other
 
     def convert(self, fix: GnssFix, world: World) -> Position | Outcome:
@@ -131,8 +138,10 @@ class GnssModel:
 
 
 def _configured(name: str, section: GnssConfig, config: Config) -> GnssModel:
-    model = GnssModel(name, section, lever_arm(name, config))
-    return model.with_estimated_arm(section.lever_arm_sigma_m) if section.lever_arm_sigma_m > 0.0 else model
+    model, sigma_m = GnssModel(name, section, lever_arm(name, config)), section.lever_arm_sigma_m
+    if sigma_m == 0.0:
+        return model.with_known_arm()
+    return model if sigma_m is None else model.with_doubtful_arm(sigma_m)
 
 
 register(GnssConfig, _configured)

@@ -11,7 +11,6 @@ from holdfast.messages import Array, GnssVelocity, Message
 from holdfast.sensors.noise import FREE_VARIANCE
 from holdfast.sensors.sensor import (
     Innovation,
-    Parameter,
     Role,
     State,
     StateSensor,
@@ -31,7 +30,6 @@ class GnssVelocityModel(StateSensor):
 
     role: ClassVar[Role] = Role.VELOCITY
     message: ClassVar[type[Message] | None] = GnssVelocity
-    parameter: Parameter | None = None
 
     def __init__(self, name: str, config: GnssVelocityConfig, p_I_P: Array) -> None:
         self.name = name

@@ -15,7 +15,7 @@ from holdfast.errors import ConfigError
 from holdfast.geometry.world import World
 from holdfast.messages import Array, Heading, Message
 from holdfast.sensors.noise import FREE_TILT_RAD, FREE_VARIANCE, Colour
-from holdfast.sensors.sensor import Innovation, Parameter, Role, State, StateSensor, lever_arm, register
+from holdfast.sensors.sensor import Innovation, Role, State, StateSensor, lever_arm, register
 from holdfast.state import Outcome
 
 MAX_SIGMA_RAD = 1.0  # a heading that is less sure says nothing
@@ -48,7 +48,6 @@ class HeadingModel(StateSensor):
 
     role: ClassVar[Role] = Role.HEADING
     message: ClassVar[type[Message] | None] = Heading
-    parameter: Parameter | None = None
 
     def __init__(self, name: str, config: HeadingConfig, arms: Mapping[str, Array]) -> None:
         self.name = name

@@ -37,7 +37,7 @@ class HeightModel(StateSensor):
         self.offset_ns = round(config.time_offset_s * 1e9)
         self.settings = config
         is_offset = config.offset_sigma_m > 0.0
-        self.parameter = Parameter(np.zeros(1), np.array([config.offset_sigma_m])) if is_offset else None
+        self.parameters = (Parameter(np.zeros(1), np.array([config.offset_sigma_m])),) if is_offset else ()
         self._p_I_P = p_I_P
         self._sigma_m = config.sigma_m
 

@@ -11,7 +11,7 @@ from holdfast.config.sensors import NonholonomicConfig
 from holdfast.geometry.world import World
 from holdfast.messages import Message
 from holdfast.sensors.mount import Mount
-from holdfast.sensors.sensor import ConstraintSensor, Innovation, Parameter, Role, State, register
+from holdfast.sensors.sensor import CHANGE_RAD, ConstraintSensor, Innovation, Parameter, Role, State, register
 from holdfast.state import Outcome
 
 
@@ -39,7 +39,8 @@ class NonholonomicModel(ConstraintSensor):
         self.period_ns = round(1e9 / config.rate_hz)
         self.settings = config
         sigma_rad = radians(config.mounting_sigma_deg)
-        self.parameter = Parameter(np.zeros(2), np.full(2, sigma_rad)) if sigma_rad > 0.0 else None
+        angles = Parameter(np.zeros(2), np.full(2, sigma_rad), change=np.full(2, CHANGE_RAD))
+        self.parameters = (angles,) if sigma_rad > 0.0 else ()
         self.mount = mount
         self._axes = ["xyz".index(axis) for axis in config.axes]
 

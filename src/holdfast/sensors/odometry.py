@@ -59,6 +59,7 @@ class OdometryModel:
         self.max_interval_ns = round(config.max_interval_s * 1e9)
         self.adjoint: Array = T_I_L.AdjointMap()
         self.calibration = OdometryCalibration(config, T_I_L)
+        self.parameters = self.calibration.parameters
         self._T_I_L = T_I_L
         self._T_L_I = T_I_L.inverse()
 

@@ -14,13 +14,13 @@ import numpy as np
 from holdfast.config.sensors import DriftingConfig
 from holdfast.messages import Array
 from holdfast.sensors.clock import IF_RIGHT_S
-from holdfast.sensors.sensor import STEADY, Parameter
+from holdfast.sensors.lever_arm import measured_arm
+from holdfast.sensors.sensor import CHANGE_RAD, STEADY, Parameter
 
 KNOWN = 1e-7  # sigma [rad, s] of what is known
 FOUND_RAD = radians(3.0)  # so well motions must tell how a sensor is mounted; sigma of what they told
 TURNED = 5.0  # sigmas of a prior, by which an estimate of the mount is none
 SIZE = 4
-ARM_IF_RIGHT_M, ARM_IF_WRONG_M = 0.03, 2.0  # sigmas of a lever arm that was measured, and of one with a wrong sign
 NO_ARM: Array = np.zeros(3)
 NOMINAL: Array = np.zeros(SIZE + 3)  # as configured: mounting, lever arm, clock
 
@@ -39,10 +39,15 @@ class OdometryCalibration:
         self.lever_arm: Array = T_I_L.translation()
         sigmas = np.array([*np.repeat(np.radians(config.mounting_sigma_deg), 3), config.time_offset_sigma_s])
         if_right = np.array([*np.full(3, np.inf), IF_RIGHT_S])
-        self.prior = Parameter(np.zeros(SIZE), np.maximum(sigmas, KNOWN), if_right) if sigmas.any() else None
-        self.arm_prior: Parameter | None = None
-        if self.is_mount_estimated:
-            self.arm_prior = Parameter(np.zeros(3), np.full(3, ARM_IF_WRONG_M), np.full(3, ARM_IF_RIGHT_M))
+        change = np.array([CHANGE_RAD, CHANGE_RAD, CHANGE_RAD, IF_RIGHT_S])
+        prior = Parameter(np.zeros(SIZE), np.maximum(sigmas, KNOWN), if_right, change=change, has_clock=True)
+        self.prior = prior if sigmas.any() else None
+        self.arm_prior = measured_arm(np.zeros(3)) if self.is_mount_estimated else None
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What is estimated of the odometry."""
+        return tuple(one for one in (self.prior, self.arm_prior) if one is not None)
 
     @property
     def is_mount_estimated(self) -> bool:
@@ -168,11 +173,6 @@ class OdometryCalibration:
         by_correction = (expected.inverse().AdjointMap() - np.eye(6)) @ self._adjoint
         result: Array = -off.inverse().AdjointMap() @ by_correction @ by_turned
         return result
-
-
-def arm_name(odometry: str) -> str:
-    """Return the name under which the graph knows the lever arm of an odometry."""
-    return f"{odometry} arm"
 
 
 def mounted(belief: Array) -> gtsam.Pose3:

@@ -47,7 +47,7 @@ class PoseModel(StateSensor):
         self.offset_ns = round(config.time_offset_s * 1e9)
         self.settings = config
         sigmas = np.array([*[config.offset_sigma_m] * 3, radians(config.offset_sigma_deg)])
-        self.parameter = Parameter(np.zeros(4), np.maximum(sigmas, 1e-6)) if sigmas.any() else None
+        self.parameters = (Parameter(np.zeros(4), np.maximum(sigmas, 1e-6)),) if sigmas.any() else ()
         self._T_S_I = T_I_S.inverse()
         self._adjoint: Array = T_I_S.AdjointMap()
 
@@ -63,7 +63,7 @@ class PoseModel(StateSensor):
 
     def first_parameter(self, measured: FramePose, state: State) -> Array:
         """Return where the first pose puts its frame in W, if that is not known well."""
-        if self.parameter is None or (self.parameter.sigmas < LINEAR_SIGMAS).all():
+        if all((one.sigmas < LINEAR_SIGMAS).all() for one in self.parameters):
             return super().first_parameter(measured, state)
         T_W_F = state.nav.pose() * measured.T_F_I.inverse()
         return np.array([*T_W_F.translation(), T_W_F.rotation().yaw()])

@@ -31,7 +31,7 @@ class PrismModel:
 
     role: ClassVar[Role] = Role.POSITION
     message: ClassVar[type[Message] | None] = PointPosition
-    parameter: Parameter | None = None
+    parameters: tuple[Parameter, ...] = ()
 
     def __init__(self, name: str, config: PrismConfig, p_I_P: Array) -> None:
         self.name = name

@@ -6,10 +6,10 @@ from nothing.
 """
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from math import isfinite
+from math import isfinite, radians
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeGuard, runtime_checkable
 
 import gtsam
@@ -27,6 +27,7 @@ FUTURE_NS = 1_000_000_000  # further ahead of the IMU's clock a stamp is an erro
 LEAD_NS = 500_000_000  # further ahead than its sensor's stamps use to be, too
 LEAD_STEP_NS = 10_000_000  # by which what they use to be falls with each message
 STEADY: Array = np.zeros(6)  # [rad/s, m/s], of a twist that does not change
+CHANGE_RAD, CHANGE_M = radians(0.25), 0.01  # by which a mount gives until the next day
 MAX_DISTANCE_M = 1e6  # of a pose from the origin of its frame
 
 
@@ -68,7 +69,7 @@ class State(NamedTuple):
         covariance: (9, 9) of nav, in GTSAM's order (rotation, position, velocity, each in I).
         angular_velocity: (3,) of I, bias removed [rad/s].
         joint: the turn joint, None where there is none or where its angle is not known.
-        parameter: (p,) the sensor's estimated parameter; empty if it has none.
+        parameter: (p,) what is estimated of the sensor, its parameters one behind the other; empty if there are none.
         parameter_covariance: (p, p).
         twist_beyond: tells by how much the mean twist (6,) of I [rad/s, m/s] over a time from here on [s] differs from
             that of now.
@@ -90,7 +91,7 @@ class Innovation(NamedTuple):
         y: (m,) in the measurement's units.
         H: (m, 9) derivative of h by GTSAM's tangent of the `NavState`.
         R: (m, m) covariance of the measurement.
-        J: (m, p) derivative of h by the sensor's parameter; p may be 0.
+        J: (m, p) derivative of h by the sensor's parameters; p may be 0.
     """
 
     y: Array
@@ -120,6 +121,9 @@ class Parameter(NamedTuple):
             then a mixture of both: what was configured is either right or far off.
         shared: name of a parameter that several sensors share, such as the clock of one receiver; empty: its own.
         walk: (p,) density of the random walk by which it changes, in its units per sqrt(s); None if it is constant.
+        part: what it is of the sensor, such as its lever arm, where that has several.
+        change: (p,) by how much it may be another one on the next day, as sigmas; None where it is one of the world.
+        has_clock: its last element is by how much the sensor's stamps are early [s].
     """
 
     mean: Array
@@ -127,10 +131,13 @@ class Parameter(NamedTuple):
     if_right: Array | None = None
     shared: str = ""
     walk: Array | None = None
+    part: str = ""
+    change: Array | None = None
+    has_clock: bool = False
 
     def name(self, sensor: str) -> str:
         """Return the name under which the graph knows the parameter of a sensor."""
-        return self.shared or sensor
+        return self.shared or f"{sensor} {self.part}".rstrip()
 
 
 def is_gnss(sensor: Any) -> bool:
@@ -169,12 +176,16 @@ class Velocity:
 
 
 class Sensor(Protocol):
-    """One sensor of the machine; `role` says which protocol below it has, `message` what it converts, if anything."""
+    """One sensor of the machine; `role` says which protocol below it has, `message` what it converts, if anything.
+
+    `parameters` are the constants of it that the graph estimates.
+    """
 
     role: ClassVar[Role]
     message: ClassVar[type[Message] | None]
     name: str
     offset_ns: int
+    parameters: tuple[Parameter, ...]
 
     def convert(self, message: Any, world: World) -> Any:
         """Return the measurement in a message, or the `Outcome` that says what is wrong with it.
@@ -186,13 +197,12 @@ class Sensor(Protocol):
 class PositionSensor(Sensor, Protocol):
     """A sensor of role POSITION: `p_I_P` (3,) [m] is its lever arm, `limit` bounds the NIS.
 
-    Where the arm is in doubt it is the parameter, to be estimated.
+    Where the arm is estimated it is the first of the parameters.
     """
 
     p_I_P: Array
     limit: float
     loss: RobustLoss
-    parameter: Parameter | None
 
     def innovation(self, position: Position, state: State) -> Innovation:
         """Compare a position with a state."""
@@ -200,7 +210,7 @@ class PositionSensor(Sensor, Protocol):
     def factor(
         self, keys: Sequence[int], position: Position, inflation: float, state: State | None = None
     ) -> gtsam.NonlinearFactor:
-        """Return the factor on a node, and on the parameter if there is one, its covariance times `inflation`.
+        """Return the factor on a node, and on the parameters if there are any, its covariance times `inflation`.
 
         `state` is the estimate of the node, which only a factor needs that depends on the angular velocity.
         """
@@ -209,22 +219,24 @@ class PositionSensor(Sensor, Protocol):
 class Comparing(Protocol):
     """What compares its measurements with one state."""
 
+    parameters: tuple[Parameter, ...]
+
     def innovation(self, measurement: Any, state: State) -> Innovation | Outcome:
         """Compare a measurement with a state, or say why it cannot be compared."""
 
 
 class StateSensor(Sensor, Protocol):
-    """A sensor of role STATE, VELOCITY, POSE or HEADING: one state explains it, beside a constant perhaps."""
+    """A sensor of role STATE, VELOCITY, POSE or HEADING: one state explains it, beside constants perhaps."""
 
     settings: JudgedConfig
-    parameter: Parameter | None
+    parameters: tuple[Parameter, ...] = ()
 
     def innovation(self, measurement: Any, state: State) -> Innovation | Outcome:
         """Compare a measurement with a state, or say why it cannot be compared."""
 
-    def first_parameter(self, measurement: Any, state: State) -> Array:  # noqa: ARG002 (the prior's mean, as a rule)
-        """Return the parameter (p,) about which the first factor is linearised."""
-        return np.zeros(0) if self.parameter is None else self.parameter.mean
+    def first_parameter(self, measurement: Any, state: State) -> Array:  # noqa: ARG002 (the priors' means, as a rule)
+        """Return the parameters (p,) about which the first factor is linearised."""
+        return np.concatenate([np.zeros(0), *(one.mean for one in self.parameters)])
 
     def factor(
         self, keys: Sequence[int], measurement: Any, state: State, innovation: Innovation, inflation: float
@@ -232,9 +244,9 @@ class StateSensor(Sensor, Protocol):
         """Return the factor of a measurement: as a rule that of its innovation, evaluated anew at each linearisation.
 
         Args:
-            keys: that of the node and, if there is one, that of the parameter.
+            keys: that of the node and those of the parameters.
             measurement: what was measured.
-            state: the estimate of node and parameter.
+            state: the estimate of node and parameters.
             innovation: of the measurement at that state.
             inflation: factor on the covariance.
         """
@@ -260,16 +272,25 @@ class ConstraintSensor(StateSensor, Protocol):
 def innovation_at(  # noqa: PLR0917 (a measurement, and the variables that it is compared with)
     sensor: Comparing, keys: Sequence[int], measurement: Any, state: State, values: gtsam.Values, size: int
 ) -> Innovation:
-    """Return the innovation (m,) of a measurement at the values of a node and, behind it, of its parameter.
+    """Return the innovation (m,) of a measurement at the values of a node and, behind it, of the parameters.
 
     Angular velocity and joint are those of `state`. What cannot be compared any more weighs nothing.
     """
     at = state._replace(nav=values.atNavState(keys[0]))
     if len(keys) > 1:
-        at = at._replace(parameter=values.atVector(keys[1]))
+        at = at._replace(parameter=np.concatenate([values.atVector(key) for key in keys[1:]]))
     found = sensor.innovation(measurement, at)
     if isinstance(found, Outcome):
         return Innovation(np.zeros(size), np.zeros((size, 9)), np.eye(size), np.zeros((size, len(at.parameter))))
+    return found
+
+
+def by_parameter(J: Array, sizes: Iterable[int]) -> list[Array]:
+    """Return a derivative (m, p) by all parameters in parts, one for each parameter of a size."""
+    found, first = [], 0
+    for size in sizes:
+        found.append(J[:, first : first + size])
+        first += size
     return found
 
 
@@ -291,7 +312,8 @@ def innovation_factor(  # noqa: PLR0917 (what a factor is made of)
     def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
         found = innovation_at(sensor, keys, measurement, state, values, size)
         if jacobians is not None:
-            for k, by_variable in enumerate((found.H, found.J)[: len(keys)]):
+            sizes = [values.atVector(key).size for key in keys[1:]]
+            for k, by_variable in enumerate((found.H, *by_parameter(found.J, sizes))):
                 jacobians[k] = by_variable
         return -found.y
 

@@ -13,6 +13,7 @@ from holdfast.sensors.sensor import Innovation, Parameter, Role, State, StateSen
 from holdfast.state import Outcome
 
 MAX_SPEED_M_S = 100.0
+SCALE_CHANGE = 0.005  # by which rolling radii change until the next day
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +37,8 @@ class TwistModel(StateSensor):
         self.offset_ns = round(config.time_offset_s * 1e9)
         self.settings = config
         is_scaled = config.scale_sigma > 0.0
-        self.parameter = Parameter(np.zeros(1), np.array([config.scale_sigma])) if is_scaled else None
+        scale = Parameter(np.zeros(1), np.array([config.scale_sigma]), change=np.array([SCALE_CHANGE]))
+        self.parameters = (scale,) if is_scaled else ()
         self.mount = mount
         self._axes = ["xyz".index(axis) for axis in config.axes]
 

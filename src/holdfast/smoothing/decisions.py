@@ -15,6 +15,7 @@ import gtsam
 import numpy as np
 
 from holdfast.graph.batch import Batch
+from holdfast.graph.sensor_parameters import with_parameters
 from holdfast.graph.smoother import Smoother
 from holdfast.graph.solver import Placed
 from holdfast.messages import Array
@@ -39,7 +40,7 @@ class Candidate:
     """A measurement that one state explains, on its node.
 
     Attributes:
-        keys: of the node and, if there is one, of the parameter.
+        keys: of the node and of the parameters.
         state: for what is known beside the node: angular velocity and joint.
         scale: factor on its covariance that the estimator has learnt.
         weight: of it in the estimate, 0 to 1.
@@ -135,7 +136,7 @@ class Candidate:
     def _state(self, batch: Batch) -> State:
         state = self.state._replace(nav=batch.nav(self.keys[0]))
         if len(self.keys) > 1:
-            value = batch.vector(self.keys[1])
+            value = np.concatenate([batch.vector(key) for key in self.keys[1:]])
             state = state._replace(parameter=value, parameter_covariance=np.zeros((len(value), len(value))))
         return state
 
@@ -153,7 +154,7 @@ class Candidate:
         return factor
 
     def _coloured_factor(self, batch: Batch, slow: "_Slow", inflation: float) -> gtsam.NonlinearFactor:
-        """Return the factor on node, parameter and slow error, the covariance of the white part times `inflation`."""
+        """Return the factor on node, parameters and slow error, the covariance of the white part times `inflation`."""
         state = self._state(batch)
         innovation: Innovation = self.sensor.innovation(self.measurement, state)
         innovation = innovation._replace(R=innovation.R * self.scale)
@@ -204,10 +205,8 @@ def candidate(
     stamp_ns = measurement.stamp_ns
     state, key = smoother.state_at(stamp_ns, joint), smoother.node(stamp_ns)
     assert key is not None
-    keys = [key]
-    if model.parameter is not None:
-        start = None if model.role is Role.POSITION else model.first_parameter(measurement, state)
-        keys.append(smoother.parameter(model.parameter.name(sensor.name), model.parameter, stamp_ns, start)[0])
+    start = None if model.role is Role.POSITION else model.first_parameter(measurement, state)
+    keys = [key, *with_parameters(smoother, model, state, stamp_ns, start)[0]]
     if colour is None:
         return Candidate(measurement, model, keys, state, scale)
     at_W = getattr(measurement, "p_W_P", None) if is_right else None

@@ -19,6 +19,8 @@ from holdfast.graph.odometry_track import OdometryTrack, believed_calibration
 from holdfast.graph.smoother import Smoother
 from holdfast.sensors.clock import with_estimated_clock
 from holdfast.sensors.constants import priors_of_machine
+from holdfast.sensors.gnss import GnssModel
+from holdfast.sensors.lever_arm import arm_name, is_in_doubt
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise
 from holdfast.sensors.sensor import Measurement, Parameter, Role, Sensor, of_role
 from holdfast.smoothing.block import Biases, Block, Refused, Work
@@ -61,7 +63,8 @@ class Segment:
         closer: Closer | None = None,
     ) -> None:
         graph = config.graph.model_copy(update={"lag_s": overlap_s})
-        self._config, self._recorded, self._sensors, self._gravity = config, recorded, sensors, gravity
+        self._config, self._recorded, self._models, self._gravity = config, recorded, sensors, gravity
+        self._sensors: Mapping[str, Any] = sensors
         self._batch = Batch()
         self._smoother = Smoother(
             config.model_copy(update={"graph": graph}),
@@ -98,19 +101,21 @@ class Segment:
     def extend(self, until_ns: int) -> None:
         """Take in all that was measured until a time."""
         self._smoother.imu_noise.force_scale = self._recorded.force_scale
-        self._sensors = {name: self._with_clock(sensor) for name, sensor in self._sensors.items()}
+        self._sensors = {name: self._believed(sensor) for name, sensor in self._models.items()}
         for time_ns, measurement in self._recorded.take(until_ns):
             self._lead_to(time_ns)
             self._take(measurement)
         self._lead_to(until_ns)
         self._candidates.sort(key=lambda one: one.measurement.stamp_ns)
 
-    def _with_clock(self, sensor: Any) -> Any:
-        """Return a sensor with the offset of its clock to be estimated, if the causal estimator has found one."""
+    def _believed(self, sensor: Any) -> Any:
+        """Return a sensor with its clock, and an antenna with its lever arm, as known unless they were found off."""
+        name = sensor.name
+        if isinstance(sensor, GnssModel) and not is_in_doubt(sensor.parameters):
+            sensor = sensor if self._recorded.is_off(arm_name(name)) else sensor.with_known_arm()
         clocked = with_estimated_clock(sensor)
-        prior = getattr(clocked, "parameter", None)
-        is_off = prior is not None and self._recorded.is_off(prior.name(sensor.name))
-        return clocked if is_off else sensor
+        is_known = clocked is sensor or not self._recorded.is_off(clocked.parameters[-1].name(name))
+        return sensor if is_known else clocked
 
     def _priors(self) -> dict[str, Parameter]:
         return priors_of_machine(self._config, self._sensors)
