@@ -1,67 +1,140 @@
 """The batch of a start in motion, without what is at odds with the rest.
 
-What does not fit is looked for where it is likely: a receiver that is none of GNSS, whose station somebody has typed
-in, and an odometry that is mounted otherwise, or lies. GNSS and IMU are what is left.
+What does not fit is looked for where it is likely: an antenna that is elsewhere than configured, a receiver that is
+none of GNSS, whose station somebody has typed in, and an odometry that is mounted otherwise, or lies. GNSS and IMU are
+what is left.
 """
 
-from collections.abc import Callable, Collection, Mapping
-from typing import NamedTuple
+from collections.abc import Collection, Mapping
+from math import log
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from holdfast.estimator.odometry_tracks import OdometryTracks
-from holdfast.graph.alignment import FITS, Alignment
-from holdfast.graph.alignment_problem import Evidence
-from holdfast.sensors.sensor import is_gnss
+from holdfast.graph.alignment import FITS, JUMPED, Alignment, BatchAligner
+from holdfast.graph.alignment_problem import MAX_EXCESS, BiasPrior, Evidence, Problems
+from holdfast.messages import Array
+from holdfast.sensors.gnss import GnssModel
+from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.lever_arm import IF_RIGHT_M, IF_WRONG_M, found_arm, is_in_doubt
+from holdfast.sensors.preintegration import ImuNoise
+from holdfast.sensors.sensor import Parameter, VelocitySensor, is_gnss
 
 DOUBTFUL = 2.0  # squared residuals over what is claimed, where an odometry is among them
+TOLD_M, MOVED = 0.5, 5.0  # sigma to which motions must tell an element of an arm, and sigmas by which it is off
 
 
 class FittingBatch(NamedTuple):
-    """A batch that fits, or the whole one if none does, what it was made of, and who was left out."""
+    """A batch that fits, or the whole one if none does, and what it was made of.
+
+    Attributes:
+        alignment: its outcome.
+        evidence: of which it was made.
+        left_out: who is not in it.
+        arms: lever arms of antennas that are elsewhere than configured, as priors of a graph, by receiver.
+    """
 
     alignment: Alignment
     evidence: Evidence
-    left_out: frozenset[str]
+    left_out: frozenset[str] = frozenset()
+    arms: Mapping[str, Parameter] = MappingProxyType({})
 
 
-def fitting_batch(
-    solve: Callable[[Evidence], Alignment], evidence: Evidence, points: Mapping[str, object], odometries: OdometryTracks
-) -> FittingBatch:
-    """Solve the batch of some evidence and the motions of odometries; leave out who is at odds, if it fits then.
+class FittingBatches:
+    """Solves batches; one instance per start.
 
     Args:
-        solve: solves it.
-        evidence: without motions.
+        buffer: of the IMU's samples.
+        noise: of the IMU.
         points: the receivers of positions, by name.
+        velocities: sensors of velocity, by name.
         odometries: that have measured meanwhile.
     """
-    whole = evidence._replace(motions=odometries.factors(evidence.stamps))
-    alignment = solve(whole)
-    for names in _doubtful(whole, alignment, points, odometries):
-        fewer = _without(whole, names, odometries)
-        other = solve(fewer)
-        is_better = len(fewer.positions) == len(whole.positions) or other.misfit <= FITS
-        if is_better and other.excess <= (DOUBTFUL if fewer.motions else FITS):
-            return FittingBatch(other, fewer, names)
-    return FittingBatch(alignment, whole, frozenset())
+
+    def __init__(
+        self,
+        buffer: ImuBuffer,
+        noise: ImuNoise,
+        points: Mapping[str, Any],
+        velocities: Mapping[str, VelocitySensor],
+        odometries: OdometryTracks,
+    ) -> None:
+        self._points, self._odometries = points, odometries
+        self._antennas = {name: one for name, one in points.items() if _is_measured(one)}
+        freed = {name: one.with_doubtful_arm(IF_WRONG_M) for name, one in self._antennas.items()}
+        self._aligner = BatchAligner(Problems(buffer, noise, points, velocities))
+        self._of_freed = BatchAligner(Problems(buffer, noise, {**points, **freed}, velocities))
+
+    def solve(
+        self, evidence: Evidence, prior: BiasPrior, max_heading_sigma_rad: float, jump_sigmas: Array | None
+    ) -> FittingBatch:
+        """Solve the batch of some evidence and the motions of odometries; leave out who is at odds, if it fits then.
+
+        Args:
+            evidence: without motions.
+            prior: of the biases.
+            max_heading_sigma_rad: what is wanted.
+            jump_sigmas: (6,) by how much the biases may have jumped; None: not.
+        """
+
+        def solved(evidence: Evidence) -> Alignment:
+            return self._aligner.solve(evidence, prior, max_heading_sigma_rad, jump_sigmas)
+
+        whole = evidence._replace(motions=self._odometries.factors(evidence.stamps))
+        alignment = solved(whole)
+        if self._antennas and (alignment.excess > DOUBTFUL or alignment.misfit > FITS):
+            freed = self._of_freed.solve(whole, prior, max_heading_sigma_rad)
+            arms = self._moved(freed)
+            if arms and _evidence(alignment, freed, whole) >= JUMPED:
+                return FittingBatch(freed, whole, arms=arms)
+        for names in self._doubtful(whole, alignment):
+            fewer = self._without(whole, names)
+            other = solved(fewer)
+            is_better = len(fewer.positions) == len(whole.positions) or other.misfit <= FITS
+            if is_better and other.excess <= (DOUBTFUL if fewer.motions else FITS):
+                return FittingBatch(other, fewer, names)
+        return FittingBatch(alignment, whole)
+
+    def _moved(self, freed: Alignment) -> dict[str, Parameter]:
+        """Return the arms that are otherwise than configured, if the batch in which they are in doubt fits."""
+        if freed.state is None or freed.excess > DOUBTFUL or freed.misfit > FITS:
+            return {}
+        found = {}
+        for name, (arm, covariance) in freed.arms.items():
+            sigmas, configured = np.sqrt(covariance.diagonal()), self._antennas[name].p_I_P
+            is_told = sigmas <= TOLD_M
+            off = np.where(is_told, arm - configured, 0.0)
+            if (np.abs(off) > MOVED * np.hypot(sigmas, IF_RIGHT_M)).any():
+                found[name] = found_arm(configured + off, np.where(is_told, sigmas, IF_RIGHT_M))
+        return found
+
+    def _doubtful(self, evidence: Evidence, alignment: Alignment) -> list[frozenset[str]]:
+        """Return what may be left out of a batch that does not fit: receivers, one odometry of several, or all."""
+        receivers = {one.sensor for one in evidence.positions}
+        placed = frozenset(name for name in receivers if not is_gnss(self._points[name]))
+        placed = placed if len(placed) < len(receivers) else frozenset()
+        if alignment.excess <= DOUBTFUL:
+            return [placed] if placed and alignment.misfit > FITS else []
+        names = frozenset(self._odometries.names) if evidence.motions else frozenset[str]()
+        singles = [frozenset({name}) for name in sorted(names)] if len(names) > 1 else []
+        return [one for one in (placed, *singles, names, placed | names) if one]
+
+    def _without(self, evidence: Evidence, names: Collection[str]) -> Evidence:
+        """Return the evidence without some odometries and receivers."""
+        positions = [one for one in evidence.positions if one.sensor not in names]
+        velocities = [one for one in evidence.velocities if one.stamp_ns >= positions[0].stamp_ns]
+        fewer = Evidence(positions, velocities)
+        return fewer._replace(motions=self._odometries.factors(fewer.stamps, names) if evidence.motions else ())
 
 
-def _doubtful(
-    evidence: Evidence, alignment: Alignment, points: Mapping[str, object], odometries: OdometryTracks
-) -> list[frozenset[str]]:
-    """Return what may be left out of a batch that does not fit: receivers, one odometry of several, or all of them."""
-    receivers = {one.sensor for one in evidence.positions}
-    placed = frozenset(name for name in receivers if not is_gnss(points[name]))
-    placed = placed if len(placed) < len(receivers) else frozenset()
-    if alignment.excess <= DOUBTFUL:
-        return [placed] if placed and alignment.misfit > FITS else []
-    names = frozenset(odometries.names) if evidence.motions else frozenset[str]()
-    singles = [frozenset({name}) for name in sorted(names)] if len(names) > 1 else []
-    return [one for one in (placed, *singles, names, placed | names) if one]
+def _is_measured(point: Any) -> bool:
+    """Whether a point is an antenna whose lever arm is as it was measured, or far off."""
+    return isinstance(point, GnssModel) and bool(point.parameters) and not is_in_doubt(point.parameters)
 
 
-def _without(evidence: Evidence, names: Collection[str], odometries: OdometryTracks) -> Evidence:
-    """Return the evidence without some odometries and receivers."""
-    positions = [one for one in evidence.positions if one.sensor not in names]
-    velocities = [one for one in evidence.velocities if one.stamp_ns >= positions[0].stamp_ns]
-    fewer = Evidence(positions, velocities)
-    return fewer._replace(motions=odometries.factors(fewer.stamps, names) if evidence.motions else ())
+def _evidence(before: Alignment, after: Alignment, evidence: Evidence) -> float:
+    """Return twice the logarithm of how many times likelier other arms make what was measured: as (85)."""
+    of_before, of_after = (max(one.excess, one.misfit, 1.0) for one in (before, after))
+    return evidence.freedom * log(min(of_before, MAX_EXCESS) / of_after)

@@ -8,7 +8,6 @@ the configuration. Without a heading the machine has to move: then a batch of po
 from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from math import inf, radians
 from typing import Any, TypeVar
 
@@ -19,13 +18,13 @@ from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig
 from holdfast.estimator.course import Course, course_of, travel_m
 from holdfast.estimator.first_heading import Antennas, baseline_heading, pose_heading
-from holdfast.estimator.fitting_batch import fitting_batch
+from holdfast.estimator.fitting_batch import FittingBatches
 from holdfast.estimator.known_biases import KnownBiases
 from holdfast.estimator.odometry_tracks import OdometryTracks
 from holdfast.estimator.pose_as_point import PoseAsPoint, as_position
 from holdfast.estimator.velocity_check import Company, VelocityCheck
-from holdfast.graph.alignment import BatchAligner, Jump
-from holdfast.graph.alignment_problem import Evidence, Problems, thin
+from holdfast.graph.alignment import Jump
+from holdfast.graph.alignment_problem import Evidence, thin
 from holdfast.graph.first_guess import level_attitude
 from holdfast.integrity.consensus import BEFORE_NS, Departure
 from holdfast.measured_fields import NEVER_NS
@@ -34,7 +33,7 @@ from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lever_arm import is_in_doubt
 from holdfast.sensors.odometry import TrackPose
 from holdfast.sensors.preintegration import ImuNoise
-from holdfast.sensors.sensor import Measurement, Position, Role, Sensor, Velocity, is_gnss, of_role
+from holdfast.sensors.sensor import Measurement, Parameter, Position, Role, Sensor, Velocity, is_gnss, of_role
 from holdfast.sensors.standstill import (
     ENGINE,
     fixes_stand,
@@ -90,11 +89,13 @@ class Initialising:
         self.biases = KnownBiases(imu, config.initialisation.standstill_s)
         self.misfit = inf  # of the last attempt: squared residuals over what is claimed
         self.doubtful: frozenset[str] = frozenset()  # odometries and receivers that the last attempt has left out
+        self.arms: dict[str, Parameter] = {}  # of antennas that were found elsewhere than configured
+        self.has_moved_antennas = False  # whether the last attempt has found one
         self._velocity_check = VelocityCheck(self._points, of_role(sensors, Role.VELOCITY))
         self._last_try_ns = self._newest_ns = NEVER_NS
         self._window_ns = round(config.initialisation.window_s * 1e9)
         noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
-        self._aligner = BatchAligner(Problems(buffer, noise, self._points, of_role(sensors, Role.VELOCITY)))
+        self._batches = FittingBatches(buffer, noise, self._points, of_role(sensors, Role.VELOCITY), self._odometries)
         has_messages = any(one.message is not None for one in sensors.values())
         self.reason = NO_POSITION if self._points else NO_OTHER if has_messages else NO_SENSOR
 
@@ -211,7 +212,7 @@ class Initialising:
         Args:
             may_have_jumped: whether the biases may have jumped since the first position; `jump` tells when.
         """
-        self.misfit, self.jump, self.doubtful = inf, None, frozenset()
+        self.misfit, self.jump, self.doubtful, self.has_moved_antennas = inf, None, frozenset(), False
         now = self._buffer.latest_ns
         standstill_s = self._config.initialisation.standstill_s
         recent = self._buffer.window(now - round(standstill_s * 1e9), now)
@@ -357,14 +358,16 @@ class Initialising:
         is_explained = may_have_jumped and self._velocity_check.are_explained(self._velocities, lying)
         jump_sigmas = self.biases.doubted if is_explained else None
         limit_rad = radians(self._config.initialisation.max_heading_sigma_deg)
-        solve = partial(
-            self._aligner.solve, prior=self.biases.prior, max_heading_sigma_rad=limit_rad, jump_sigmas=jump_sigmas
-        )
-        alignment, evidence, self.doubtful = fitting_batch(solve, evidence, self._points, self._odometries)
+        batch = self._batches.solve(evidence, self.biases.prior, limit_rad, jump_sigmas)
+        alignment, evidence, self.doubtful, moved = batch
+        self.has_moved_antennas = bool(moved)
+        for name, arm in moved.items():
+            self.arms[name], self._points[name] = arm, self._points[name].placed(arm)
         self.misfit, self.jump = alignment.misfit, alignment.jump
         left_out = [*lying, *sorted(self.doubtful)]
         without = f", without {', '.join(left_out)}, at odds with the positions" if left_out else ""
-        self.reason = f"{alignment.reason}{without}"
+        elsewhere = f"; elsewhere than configured: {', '.join(sorted(moved))}" if moved else ""
+        self.reason = f"{alignment.reason}{without}{elsewhere}"
         if alignment.state is None:
             return None
         if self.jump is not None and self.jump.is_believed:

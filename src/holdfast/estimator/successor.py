@@ -113,6 +113,11 @@ class Successor:
         self._is_in_doubt = False
         return self._begun(state)
 
+    def with_moved_antennas(self) -> Beginning | None:
+        """Return a state to begin from if an antenna that is elsewhere than configured explains what was refused."""
+        state = self.start.attempt()
+        return self._begun(state) if state is not None and self.start.has_moved_antennas else None
+
     def _begun(self, state: OptimisedState) -> Beginning:
         jump = self.start.jump
         if jump is not None and jump.is_believed:

@@ -145,6 +145,8 @@ class Tracking:
         known = carried_priors(carried.constants, self._machine_constants)
         self.graph = DualGraph(config, buffer, gravity, self._odometries.new_tracks(), state, carried=known)
         self.graph.main.imu_noise.walk_scale = successor.walk_scale
+        for name, arm in successor.start.arms.items():
+            self.graph.begin_parameter_anew(arm.name(name), arm)
         self._hold_mistaken(state.stamp_ns)
 
     @property
@@ -301,6 +303,8 @@ class Tracking:
             beginning = self.successor.begin(published.newest, contradiction.since_ns)
         if beginning is None and (is_turned or (is_alone and self._is_astray())):
             beginning = self.successor.after_jump(now_ns, has_witness=is_turned)
+        if beginning is None and self._positions.suspects():
+            beginning = self.successor.with_moved_antennas()
         if beginning is not None:
             self._log.report(
                 EventKind.BEGUN_ANEW, now_ns, "" if contradiction is None else contradiction.sensor, beginning.reason

@@ -4,8 +4,8 @@ The first guess turns the increments of velocity that the IMU measured into thos
 Heading may have other minima, so the batch is solved from other headings as well, and the best must stand out.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import inf, log, radians, sqrt
 from typing import NamedTuple
 
@@ -75,6 +75,7 @@ class Alignment:
         excess: squared residuals over their expectation.
         misfit: the same, or how many times more than claimed the positions or the velocities vary, if that is more.
         jump: of the biases that would explain most; if it `is_believed`, the state is that after it.
+        arms: lever arms (3,) [m] that were in doubt, with covariance (3, 3), by receiver.
     """
 
     state: OptimisedState | None
@@ -83,6 +84,7 @@ class Alignment:
     excess: float = inf
     misfit: float = inf
     jump: Jump | None = None
+    arms: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
 
 
 class Explained(NamedTuple):
@@ -231,9 +233,13 @@ class BatchAligner:
             if apart > 3.0 * max_heading_sigma_rad and other_error - error < DISTINCT * scale:
                 return Alignment(None, "the motion so far fits more than one heading")
         try:
-            joint = gtsam.Marginals(problem.graph, best).jointMarginalCovariance([last, of_bias])
+            marginals = gtsam.Marginals(problem.graph, best)
+            joint = marginals.jointMarginalCovariance([last, of_bias])
+            keys = {name: key for name, (key, _) in self._problems.arms.items()}
+            of_arms = {name: marginals.marginalCovariance(key) for name, key in keys.items()}
         except RuntimeError:
             return Alignment(None, "the motion so far does not determine the heading")
+        arms = {name: (best.atVector(key), of_arms[name] * scale) for name, key in keys.items()}
         covariance: Array = joint.fullMatrix() * scale
         R = nav.attitude().matrix()
         sigma = float(np.sqrt((R @ covariance[:3, :3] @ R.T)[2, 2]))
@@ -246,7 +252,8 @@ class BatchAligner:
         bias = best.atConstantBias(of_bias)
         rate = self._problems.buffer.angular_velocity(stamps[-1]) - bias.gyroscope()
         state = OptimisedState(stamps[-1], nav, bias, covariance, rate)
-        return Alignment(state, f"heading from motion, {np.degrees(sigma):.1f} deg", sigma, excess, max(excess, *noise))
+        reason, misfit = f"heading from motion, {np.degrees(sigma):.1f} deg", max(excess, *noise)
+        return Alignment(state, reason, sigma, excess, misfit, arms=arms)
 
 
 def _is_beyond(solution: Solution, prior: BiasPrior) -> bool:

@@ -59,8 +59,12 @@ class GnssModel:
 
     def with_doubtful_arm(self, sigma_m: float) -> "GnssModel":
         """Return a model of the same antenna whose lever arm is known to a sigma [m] per axis only."""
+        return self.placed(doubtful_arm(self.p_I_P, sigma_m))
+
+    def placed(self, arm: Parameter) -> "GnssModel":
+        """Return a model of the same antenna whose lever arm is known as a parameter says."""
         other = copy(self)
-        other.parameters = (doubtful_arm(self.p_I_P, sigma_m),)
+        other.p_I_P, other.parameters = arm.mean, (arm,)
         return other
 
     def with_known_arm(self) -> "GnssModel":

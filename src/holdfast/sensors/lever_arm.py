@@ -20,6 +20,11 @@ def doubtful_arm(mean: Array, sigma_m: float) -> Parameter:
     return Parameter(mean, np.full(3, sigma_m), part=ARM, change=CHANGE)
 
 
+def found_arm(mean: Array, sigmas: Array) -> Parameter:
+    """Return a lever arm (3,) [m] that motions have told, and sigmas (3,) of it."""
+    return doubtful_arm(mean, 1.0)._replace(sigmas=sigmas)
+
+
 def arm_name(sensor: str) -> str:
     """Return the name under which the graph knows the lever arm of a sensor."""
     return f"{sensor} {ARM}"
