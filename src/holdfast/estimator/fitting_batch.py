@@ -67,6 +67,10 @@ class FittingBatches:
         self._aligner = BatchAligner(Problems(buffer, noise, points, velocities))
         self._of_freed = BatchAligner(Problems(buffer, noise, {**points, **freed}, velocities))
 
+    def settle_arms(self, receivers: Collection[str]) -> None:
+        """Know that the lever arms of receivers are as they were measured, for good: they are constants."""
+        self._antennas = {name: one for name, one in self._antennas.items() if name not in receivers}
+
     def solve(
         self, evidence: Evidence, prior: BiasPrior, max_heading_sigma_rad: float, jump_sigmas: Array | None
     ) -> FittingBatch:
@@ -84,11 +88,10 @@ class FittingBatches:
 
         whole = evidence._replace(motions=self._odometries.factors(evidence.stamps))
         alignment = solved(whole)
-        if self._antennas and (alignment.excess > DOUBTFUL or alignment.misfit > FITS):
-            freed = self._of_freed.solve(whole, prior, max_heading_sigma_rad)
-            arms = self._moved(freed)
-            if arms and _evidence(alignment, freed, whole) >= JUMPED:
-                return FittingBatch(freed, whole, arms=arms)
+        if alignment.excess > DOUBTFUL or alignment.misfit > FITS:
+            moved = self.with_moved_antennas(evidence, prior, max_heading_sigma_rad)
+            if moved is not None:
+                return moved
         for names in self._doubtful(whole, alignment):
             fewer = self._without(whole, names)
             other = solved(fewer)
@@ -97,12 +100,32 @@ class FittingBatches:
                 return FittingBatch(other, fewer, names)
         return FittingBatch(alignment, whole)
 
+    def with_moved_antennas(
+        self, evidence: Evidence, prior: BiasPrior, max_heading_sigma_rad: float
+    ) -> FittingBatch | None:
+        """Return the batch with antennas that are elsewhere than configured, if nothing else makes it fit.
+
+        Velocities that are wrong would, too: they are left out of what it is compared with.
+        """
+        whole = evidence._replace(motions=self._odometries.factors(evidence.stamps))
+        freed = self._of_freed.solve(whole, prior, max_heading_sigma_rad) if self._antennas else None
+        arms = {} if freed is None else self._moved(freed)
+        if freed is None or not arms:
+            return None
+        fewer = Evidence(evidence.positions, ())
+        without = fewer._replace(motions=self._odometries.factors(fewer.stamps))
+        rivals = [self._aligner.solve(one, prior, max_heading_sigma_rad) for one in (whole, without)]
+        is_certain = all(_evidence(one, freed, whole) >= JUMPED for one in rivals)
+        return FittingBatch(freed, whole, arms=arms) if is_certain else None
+
     def _moved(self, freed: Alignment) -> dict[str, Parameter]:
         """Return the arms that are otherwise than configured, if the batch in which they are in doubt fits."""
         if freed.state is None or freed.excess > DOUBTFUL or freed.misfit > FITS:
             return {}
         found = {}
         for name, (arm, covariance) in freed.arms.items():
+            if name not in self._antennas:
+                continue
             sigmas, configured = np.sqrt(covariance.diagonal()), self._antennas[name].p_I_P
             is_told = sigmas <= TOLD_M
             off = np.where(is_told, arm - configured, 0.0)

@@ -18,7 +18,7 @@ from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig
 from holdfast.estimator.course import Course, course_of, travel_m
 from holdfast.estimator.first_heading import Antennas, baseline_heading, pose_heading
-from holdfast.estimator.fitting_batch import FittingBatches
+from holdfast.estimator.fitting_batch import FittingBatch, FittingBatches
 from holdfast.estimator.known_biases import KnownBiases
 from holdfast.estimator.odometry_tracks import OdometryTracks
 from holdfast.estimator.pose_as_point import PoseAsPoint, as_position
@@ -90,7 +90,7 @@ class Initialising:
         self.misfit = inf  # of the last attempt: squared residuals over what is claimed
         self.doubtful: frozenset[str] = frozenset()  # odometries and receivers that the last attempt has left out
         self.arms: dict[str, Parameter] = {}  # of antennas that were found elsewhere than configured
-        self.has_moved_antennas = False  # whether the last attempt has found one
+        self._limit_rad = radians(config.initialisation.max_heading_sigma_deg)
         self._velocity_check = VelocityCheck(self._points, of_role(sensors, Role.VELOCITY))
         self._last_try_ns = self._newest_ns = NEVER_NS
         self._window_ns = round(config.initialisation.window_s * 1e9)
@@ -178,6 +178,10 @@ class Initialising:
         self._forget_before(stamp_ns)
         self._last_try_ns = NEVER_NS
 
+    def settle_arms(self, receivers: Collection[str]) -> None:
+        """Know that the lever arms of receivers are as they were measured."""
+        self._batches.settle_arms(receivers)
+
     def forget_odometry(self, name: str) -> None:
         """Forget what an odometry has said, which is not trusted any more."""
         self._odometries.forget(name)
@@ -212,7 +216,7 @@ class Initialising:
         Args:
             may_have_jumped: whether the biases may have jumped since the first position; `jump` tells when.
         """
-        self.misfit, self.jump, self.doubtful, self.has_moved_antennas = inf, None, frozenset(), False
+        self.misfit, self.jump, self.doubtful = inf, None, frozenset()
         now = self._buffer.latest_ns
         standstill_s = self._config.initialisation.standstill_s
         recent = self._buffer.window(now - round(standstill_s * 1e9), now)
@@ -334,6 +338,31 @@ class Initialising:
     # --- in motion ---------------------------------------------------------------------------------------------------
 
     def _in_motion(self, now_ns: int, *, may_have_jumped: bool) -> OptimisedState | None:
+        found = self._evidence(now_ns)
+        if found is None:
+            return None
+        evidence, lying = found
+        newest_ns = evidence.positions[-1].stamp_ns
+        if not may_have_jumped:
+            if newest_ns - self._last_try_ns < RETRY_NS:
+                return None
+            self._last_try_ns = newest_ns
+        is_explained = may_have_jumped and self._velocity_check.are_explained(self._velocities, lying)
+        jump_sigmas = self.biases.doubted if is_explained else None
+        batch = self._batches.solve(evidence, self.biases.prior, self._limit_rad, jump_sigmas)
+        return self._judged(batch, lying, now_ns)
+
+    def attempt_with_moved_antennas(self) -> OptimisedState | None:
+        """Return a state if an antenna that is elsewhere than configured explains what was measured."""
+        reason, found = self.reason, self._evidence(self._buffer.latest_ns)
+        self.reason = reason
+        if found is None:
+            return None
+        batch = self._batches.with_moved_antennas(found[0], self.biases.prior, self._limit_rad)
+        return None if batch is None else self._judged(batch, found[1], self._buffer.latest_ns)
+
+    def _evidence(self, now_ns: int) -> tuple[Evidence, list[str]] | None:
+        """Return what a batch is made of, and the sensors of velocity that are left out; None if it is too little."""
         if not self._points:
             self.reason = "moving, and no source of positions is configured: start at standstill"
             return None
@@ -349,18 +378,12 @@ class Initialising:
         if travel < needed:
             self.reason = f"moved {travel:.1f} m; a heading from motion needs {needed:.1f} m"
             return None
-        if not may_have_jumped:
-            if fixes[-1].stamp_ns - self._last_try_ns < RETRY_NS:
-                return None
-            self._last_try_ns = fixes[-1].stamp_ns
         velocities, lying = self._credible_velocities(fixes, now_ns)
-        evidence = Evidence(fixes, thin(velocities))
-        is_explained = may_have_jumped and self._velocity_check.are_explained(self._velocities, lying)
-        jump_sigmas = self.biases.doubted if is_explained else None
-        limit_rad = radians(self._config.initialisation.max_heading_sigma_deg)
-        batch = self._batches.solve(evidence, self.biases.prior, limit_rad, jump_sigmas)
+        return Evidence(fixes, thin(velocities)), lying
+
+    def _judged(self, batch: FittingBatch, lying: Collection[str], now_ns: int) -> OptimisedState | None:
+        """Return the state that a batch tells, if it does."""
         alignment, evidence, self.doubtful, moved = batch
-        self.has_moved_antennas = bool(moved)
         for name, arm in moved.items():
             self.arms[name], self._points[name] = arm, self._points[name].placed(arm)
         self.misfit, self.jump = alignment.misfit, alignment.jump

@@ -44,7 +44,7 @@ class Successor:
     def __init__(self, start: Initialising, *, is_in_doubt: bool = False) -> None:
         self.start = start
         self._is_in_doubt = is_in_doubt
-        self._begun_ns = self._tried_ns = NEVER_NS
+        self._begun_ns = self._tried_ns = self._tried_arms_ns = NEVER_NS
         self._suspected: Jump | None = None
         self._doubts, self._doubted_ns = 0, NEVER_NS
         self._lying: frozenset[str] = frozenset()  # as of the last contradiction
@@ -113,10 +113,13 @@ class Successor:
         self._is_in_doubt = False
         return self._begun(state)
 
-    def with_moved_antennas(self) -> Beginning | None:
+    def with_moved_antennas(self, now_ns: int) -> Beginning | None:
         """Return a state to begin from if an antenna that is elsewhere than configured explains what was refused."""
-        state = self.start.attempt()
-        return self._begun(state) if state is not None and self.start.has_moved_antennas else None
+        if now_ns - self._tried_arms_ns < TRIED_NS:
+            return None
+        self._tried_arms_ns = now_ns
+        state = self.start.attempt_with_moved_antennas()
+        return None if state is None else self._begun(state)
 
     def _begun(self, state: OptimisedState) -> Beginning:
         jump = self.start.jump

@@ -303,8 +303,9 @@ class Tracking:
             beginning = self.successor.begin(published.newest, contradiction.since_ns)
         if beginning is None and (is_turned or (is_alone and self._is_astray())):
             beginning = self.successor.after_jump(now_ns, has_witness=is_turned)
+        self.successor.start.settle_arms(self._positions.proven_arms)
         if beginning is None and self._positions.suspects():
-            beginning = self.successor.with_moved_antennas()
+            beginning = self.successor.with_moved_antennas(now_ns)
         if beginning is not None:
             self._log.report(
                 EventKind.BEGUN_ANEW, now_ns, "" if contradiction is None else contradiction.sensor, beginning.reason

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from holdfast.graph.solver import Placed, Solver
 from holdfast.messages import Array
-from holdfast.sensors.constants import OBSERVED, Constant
+from holdfast.sensors.constants import Constant
 from holdfast.sensors.noise import FREE_VARIANCE
 from holdfast.sensors.sensor import Parameter
 
 MAX_SIZE = 12
 RIGHT, OFF = 0.0, -log(3.0)  # log ratio of the densities under what was configured and under the prior
 HELD = 0.02  # of the error that counts as right: as if there were none
-TOLD = OBSERVED**-2.0 - 1.0  # times the information in the prior, measurements must say of an element
+TOLD = 15.0  # times the information in the prior: an element is known to a quarter of that
 REFUTED = 3.0  # sigmas of what was learnt before a restart
 REFRESHED_NS = 1_000_000_000  # a marginal is read this often
 WALK_NS = 10_000_000_000  # a parameter that walks is another variable after so long
@@ -122,11 +122,11 @@ class Parameters:
         prior = self.prior(name, prior)
         return prior.mean, np.diag(prior.sigmas**2)
 
-    def unheld_covariance(self, name: str, prior: Parameter) -> Array:
-        """Return the covariance (p, p) of a parameter as it is if it is not believed to be as configured."""
+    def unheld(self, name: str, prior: Parameter) -> tuple[Array, Array]:
+        """Return the estimate (p,) and covariance (p, p) of a parameter as if it were not believed to be right."""
         known = self._known.get(name)
         prior = self.prior(name, prior)
-        return np.diag(prior.sigmas**2) if known is None else _unheld(known, prior.mean)[1]
+        return (prior.mean, np.diag(prior.sigmas**2)) if known is None else _unheld(known, prior.mean)
 
     def prior(self, name: str, configured: Parameter) -> Parameter:
         """Return the prior that a parameter began with."""

@@ -200,9 +200,9 @@ class Smoother:
         """Return the estimate (p,) and covariance (p, p) of a sensor's parameter, of its prior while there is none."""
         return self._parameters.belief(name, prior)
 
-    def unheld_covariance(self, name: str, prior: Parameter) -> Array:
-        """Return the covariance (p, p) of a sensor's parameter as it is if it is not believed to be as configured."""
-        return self._parameters.unheld_covariance(name, prior)
+    def unheld(self, name: str, prior: Parameter) -> tuple[Array, Array]:
+        """Return the estimate (p,) and covariance (p, p) of a parameter as if it were not believed to be right."""
+        return self._parameters.unheld(name, prior)
 
     def parameter_prior(self, name: str, configured: Parameter) -> Parameter:
         """Return the prior that a sensor's parameter began with."""

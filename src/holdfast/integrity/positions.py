@@ -6,15 +6,13 @@ from itertools import pairwise
 from math import inf
 from typing import NamedTuple
 
-import numpy as np
-
 from holdfast.config.model import GateConfig
 from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.sensor_parameters import with_parameters
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.antenna_pairs import witness_of
-from holdfast.integrity.arm_doubt import ArmDoubt
+from holdfast.integrity.arm_knowledge import is_arm_known, is_arm_proven
 from holdfast.integrity.baseline import BaselineTest
 from holdfast.integrity.consensus import Consensus, Departure
 from holdfast.integrity.departures import Departures
@@ -77,7 +75,7 @@ class Positions:
         self._baseline = BaselineTest(lever_arms)
         self._log = log
         self._reviewed_ns = NEVER_NS
-        self._arm_doubts = {name: ArmDoubt(sensor) for name, sensor in sensors.items()}
+        self.proven_arms: set[str] = set()  # receivers whose lever arm is as it was measured
         self._departures = {name: Departures() for name in sensors}
         self.wandering: Collection[str] = ()  # receivers that are wrong, though their positions agree with each other
         self._misplaced: set[str] = set()  # what a start has left out: somebody has typed where it stands
@@ -140,8 +138,7 @@ class Positions:
         position = replace(position, covariance=position.covariance * above, colour=colour)
         found = self._compare(smoother, key, position)
         innovation, state = found.innovation, found.state
-        of_arm = self._arm_doubts[name].of_prediction(smoother, state.nav.attitude())
-        prediction = predict(innovation, state, of_arm)
+        prediction = predict(innovation, state)
         worse = None
         if self._config.baseline:
             worse = self._baseline.contradicted(position, prediction.nis, state.nav.attitude())
@@ -154,7 +151,11 @@ class Positions:
         is_expected = prediction.nis <= gate.limit
         self._consensus[name].add(position, outcome, innovation.y, is_expected=is_expected)
         self._note_departure(claimed, prediction.innovation, scale, is_refused=is_refused)
-        if gate.trust is Trust.TRUSTED and outcome in LEARNT_FROM and _is_known(of_arm, innovation.R):
+        if (
+            gate.trust is Trust.TRUSTED
+            and outcome in LEARNT_FROM
+            and is_arm_known(self._sensors[name], state, innovation.R)
+        ):
             lowest = LOWEST_SLOW if position.correlation_s >= SLOW_S and found.slow is None else LOWEST
             scale.learn(innovation._replace(R=innovation.R / above), state, position, self._log, lowest)
         if outcome is Outcome.USED:
@@ -167,7 +168,6 @@ class Positions:
             known = found if smoother is graph.main else None
             if self._enter(graph.main, position, inflation, known):
                 self.used.add(position)
-                self._arm_doubts[name].note_used(state.nav.attitude())
         elif outcome is not Outcome.QUARANTINED:
             self._log.report(EventKind.REJECTED, position.stamp_ns, name, outcome)
         gate_limit = gate.limit_on_nis
@@ -240,6 +240,7 @@ class Positions:
         self.used.forget_before(smoother.oldest_ns)
         if self._config.innovation and len(self.used) and self.used.newest_ns - self._reviewed_ns >= REVIEW_NS:
             self._reviewed_ns = self.used.newest_ns
+            self.proven_arms |= {name for name, sensor in self._sensors.items() if is_arm_proven(sensor, smoother)}
             worst = self.used.worst(smoother, {name: self._quarantine_ns(name) for name in self.gates})
             if worst is not None:
                 self._consensus[worst.sensor].contradict(worst)
@@ -302,7 +303,6 @@ class Positions:
         if is_faulty:
             for position in self.used.of(name, now_ns - self._quarantine_ns(name)):
                 self.take_out(smoother, position, Outcome.QUARANTINED)
-            self._arm_doubts[name].forget(smoother)
         gate.become(Trust.LOST, hold_s=self._config.regain_s if is_faulty else 0.0)
         self._log.report(
             EventKind.RECEIVER_LOST, now_ns, name, f"{in_words(gate.reasons)}; gate power {gate.power_m:.2f} m"
@@ -335,11 +335,6 @@ class Positions:
             return Compared(keys, state, innovation)
         slow = smoother.slow_error(position.sensor, colour, stamp_ns, position.p_W_P)
         return coloured(keys, state, innovation, colour, slow)
-
-
-def _is_known(of_arm: Array | None, claimed: Array) -> bool:
-    """Whether doubt in a lever arm (3, 3) [m^2] is less than what a position claims (3, 3)."""
-    return of_arm is None or float(np.trace(of_arm)) <= float(np.trace(claimed))
 
 
 def _correlation_s(position: Position) -> float:

@@ -64,15 +64,11 @@ class Prediction:
         return sqrt(limit * float(np.linalg.eigvalsh(self.of_state + self.of_position)[-1]))
 
 
-def predict(innovation: Innovation, state: State, of_arm: Array | None = None) -> Prediction:
-    """Return what a state expects of a position, given the innovation of that at the state.
-
-    `of_arm` (3, 3) is what doubt in the lever arm adds to the covariance [m^2].
-    """
+def predict(innovation: Innovation, state: State) -> Prediction:
+    """Return what a state expects of a position, given the innovation of that at the state."""
     R_W_I = state.nav.attitude().matrix()
     of_velocity = R_W_I @ state.covariance[6:9, 6:9] @ R_W_I.T
-    of_state = innovation.of_state(state) if of_arm is None else innovation.of_state(state) + of_arm
-    return Prediction(innovation.y, of_state, innovation.R, of_velocity)
+    return Prediction(innovation.y, innovation.of_state(state), innovation.R, of_velocity)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
