@@ -27,17 +27,23 @@ from holdfast.replay.held_out import HoldOut
 MOUNT = Path(__file__).parent / "configs" / "kitti_00.yaml"
 OTHERS = [one for one in MISHAPS + FURTHER if one not in {no_velocities, claims_of_velocity, any_mount}]
 RULES = [HoldOut("gnss", 2)]
-AS_MOUNTED = Rotation.identity()
+AS_MOUNTED, NOT_MOVED = Rotation.identity(), np.zeros(3)
 
 
-def configuration(bag: Path, turned: Rotation = AS_MOUNTED, moved: np.ndarray | float = 0.0) -> Config:
-    """Return what `config init` writes, with the pose of the lidar, which may be turned and moved (3,) in its axes."""
+def configuration(
+    bag: Path, turned: Rotation = AS_MOUNTED, moved: np.ndarray = NOT_MOVED, antenna: np.ndarray = NOT_MOVED
+) -> Config:
+    """Return what `config init` writes, with the pose of the lidar, which may be turned and moved (3,) in its axes.
+
+    The antenna, which is where the IMU is, may be moved, too.
+    """
     with open_recording(bag) as opened:
         document = yaml.safe_load(first_config(opened))
     (mount,) = yaml.safe_load(MOUNT.read_text())["extrinsics"]
     mount["rotation_matrix"] = (turned * Rotation.from_matrix(mount["rotation_matrix"])).as_matrix().tolist()
     mount["translation_m"] = (turned.apply(mount["translation_m"]) + moved).tolist()
-    return config_of(document | {"extrinsics": [mount, {"parent": "imu", "child": "gnss"}]}, "config init")
+    placed = {"parent": "imu", "child": "gnss", "translation_m": antenna.tolist()}
+    return config_of(document | {"extrinsics": [mount, placed]}, "config init")
 
 
 def run(drive: Path, seed: int) -> Tried:

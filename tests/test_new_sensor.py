@@ -30,7 +30,7 @@ from holdfast.recording.source import Subscription, open_recording
 from holdfast.recording.subscriptions import subscriptions
 from holdfast.replay.published import PublishedRecorder
 from holdfast.sensors.mount import Mount
-from holdfast.sensors.sensor import Innovation, Parameter, Role, State, StateSensor
+from holdfast.sensors.sensor import Innovation, Role, State, StateSensor
 from holdfast.sim.datasheets import SimulatedSensor
 from holdfast.sim.readings import Readings
 from holdfast.sim.ros import Encode, RosMessages
@@ -91,7 +91,6 @@ class RadarModel(StateSensor):
 
     role: ClassVar[Role] = Role.STATE
     message: ClassVar[type[Message] | None] = GroundSpeed
-    parameter: Parameter | None = None
 
     def __init__(self, name: str, config: RadarConfig, mount: Mount) -> None:
         self.name = name

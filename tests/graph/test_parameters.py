@@ -111,20 +111,20 @@ def test_what_may_be_right_as_configured_is_held_there_while_that_is_more_plausi
 
 def test_what_is_not_right_is_let_go_but_what_is_hardly_measured_is_not():
     assert estimated([0.02, 0.0], 0.003)[2].value[0] == pytest.approx(0.02, rel=0.02)
-    assert estimated([0.02, 0.0], 0.02)[2].right is not None
+    assert estimated([0.02, 0.0], 0.02)[2].is_right
 
 
 def test_what_was_let_go_is_held_again_when_measurements_agree():
     window, parameters, known = estimated([0.02, 0.0], 0.003)
-    assert known.right is None
+    assert not known.is_right
     for k in range(3, 40):
         measure(window, known.key, [0.0, 0.0], 0.003)
         window.solve(0)
         parameters.mark_solved()
         known = parameters.use(window, "clock", OFFSET, k * REFRESHED_NS)
-        if known.right is not None:
+        if known.is_right:
             break
-    assert known.right is not None
+    assert known.is_right
     assert abs(known.value[0]) < 0.0005  # as soon as it is held, and not once the solver has seen it
     again = parameters.use(window, "clock", OFFSET, k * REFRESHED_NS)
     assert abs(again.value[0]) < 0.0005
@@ -132,13 +132,13 @@ def test_what_was_let_go_is_held_again_when_measurements_agree():
 
 def test_what_was_held_is_let_go_when_measurements_contradict():
     window, parameters, known = estimated([0.002, 0.0], 0.003)
-    assert known.right is not None
+    assert known.is_right
     for k in range(3, 6):
         measure(window, known.key, [0.015, 0.0], 0.001)
         window.solve(0)
         parameters.mark_solved()
         known = parameters.use(window, "clock", OFFSET, k * REFRESHED_NS)
-    assert known.right is None
+    assert not known.is_right
     window.solve(0)
     assert window.vector(known.key)[0] == pytest.approx(0.0145, abs=0.001)
 
@@ -149,7 +149,7 @@ def test_what_was_held_counts_once_when_it_leaves_the_window_and_comes_back():
     measure(window, other.key, [1.0, -2.0])
     window.solve(10 * SECOND_NS)
     again = parameters.use(window, "clock", OFFSET, 21 * SECOND_NS)
-    assert again.key != before.key and again.right is not None
+    assert again.key != before.key and again.is_right
     np.testing.assert_allclose(again.covariance, before.covariance, rtol=1e-6)
 
 

@@ -117,7 +117,10 @@ def test_the_turn_joint_at_the_time_of_the_measurement_is_what_it_is_compared_wi
     asked, seen, sensor = [], [], rig.sensors["wheels"]
 
     class Watching:
-        settings, parameter, name, factor, role = sensor.settings, None, "wheels", sensor.factor, sensor.role
+        settings, parameters, name, factor, role = sensor.settings, (), "wheels", sensor.factor, sensor.role
+
+        def first_parameter(self, measured, state):
+            return np.zeros(0)
 
         def innovation(self, measured, state):
             seen.append(state.joint)

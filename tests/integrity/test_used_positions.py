@@ -18,12 +18,10 @@ ARM = np.array([0.3, -0.2, 2.0])
 
 
 class Antenna:
-    limit, p_I_P, parameter = 16.0, ARM, None
+    limit, p_I_P, parameters = 16.0, ARM, ()
 
 
-AT_ORIGIN = SimpleNamespace(
-    nav=lambda _: gtsam.NavState(), angular_velocity=lambda _: np.zeros(3), parameter_estimate=lambda _: None
-)
+AT_ORIGIN = SimpleNamespace(nav=lambda _: gtsam.NavState(), angular_velocity=lambda _: np.zeros(3))
 
 
 def position(t_s, east_m=0.0, sensor="left"):

@@ -19,6 +19,8 @@ NAV = gtsam.NavState(gtsam.Rot3.RzRyRx(0.1, -0.2, 0.7), np.array([1.0, 2.0, 3.0]
 class Antenna:
     """A sensor of positions."""
 
+    parameters = ()
+
     @staticmethod
     def innovation(measured, state):
         return position_innovation(measured, state, ARM)

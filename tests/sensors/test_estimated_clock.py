@@ -1,4 +1,4 @@
-"""The offset of a sensor's clock as the last element of its parameter."""
+"""The offset of a sensor's clock as the last of its parameters."""
 
 from types import SimpleNamespace
 
@@ -22,6 +22,11 @@ def antenna(**settings):
     return GnssModel("gnss", GnssConfig(kind="gnss", topic="/fix", **settings), ARM)
 
 
+def mounted(**settings):
+    """An antenna whose lever arm is known."""
+    return antenna(**settings).with_known_arm()
+
+
 def position_of(p_W_P):
     return Position(0, "gnss", np.array(p_W_P), np.eye(3) * 0.01**2, 0.0)
 
@@ -35,7 +40,7 @@ def test_a_late_stamp_of_a_fix_and_of_a_heading_is_explained_by_the_offset(seed)
     twist = np.concatenate([state.angular_velocity, state.nav.bodyVelocity()])
     later = state.nav.pose().compose(gtsam.Pose3.Expmap(twist * offset_s))
     late = state._replace(parameter=np.array([offset_s]))
-    fix = with_estimated_clock(antenna()).innovation(position_of(later.transformFrom(ARM)), late)
+    fix = with_estimated_clock(mounted()).innovation(position_of(later.transformFrom(ARM)), late)
     assert abs(fix.y).max() < 5.0 * offset_s**2 * (1.0 + np.linalg.norm(twist) ** 2)
     heading = HeadingModel("heading", HeadingConfig(kind="heading", topic="/heading", mounting_yaw_deg=0.0), {})
     x, y, _ = later.rotation().rotate(np.array([1.0, 0.0, 0.0]))
@@ -45,7 +50,7 @@ def test_a_late_stamp_of_a_fix_and_of_a_heading_is_explained_by_the_offset(seed)
 
 @given(st.integers(0, 10_000))
 def test_the_innovation_has_the_derivatives_that_it_claims_also_behind_an_arm_that_is_estimated(seed):
-    for model, sigmas in ((antenna(), (0.0,)), (antenna().with_estimated_arm(0.5), (0.5, 0.5, 0.5, 0.0))):
+    for model, sigmas in ((mounted(), (0.0,)), (antenna(), (0.5, 0.5, 0.5, 0.0))):
         state = random_state(seed, sigmas)
         state = state._replace(parameter=np.append(state.parameter[:-1], 1e-9))  # products of tau are of second order
         assert_derivatives(with_estimated_clock(model), position_of([3.0, -2.0, 1.0]), state)
@@ -58,7 +63,7 @@ def test_a_velocity_that_is_corrected_by_metres_per_second_carries_the_position_
     state = random_state(seed, (0.0,))._replace(parameter=np.array([offset_s]))
     nav, off = state.nav, rng.uniform(-3.0, 3.0, 3)
     other = state._replace(nav=gtsam.NavState(nav.pose(), nav.velocity() + nav.attitude().matrix() @ off))
-    model = with_estimated_clock(antenna())
+    model = with_estimated_clock(mounted())
     before, after = (model.innovation(position_of([3.0, -2.0, 1.0]), one) for one in (state, other))
     np.testing.assert_allclose(after.y, before.y - before.H[:, 6:9] @ off, atol=1e-9)
 
@@ -71,13 +76,13 @@ def test_a_clock_that_is_known_is_not_estimated():
 
 def test_arm_and_offset_are_told_apart():
     arm = ARM + 0.1
-    assert receiver_constants(antenna(), None)[1] == 0.0
-    found = receiver_constants(with_estimated_clock(antenna()), np.array([0.02]))
+    assert receiver_constants(mounted(), np.zeros(0))[1] == 0.0
+    found = receiver_constants(with_estimated_clock(mounted()), np.array([0.02]))
     np.testing.assert_array_equal(found[0], ARM)
     assert found[1] == pytest.approx(0.02)
-    both = with_estimated_clock(antenna().with_estimated_arm(0.5))
-    np.testing.assert_array_equal(both.parameter.mean, [*ARM, 0.0])
-    assert both.parameter.shared == "" and with_estimated_clock(antenna()).parameter.shared == "clock of GNSS"
+    both = with_estimated_clock(antenna())
+    assert [one.name("gnss") for one in both.parameters] == ["gnss arm", "clock of GNSS"]
+    np.testing.assert_array_equal(np.concatenate([one.mean for one in both.parameters]), [*ARM, 0.0])
     found = receiver_constants(both, np.array([*arm, -0.01]))
     np.testing.assert_array_equal(found[0], arm)
     assert found[1] == pytest.approx(-0.01)

@@ -71,10 +71,10 @@ def test_the_innovation_has_the_derivatives_that_it_claims_also_by_an_arm_that_i
 
 
 def test_an_arm_that_is_estimated_is_found_by_fixes_at_attitudes_that_are_known():
-    estimated, truth = model().with_estimated_arm(0.5), ARM + np.array([0.3, -0.2, 0.1])
-    np.testing.assert_allclose(estimated.parameter.mean, MODEL.p_I_P)
+    estimated, truth = model().with_doubtful_arm(0.5), ARM + np.array([0.3, -0.2, 0.1])
+    np.testing.assert_allclose(estimated.parameters[0].mean, MODEL.p_I_P)
     graph, values, key = gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.symbol("a", 0)
-    values.insert(key, estimated.parameter.mean)
+    values.insert(key, estimated.parameters[0].mean)
     for k, yaw in enumerate((0.0, 1.0, 2.0)):
         nav = gtsam.NavState(gtsam.Rot3.Yaw(yaw), np.array([float(k), 0.0, 0.0]), np.zeros(3))
         values.insert(gtsam.symbol("x", k), nav)

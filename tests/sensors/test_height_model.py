@@ -72,5 +72,5 @@ def test_a_claim_counts_above_the_floor_only_and_the_floor_stands_for_none(claim
 
 def test_the_time_offset_is_applied_and_a_height_in_w_has_no_parameter():
     assert model(time_offset_s=2.0).convert(Height(1, 1, "laser", 1.0, None), PLACED).stamp_ns == 2_000_000_001
-    assert model().parameter is None
-    np.testing.assert_array_equal(model(offset_sigma_m=3.0).parameter.sigmas, [3.0])
+    assert model().parameters == ()
+    np.testing.assert_array_equal(model(offset_sigma_m=3.0).parameters[0].sigmas, [3.0])

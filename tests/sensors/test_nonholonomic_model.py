@@ -90,5 +90,5 @@ def test_it_is_made_at_its_rate_and_takes_no_message():
 
 
 def test_a_mounting_that_is_known_is_no_parameter():
-    assert model(mounting_sigma_deg=0.0).parameter is None
-    np.testing.assert_allclose(model(mounting_sigma_deg=2.0).parameter.sigmas, radians(2.0))
+    assert model(mounting_sigma_deg=0.0).parameters == ()
+    np.testing.assert_allclose(model(mounting_sigma_deg=2.0).parameters[0].sigmas, radians(2.0))

@@ -98,9 +98,9 @@ def test_a_claim_counts_above_the_floor_only_and_is_carried_to_the_imu():
 
 
 def test_a_frame_that_is_w_has_no_parameter_and_one_that_is_offset_has_four_numbers():
-    assert model().parameter is None
-    np.testing.assert_allclose(model(**OFFSET).parameter.sigmas, SIGMAS)
-    assert (model(offset_sigma_m=1.0).parameter.sigmas > 0.0).all()
+    assert model().parameters == ()
+    np.testing.assert_allclose(model(**OFFSET).parameters[0].sigmas, SIGMAS)
+    assert (model(offset_sigma_m=1.0).parameters[0].sigmas > 0.0).all()
 
 
 def test_the_time_offset_is_applied():

@@ -117,5 +117,5 @@ def test_a_claim_counts_above_the_floor_only_and_the_floor_stands_for_none():
 
 def test_the_time_offset_is_applied_and_a_known_scale_is_no_parameter():
     assert model(time_offset_s=0.1).convert(replace(message(), stamp_ns=7), PLACED).stamp_ns == 100_000_007
-    assert model(**KNOWN).parameter is None
-    np.testing.assert_array_equal(model(scale_sigma=0.1).parameter.sigmas, [0.1])
+    assert model(**KNOWN).parameters == ()
+    np.testing.assert_array_equal(model(scale_sigma=0.1).parameters[0].sigmas, [0.1])

@@ -18,11 +18,12 @@ from holdfast.graph.alignment_problem import MAX_EXCESS, BiasPrior, Evidence, Pr
 from holdfast.messages import Array
 from holdfast.sensors.gnss import GnssModel
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.sensors.lever_arm import IF_RIGHT_M, IF_WRONG_M, found_arm, is_in_doubt
+from holdfast.sensors.lever_arm import IF_RIGHT_M, found_arm, is_in_doubt
 from holdfast.sensors.preintegration import ImuNoise
 from holdfast.sensors.sensor import Parameter, VelocitySensor, is_gnss
 
 DOUBTFUL = 2.0  # squared residuals over what is claimed, where an odometry is among them
+FREED_M = 10.0  # sigma of an arm in doubt: nothing shall hold it
 TOLD_M, MOVED = 0.5, 5.0  # sigma to which motions must tell an element of an arm, and sigmas by which it is off
 
 
@@ -63,7 +64,7 @@ class FittingBatches:
     ) -> None:
         self._points, self._odometries = points, odometries
         self._antennas = {name: one for name, one in points.items() if _is_measured(one)}
-        freed = {name: one.with_doubtful_arm(IF_WRONG_M) for name, one in self._antennas.items()}
+        freed = {name: one.with_doubtful_arm(FREED_M) for name, one in self._antennas.items()}
         self._aligner = BatchAligner(Problems(buffer, noise, points, velocities))
         self._of_freed = BatchAligner(Problems(buffer, noise, {**points, **freed}, velocities))
 
