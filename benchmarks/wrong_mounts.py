@@ -63,7 +63,13 @@ def main() -> None:
     wrong = [Wrong(what, axis, by, unit) for what, unit, all_ in kinds for by in all_ for axis in given.axes]
     with ProcessPoolExecutor(2) as pool:
         for one, row in zip(wrong, pool.map(partial(run, drive), wrong), strict=True):
-            said = [one.what, one.axis, f"{one.by:g} {one.unit}", *cells(row, "rms", "max", "nees"), row.get("events", "")]
+            said = [
+                one.what,
+                one.axis,
+                f"{one.by:g} {one.unit}",
+                *cells(row, "rms", "max", "nees"),
+                row.get("events", ""),
+            ]
             print(f"| {' | '.join(said)} |", flush=True)
 
 

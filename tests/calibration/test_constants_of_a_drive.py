@@ -121,7 +121,7 @@ def test_a_lever_arm_that_was_measured_wrongly_is_found_where_the_machine_turns(
     ]
     given = config.model_copy(update={"extrinsics": tuple(wrong)})
     with_arms, _ = with_estimated_arms(given)
-    found = lever_arms([drive(with_arms)], given)
+    found = lever_arms([drive(with_arms)], given, with_arms)
     for one, true in zip(found.estimates, off, strict=True):
         assert abs(one.after - true) < 3.0 * one.sigma, one.what
     assert [one.is_observable for one in found.estimates[:2]] == [True, True]

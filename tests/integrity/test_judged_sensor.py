@@ -119,7 +119,7 @@ def test_the_turn_joint_at_the_time_of_the_measurement_is_what_it_is_compared_wi
     class Watching:
         settings, parameters, name, factor, role = sensor.settings, (), "wheels", sensor.factor, sensor.role
 
-        def first_parameter(self, measured, state):
+        def first_parameter(self, *_):
             return np.zeros(0)
 
         def innovation(self, measured, state):

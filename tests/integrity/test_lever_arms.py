@@ -130,7 +130,7 @@ def test_an_arm_in_doubt_is_estimated_and_a_heading_that_rests_on_it_tells_nothi
     run = Run().go(10.0, {"gnss": 0.5 * ACROSS})
     believed, state = run.arms.believed(SENSORS), State(truth(Drive(), 1.0).nav, np.eye(9))
     for name, arm in ARMS.items():
-        np.testing.assert_allclose(believed[name].parameters[0].mean, arm)
+        np.testing.assert_allclose(believed[name].p_I_P, arm)
         np.testing.assert_allclose(believed[name].parameters[0].sigmas, run.doubts[name])
     heading = SENSORS["heading"].convert(Heading(0, 0, "heading", 0.3, 0.01), None)
     assert believed["heading"].innovation(heading, state) is Outcome.BASELINE

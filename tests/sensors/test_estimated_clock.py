@@ -81,8 +81,8 @@ def test_arm_and_offset_are_told_apart():
     np.testing.assert_array_equal(found[0], ARM)
     assert found[1] == pytest.approx(0.02)
     both = with_estimated_clock(antenna())
-    assert [one.name("gnss") for one in both.parameters] == ["gnss arm", "clock of GNSS"]
-    np.testing.assert_array_equal(np.concatenate([one.mean for one in both.parameters]), [*ARM, 0.0])
-    found = receiver_constants(both, np.array([*arm, -0.01]))
-    np.testing.assert_array_equal(found[0], arm)
+    assert [one.name("gnss") for one in both.parameters] == ["arm of GNSS", "clock of GNSS"]
+    np.testing.assert_array_equal(np.concatenate([one.mean for one in both.parameters]), np.zeros(4))
+    found = receiver_constants(both, np.array([*(arm - ARM), -0.01]))
+    np.testing.assert_allclose(found[0], arm)
     assert found[1] == pytest.approx(-0.01)

@@ -90,7 +90,7 @@ def calibrated(
     now = draft.changed([change for one in found[:2] for change in one.changes])
     if with_lever_arms:
         config, resting = with_estimated_arms(now.config)
-        found.append(lever_arms(runs.run("lever arms", config, resting), draft.config))
+        found.append(lever_arms(runs.run("lever arms", config, resting), draft.config, config))
     found.append(fix_noise(evidence, draft.config))
     odometries = draft.config.sensors_of(DriftingConfig)
     if odometries and any(isinstance(one, PositionConfig) for one in draft.config.sensors.values()):

@@ -244,11 +244,11 @@ def _tilt(learnt: LearntConstant) -> tuple[Array, Array]:
     return np.array(learnt.mean), gtsam.Rot3.Expmap(np.array([*learnt.mean, 0.0])).matrix()
 
 
-def _of_arm(name: str, config: Config, arm: Array, sigmas: Array) -> Iterator[Row]:
-    """Yield the rows of a lever arm (3,) [m] in the frame of the IMU."""
+def _of_arm(name: str, config: Config, shift: Array, sigmas: Array) -> Iterator[Row]:
+    """Yield the rows of a lever arm that is shifted (3,) [m] in the frame of the IMU."""
     T_I_P = config.T_I(config.frame_of(name))
-    correction = np.eye(4)
-    correction[:3, 3] = T_I_P[:3, :3].T @ (arm - T_I_P[:3, 3])
+    arm, correction = T_I_P[:3, 3] + shift, np.eye(4)
+    correction[:3, 3] = T_I_P[:3, :3].T @ shift
     key, write = _moved(name, config, correction)
     for k, axis in enumerate(AXES):
         configured, value, sigma = float(T_I_P[k, 3]), float(arm[k]), float(sigmas[k])

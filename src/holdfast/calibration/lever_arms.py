@@ -13,7 +13,7 @@ from holdfast.calibration.placing import corrected, entry_of
 from holdfast.config.edit import Change
 from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig, HeadingConfig
-from holdfast.sensors.lever_arm import arm_name
+from holdfast.sensors.lever_arm import ARM
 
 PRIOR_M = 0.05  # how well a tape measures
 SLOW_M = 0.005, 0.005, 0.01  # sigma: slow errors of fixes, which a machine that hardly turns takes for an arm
@@ -32,21 +32,22 @@ def with_estimated_arms(config: Config) -> tuple[Config, list[str]]:
     return config.model_copy(update={"sensors": sensors}), resting
 
 
-def lever_arms(evidence: Sequence[Evidence], original: Config) -> Found:
+def lever_arms(evidence: Sequence[Evidence], original: Config, config: Config) -> Found:
     """Return where the antennas are, in the axes of I, beside where they were configured.
 
     Args:
         evidence: of runs with `with_estimated_arms`.
-        original: the configuration.
+        original: the configuration before the calibration.
+        config: that of the runs.
     """
     estimates: list[Estimated] = []
     changes: list[Change] = []
     for name in original.sensors_of(GnssConfig):
-        known, frame = of_name(evidence, arm_name(name)), original.frame_of(name)
+        known, frame = of_name(evidence, f"{name} {ARM}"), original.frame_of(name)
         if not known:
             continue
         offset, covariance = combined(known)
-        offset += known[0].prior.mean - original.T_I(frame)[:3, 3]
+        offset += config.T_I(frame)[:3, 3] - original.T_I(frame)[:3, 3]
         path = "extrinsics", entry_of(original, frame), "translation_m"
         sigmas = [hypot(one, floor) for one, floor in zip(np.sqrt(covariance.diagonal()), SLOW_M, strict=True)]
         rows = [

@@ -7,7 +7,6 @@ what is left.
 
 from collections.abc import Collection, Mapping
 from math import log
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from holdfast.graph.alignment_problem import MAX_EXCESS, BiasPrior, Evidence, Pr
 from holdfast.messages import Array
 from holdfast.sensors.gnss import GnssModel
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.sensors.lever_arm import IF_RIGHT_M, found_arm, is_in_doubt
+from holdfast.sensors.lever_arm import GNSS_ARM, IF_RIGHT_M, doubtful_arm, is_in_doubt
 from holdfast.sensors.preintegration import ImuNoise
 from holdfast.sensors.sensor import Parameter, VelocitySensor, is_gnss
 
@@ -34,13 +33,13 @@ class FittingBatch(NamedTuple):
         alignment: its outcome.
         evidence: of which it was made.
         left_out: who is not in it.
-        arms: lever arms of antennas that are elsewhere than configured, as priors of a graph, by receiver.
+        shift: of the lever arms of antennas that are elsewhere than configured, as a prior of a graph, else None.
     """
 
     alignment: Alignment
     evidence: Evidence
     left_out: frozenset[str] = frozenset()
-    arms: Mapping[str, Parameter] = MappingProxyType({})
+    shift: Parameter | None = None
 
 
 class FittingBatches:
@@ -63,14 +62,15 @@ class FittingBatches:
         odometries: OdometryTracks,
     ) -> None:
         self._points, self._odometries = points, odometries
-        self._antennas = {name: one for name, one in points.items() if _is_measured(one)}
-        freed = {name: one.with_doubtful_arm(FREED_M) for name, one in self._antennas.items()}
+        antennas = {name: one for name, one in points.items() if _is_measured(one)}
+        self._may_be_moved = bool(antennas)
+        freed = {name: one.with_arm(doubtful_arm(np.full(3, FREED_M), GNSS_ARM)) for name, one in antennas.items()}
         self._aligner = BatchAligner(Problems(buffer, noise, points, velocities))
         self._of_freed = BatchAligner(Problems(buffer, noise, {**points, **freed}, velocities))
 
-    def settle_arms(self, receivers: Collection[str]) -> None:
-        """Know that the lever arms of receivers are as they were measured, for good: they are constants."""
-        self._antennas = {name: one for name, one in self._antennas.items() if name not in receivers}
+    def settle_arms(self) -> None:
+        """Know that the lever arms of antennas are as they were measured, for good: they are constants."""
+        self._may_be_moved = False
 
     def solve(
         self, evidence: Evidence, prior: BiasPrior, max_heading_sigma_rad: float, jump_sigmas: Array | None
@@ -109,30 +109,15 @@ class FittingBatches:
         Velocities that are wrong would, too: they are left out of what it is compared with.
         """
         whole = evidence._replace(motions=self._odometries.factors(evidence.stamps))
-        freed = self._of_freed.solve(whole, prior, max_heading_sigma_rad) if self._antennas else None
-        arms = {} if freed is None else self._moved(freed)
-        if freed is None or not arms:
+        freed = self._of_freed.solve(whole, prior, max_heading_sigma_rad) if self._may_be_moved else None
+        shift = None if freed is None else _shift(freed)
+        if freed is None or shift is None:
             return None
         fewer = Evidence(evidence.positions, ())
         without = fewer._replace(motions=self._odometries.factors(fewer.stamps))
         rivals = [self._aligner.solve(one, prior, max_heading_sigma_rad) for one in (whole, without)]
         is_certain = all(_evidence(one, freed, whole) >= JUMPED for one in rivals)
-        return FittingBatch(freed, whole, arms=arms) if is_certain else None
-
-    def _moved(self, freed: Alignment) -> dict[str, Parameter]:
-        """Return the arms that are otherwise than configured, if the batch in which they are in doubt fits."""
-        if freed.state is None or freed.excess > DOUBTFUL or freed.misfit > FITS:
-            return {}
-        found = {}
-        for name, (arm, covariance) in freed.arms.items():
-            if name not in self._antennas:
-                continue
-            sigmas, configured = np.sqrt(covariance.diagonal()), self._antennas[name].p_I_P
-            is_told = sigmas <= TOLD_M
-            off = np.where(is_told, arm - configured, 0.0)
-            if (np.abs(off) > MOVED * np.hypot(sigmas, IF_RIGHT_M)).any():
-                found[name] = found_arm(configured + off, np.where(is_told, sigmas, IF_RIGHT_M))
-        return found
+        return FittingBatch(freed, whole, shift=shift) if is_certain else None
 
     def _doubtful(self, evidence: Evidence, alignment: Alignment) -> list[frozenset[str]]:
         """Return what may be left out of a batch that does not fit: receivers, one odometry of several, or all."""
@@ -156,6 +141,22 @@ class FittingBatches:
 def _is_measured(point: Any) -> bool:
     """Whether a point is an antenna whose lever arm is as it was measured, or far off."""
     return isinstance(point, GnssModel) and bool(point.parameters) and not is_in_doubt(point.parameters)
+
+
+def _shift(freed: Alignment) -> Parameter | None:
+    """Return by how much antennas are elsewhere than configured, if they are and the batch in which they may be fits.
+
+    What motions do not tell stays where it is configured.
+    """
+    if freed.state is None or freed.excess > DOUBTFUL or freed.misfit > FITS:
+        return None
+    mean, covariance = freed.arms[GNSS_ARM]
+    sigmas = np.sqrt(covariance.diagonal())
+    is_told = sigmas <= TOLD_M
+    if not (is_told & (np.abs(mean) > MOVED * np.hypot(sigmas, IF_RIGHT_M))).any():
+        return None
+    shift = doubtful_arm(np.where(is_told, sigmas, IF_RIGHT_M), GNSS_ARM)
+    return shift._replace(mean=np.where(is_told, mean, 0.0))
 
 
 def _evidence(before: Alignment, after: Alignment, evidence: Evidence) -> float:

@@ -29,6 +29,7 @@ from holdfast.graph.first_guess import level_attitude
 from holdfast.integrity.consensus import BEFORE_NS, Departure
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array, Message
+from holdfast.sensors.gnss import GnssModel
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lever_arm import is_in_doubt
 from holdfast.sensors.odometry import TrackPose
@@ -89,7 +90,7 @@ class Initialising:
         self.biases = KnownBiases(imu, config.initialisation.standstill_s)
         self.misfit = inf  # of the last attempt: squared residuals over what is claimed
         self.doubtful: frozenset[str] = frozenset()  # odometries and receivers that the last attempt has left out
-        self.arms: dict[str, Parameter] = {}  # of antennas that were found elsewhere than configured
+        self.shift: Parameter | None = None  # of antennas that were found elsewhere than configured
         self._limit_rad = radians(config.initialisation.max_heading_sigma_deg)
         self._velocity_check = VelocityCheck(self._points, of_role(sensors, Role.VELOCITY))
         self._last_try_ns = self._newest_ns = NEVER_NS
@@ -178,9 +179,17 @@ class Initialising:
         self._forget_before(stamp_ns)
         self._last_try_ns = NEVER_NS
 
-    def settle_arms(self, receivers: Collection[str]) -> None:
-        """Know that the lever arms of receivers are as they were measured."""
-        self._batches.settle_arms(receivers)
+    def settle_arms(self) -> None:
+        """Know that the lever arms of antennas are as they were measured."""
+        self._batches.settle_arms()
+
+    def _move_antennas(self, shift: Parameter) -> None:
+        """Know that antennas are elsewhere than they were believed to be."""
+        for name, one in self._points.items():
+            if isinstance(one, GnssModel):
+                self._points[name] = one.with_arm(shift)
+        before = 0.0 if self.shift is None else self.shift.mean
+        self.shift = shift._replace(mean=before + shift.mean)
 
     def forget_odometry(self, name: str) -> None:
         """Forget what an odometry has said, which is not trusted any more."""
@@ -383,13 +392,13 @@ class Initialising:
 
     def _judged(self, batch: FittingBatch, lying: Collection[str], now_ns: int) -> OptimisedState | None:
         """Return the state that a batch tells, if it does."""
-        alignment, evidence, self.doubtful, moved = batch
-        for name, arm in moved.items():
-            self.arms[name], self._points[name] = arm, self._points[name].placed(arm)
+        alignment, evidence, self.doubtful, shift = batch
+        if shift is not None:
+            self._move_antennas(shift)
         self.misfit, self.jump = alignment.misfit, alignment.jump
         left_out = [*lying, *sorted(self.doubtful)]
         without = f", without {', '.join(left_out)}, at odds with the positions" if left_out else ""
-        elsewhere = f"; elsewhere than configured: {', '.join(sorted(moved))}" if moved else ""
+        elsewhere = "" if shift is None else "; the antennas are elsewhere than configured"
         self.reason = f"{alignment.reason}{without}{elsewhere}"
         if alignment.state is None:
             return None

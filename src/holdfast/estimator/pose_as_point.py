@@ -8,7 +8,7 @@ import numpy as np
 
 from holdfast.sensors.noise import UNBOUNDED
 from holdfast.sensors.position import position_factor
-from holdfast.sensors.sensor import Parameter, Position, State
+from holdfast.sensors.sensor import ANYWHERE, Parameter, Position, State
 
 POSE_CORRELATION_S = 1.0
 
@@ -23,7 +23,7 @@ class PoseAsPoint:
         self.name = name
 
     def factor(
-        self, keys: Sequence[int], position: Position, inflation: float, _state: State | None = None
+        self, keys: Sequence[int], position: Position, inflation: float, _state: State = ANYWHERE
     ) -> gtsam.NonlinearFactor:
         """Return the factor of a position of the IMU itself."""
         return position_factor(keys[0], position, self.p_I_P, UNBOUNDED, inflation)

@@ -13,7 +13,7 @@ from holdfast.estimator.imu_path import Received
 from holdfast.estimator.learnt_view import LearntView
 from holdfast.estimator.queue import MeasurementQueue
 from holdfast.estimator.standstill import STANDSTILL, StandstillUpdates
-from holdfast.estimator.successor import Successor
+from holdfast.estimator.successor import Beginning, Successor
 from holdfast.estimator.wandering import Wandering
 from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
@@ -33,6 +33,7 @@ from holdfast.integrity.yaw_learning import Witness
 from holdfast.sensors.clock import with_estimated_clock
 from holdfast.sensors.constants import Constant, priors_of_machine
 from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.lever_arm import GNSS_ARM
 from holdfast.sensors.noise import Colour
 from holdfast.sensors.sensor import ConstraintSensor, Measurement, Parameter, Role, Sensor, of_role
 from holdfast.state import EventKind, OptimisedState, Outcome
@@ -145,8 +146,8 @@ class Tracking:
         known = carried_priors(carried.constants, self._machine_constants)
         self.graph = DualGraph(config, buffer, gravity, self._odometries.new_tracks(), state, carried=known)
         self.graph.main.imu_noise.walk_scale = successor.walk_scale
-        for name, arm in successor.start.arms.items():
-            self.graph.begin_parameter_anew(arm.name(name), arm)
+        if successor.start.shift is not None and GNSS_ARM in self._priors:
+            self.graph.begin_parameter_anew(GNSS_ARM, successor.start.shift)
         self._hold_mistaken(state.stamp_ns)
 
     @property
@@ -303,9 +304,8 @@ class Tracking:
             beginning = self.successor.begin(published.newest, contradiction.since_ns)
         if beginning is None and (is_turned or (is_alone and self._is_astray())):
             beginning = self.successor.after_jump(now_ns, has_witness=is_turned)
-        self.successor.start.settle_arms(self._positions.proven_arms)
-        if beginning is None and self._positions.suspects():
-            beginning = self.successor.with_moved_antennas(now_ns)
+        if beginning is None:
+            beginning = self._with_moved_antennas(now_ns)
         if beginning is not None:
             self._log.report(
                 EventKind.BEGUN_ANEW, now_ns, "" if contradiction is None else contradiction.sensor, beginning.reason
@@ -314,6 +314,12 @@ class Tracking:
         if is_recovery:
             self._monitor.recovered(now_ns)
         return Update(published.newest, published.settled(), is_recovery, standing=standing)
+
+    def _with_moved_antennas(self, now_ns: int) -> Beginning | None:
+        """Return a state to begin from if antennas that are elsewhere explain what the estimate refuses."""
+        if self._positions.are_arms_proven:
+            self.successor.start.settle_arms()
+        return self.successor.with_moved_antennas(now_ns) if self._positions.suspects() else None
 
     def _is_astray(self) -> bool:
         """Whether positions or velocities are not what the estimate expects, several in a row."""

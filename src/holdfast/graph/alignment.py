@@ -75,7 +75,7 @@ class Alignment:
         excess: squared residuals over their expectation.
         misfit: the same, or how many times more than claimed the positions or the velocities vary, if that is more.
         jump: of the biases that would explain most; if it `is_believed`, the state is that after it.
-        arms: lever arms (3,) [m] that were in doubt, with covariance (3, 3), by receiver.
+        arms: shifts (3,) [m] of lever arms that were in doubt, with covariance (3, 3), by name.
     """
 
     state: OptimisedState | None

@@ -110,7 +110,7 @@ class Problems:
 
     Attributes:
         buffer: as given, as are `noise` and `positions`.
-        arms: key and prior of the lever arms that are in doubt, by sensor.
+        arms: key and prior of the shifts of lever arms that are in doubt, by name.
     """
 
     def __init__(
@@ -122,8 +122,8 @@ class Problems:
     ) -> None:
         self.buffer, self.noise = buffer, noise
         self.positions, self._velocities = positions, velocities
-        doubted = [(name, one.parameters[0]) for name, one in positions.items() if is_in_doubt(one.parameters)]
-        self.arms = {name: (gtsam.symbol("a", k), prior) for k, (name, prior) in enumerate(doubted)}
+        doubted = {one.parameters[0].name(name): one for name, one in positions.items() if is_in_doubt(one.parameters)}
+        self.arms = {name: (gtsam.symbol("a", k), one.parameters[0]) for k, (name, one) in enumerate(doubted.items())}
         self._deltas: dict[tuple[int, int], gtsam.PreintegratedImuMeasurements] = {}
         self._bias = gtsam.imuBias.ConstantBias()  # about which they are linear
 
@@ -170,7 +170,7 @@ class Problems:
         first = graph.size()
         for name, sensor in self.positions.items():
             own = [one for one in evidence.positions if one.sensor == name]
-            arm_keys = [self.arms[name][0]] if name in self.arms else []
+            arm_keys = [self.arms[prior.name(name)][0] for prior in sensor.parameters if prior.name(name) in self.arms]
             gaps_s = [(b.stamp_ns - a.stamp_ns) * 1e-9 for a, b in pairwise(own)]
             correlation_s = max((one.correlation_s for one in own), default=0.0)
             inflation = shared_inflation(correlation_s, [inf, *gaps_s]) * noise.of_positions

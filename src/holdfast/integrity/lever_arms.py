@@ -17,6 +17,7 @@ from holdfast.event_log import EventLog
 from holdfast.messages import Array
 from holdfast.sensors.gnss import GnssModel
 from holdfast.sensors.heading import HeadingModel
+from holdfast.sensors.lever_arm import doubtful_arm
 from holdfast.sensors.noise import correlation_inflation
 from holdfast.sensors.sensor import Position, PositionSensor, Role, Sensor, of_role
 from holdfast.state import EventKind, OptimisedState
@@ -267,7 +268,7 @@ class LeverArms:
 
 def _believed(sensor: Sensor, doubts: Mapping[str, float], misplaced: Set[str]) -> Sensor:
     if isinstance(sensor, GnssModel) and sensor.name in doubts:
-        return sensor.with_doubtful_arm(doubts[sensor.name])
+        return sensor.with_arm(doubtful_arm(np.full(3, doubts[sensor.name])))
     if isinstance(sensor, HeadingModel) and not misplaced.isdisjoint(sensor.antennas):
         return sensor.without_axis()
     return sensor

@@ -75,7 +75,7 @@ class Positions:
         self._baseline = BaselineTest(lever_arms)
         self._log = log
         self._reviewed_ns = NEVER_NS
-        self.proven_arms: set[str] = set()  # receivers whose lever arm is as it was measured
+        self.are_arms_proven = False  # whether those of antennas are as they were measured
         self._departures = {name: Departures() for name in sensors}
         self.wandering: Collection[str] = ()  # receivers that are wrong, though their positions agree with each other
         self._misplaced: set[str] = set()  # what a start has left out: somebody has typed where it stands
@@ -240,7 +240,7 @@ class Positions:
         self.used.forget_before(smoother.oldest_ns)
         if self._config.innovation and len(self.used) and self.used.newest_ns - self._reviewed_ns >= REVIEW_NS:
             self._reviewed_ns = self.used.newest_ns
-            self.proven_arms |= {name for name, sensor in self._sensors.items() if is_arm_proven(sensor, smoother)}
+            self.are_arms_proven |= any(is_arm_proven(sensor, smoother) for sensor in self._sensors.values())
             worst = self.used.worst(smoother, {name: self._quarantine_ns(name) for name in self.gates})
             if worst is not None:
                 self._consensus[worst.sensor].contradict(worst)

@@ -20,7 +20,7 @@ from holdfast.geometry.earth import LocalFrame
 from holdfast.geometry.world import World
 from holdfast.integrity.learnt_snapshot import LearntSnapshot
 from holdfast.messages import Array, Message
-from holdfast.sensors.clock import receiver_constants, with_estimated_clock
+from holdfast.sensors.clock import has_estimated_clock, with_estimated_clock
 from holdfast.sensors.registry import sensors_of
 from holdfast.sensors.sensor import Position, PositionSensor, Role, State
 from holdfast.smoothing.block import Block
@@ -195,12 +195,12 @@ class Judgement(NamedTuple):
 
 
 class _Due(NamedTuple):
-    """A held-out position, when it was measured by the clock of the IMU, and the lever arm (3,) through which."""
+    """A held-out position, when it was measured by the clock of the IMU, and what is known of its sensor (p,)."""
 
     position: Position
     in_outage: bool
     time_ns: int
-    arm: Array
+    parameter: Array
 
 
 class Learning(Protocol):
@@ -285,11 +285,12 @@ class HeldOutJudge:
         known = {} if self._estimator is None else self._estimator.learnt().constants
         learnt = [known.get(prior.name(position.sensor)) for prior in sensor.parameters]
         means = [prior.mean if one is None else one.mean for prior, one in zip(sensor.parameters, learnt, strict=True)]
-        arm, offset_s = receiver_constants(sensor, np.concatenate([np.zeros(0), *means]))
-        return _Due(position, in_outage, position.stamp_ns + round(offset_s * 1e9), arm)
+        value = np.concatenate([np.zeros(0), *means])
+        shift, offset_s = (value[:-1], float(value[-1])) if has_estimated_clock(sensor) else (value, 0.0)
+        return _Due(position, in_outage, position.stamp_ns + round(offset_s * 1e9), shift)
 
     def _judge(self, due: _Due) -> None:
-        position, in_outage, time_ns, arm = due
+        position, in_outage, time_ns, parameter = due
         k = len(self._track) - 1
         while k > 0 and self._track[k - 1].stamp_ns >= time_ns:
             k -= 1
@@ -298,7 +299,9 @@ class HeldOutJudge:
         before, after = self._track[k - 1], self._track[k]
         fraction = (time_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
         nav = gtsam.NavState(before.pose.slerp(fraction, after.pose), np.zeros(3))
-        state = State(nav, after.covariance, parameter=arm, parameter_covariance=np.zeros((3, 3)))
+        state = State(
+            nav, after.covariance, parameter=parameter, parameter_covariance=np.zeros((len(parameter), len(parameter)))
+        )
         innovation = self._sensors[position.sensor].innovation(position, state)
         ratio = 1.0 if self._estimator is None else self._estimator.noise(position.sensor)
         nees = innovation._replace(R=innovation.R * ratio**2).nis(state)

@@ -92,8 +92,8 @@ class PositionClock:
 def receiver_constants(sensor: PositionSensor, value: Array) -> tuple[Array, float]:
     """Return the lever arm (3,) [m] and the offset [s] of a receiver, given what is estimated of it (p,)."""
     has_clock = has_estimated_clock(sensor)
-    own = value[:-1] if has_clock else value
-    return own if own.size else sensor.p_I_P, float(value[-1]) if has_clock else 0.0
+    shift = value[:-1] if has_clock else value
+    return sensor.p_I_P + shift if shift.size else sensor.p_I_P, float(value[-1]) if has_clock else 0.0
 
 
 def has_estimated_clock(sensor: Any) -> bool:

@@ -13,10 +13,21 @@ from holdfast.config.sensors import GnssConfig
 from holdfast.geometry.earth import Geodetic
 from holdfast.geometry.world import World
 from holdfast.messages import Array, FixStatus, GnssFix, Message
-from holdfast.sensors.lever_arm import doubtful_arm, measured_arm
+from holdfast.sensors.lever_arm import GNSS_ARM, doubtful_arm, measured_arm
 from holdfast.sensors.noise import Colour
 from holdfast.sensors.position import position_factor, position_innovation
-from holdfast.sensors.sensor import Innovation, Parameter, Position, Role, State, is_claim, lever_arm, register
+from holdfast.sensors.sensor import (
+    ANYWHERE,
+    Innovation,
+    Parameter,
+    Position,
+    Role,
+    State,
+    innovation_factor,
+    is_claim,
+    lever_arm,
+    register,
+)
 from holdfast.state import Outcome
 
 MAX_ALTITUDE_M = 1e5
@@ -51,20 +62,16 @@ class GnssModel:
         self.name = name
         self.offset_ns = round(config.time_offset_s * 1e9)
         self.p_I_P = p_I_P
-        self.parameters: tuple[Parameter, ...] = (measured_arm(p_I_P),)
+        self.parameters: tuple[Parameter, ...] = (measured_arm(GNSS_ARM),)
         self.limit = config.gate_sigma**2
         self.loss, self.offset_sigma_s = config.robust_loss, config.time_offset_sigma_s
         self._config = config
         self._colour = _resolved(config.slow_time_constant_s) if config.slow_size else None
 
-    def with_doubtful_arm(self, sigma_m: float) -> "GnssModel":
-        """Return a model of the same antenna whose lever arm is known to a sigma [m] per axis only."""
-        return self.placed(doubtful_arm(self.p_I_P, sigma_m))
-
-    def placed(self, arm: Parameter) -> "GnssModel":
-        """Return a model of the same antenna whose lever arm is known as a parameter says."""
+    def with_arm(self, shift: Parameter) -> "GnssModel":
+        """Return a model of the same antenna whose lever arm is where it is known to be, but for a shift."""
         other = copy(self)
-        other.p_I_P, other.parameters = arm.mean, (arm,)
+        other.p_I_P, other.parameters = self.p_I_P + shift.mean, (shift._replace(mean=np.zeros(3)),)
         return other
 
     def with_known_arm(self) -> "GnssModel":
@@ -130,22 +137,19 @@ class GnssModel:
         return position_innovation(position, state, self.p_I_P)
 
     def factor(
-        self,
-        keys: Sequence[int],
-        position: Position,
-        inflation: float,
-        state: State | None = None,  # noqa: ARG002 (it is linear about none)
+        self, keys: Sequence[int], position: Position, inflation: float, state: State = ANYWHERE
     ) -> gtsam.NonlinearFactor:
-        """Return the factor of a fix on a node, and on its arm if that is estimated."""
-        arm = self.p_I_P if len(keys) == 1 else keys[1]
-        return position_factor(keys[0], position, arm, self.loss, inflation)
+        """Return the factor of a fix on a node, and on the shift of its arm if that is estimated."""
+        if len(keys) == 1:
+            return position_factor(keys[0], position, self.p_I_P, self.loss, inflation)
+        return innovation_factor(self, keys, position, state, position.covariance * inflation, self.loss)
 
 
 def _configured(name: str, section: GnssConfig, config: Config) -> GnssModel:
     model, sigma_m = GnssModel(name, section, lever_arm(name, config)), section.lever_arm_sigma_m
     if sigma_m == 0.0:
         return model.with_known_arm()
-    return model if sigma_m is None else model.with_doubtful_arm(sigma_m)
+    return model if sigma_m is None else model.with_arm(doubtful_arm(np.full(3, sigma_m)))
 
 
 register(GnssConfig, _configured)

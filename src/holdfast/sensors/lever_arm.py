@@ -1,37 +1,31 @@
-"""Lever arms as constants that the graph estimates: held as they were measured, until they prove to be far off."""
+"""Lever arms as constants that the graph estimates, as shifts (3,) [m] from where they were measured.
+
+One is held there until it proves to be far off. Of antennas the shift is a common one, in the axes of I: a wrong origin
+moves them all, and that one of several is wrong shows by their distance.
+"""
 
 import numpy as np
 
 from holdfast.messages import Array
 from holdfast.sensors.sensor import CHANGE_M, Parameter
 
-ARM = "arm"  # which parameter of a sensor it is
+ARM, GNSS_ARM = "arm", "arm of GNSS"  # which parameter of a sensor it is, and its name where antennas share it
 IF_RIGHT_M, IF_WRONG_M = 0.03, 2.0  # sigmas of one that was measured, and of one with a wrong sign
 CHANGE: Array = np.full(3, CHANGE_M)
 
 
-def measured_arm(mean: Array) -> Parameter:
-    """Return a lever arm (3,) [m] that is as it was measured, or far off: (54) in docs/math.md."""
-    return Parameter(mean, np.full(3, IF_WRONG_M), np.full(3, IF_RIGHT_M), part=ARM, change=CHANGE)
+def measured_arm(shared: str = "") -> Parameter:
+    """Return the shift of a lever arm that is as it was measured, or far off: (54) in docs/math.md."""
+    return doubtful_arm(np.full(3, IF_WRONG_M), shared)._replace(if_right=np.full(3, IF_RIGHT_M))
 
 
-def doubtful_arm(mean: Array, sigma_m: float) -> Parameter:
-    """Return a lever arm (3,) [m] that is known to a sigma per axis."""
-    return Parameter(mean, np.full(3, sigma_m), part=ARM, change=CHANGE)
-
-
-def found_arm(mean: Array, sigmas: Array) -> Parameter:
-    """Return a lever arm (3,) [m] that motions have told, and sigmas (3,) of it."""
-    return doubtful_arm(mean, 1.0)._replace(sigmas=sigmas)
-
-
-def arm_name(sensor: str) -> str:
-    """Return the name under which the graph knows the lever arm of a sensor."""
-    return f"{sensor} {ARM}"
+def doubtful_arm(sigmas: Array, shared: str = "") -> Parameter:
+    """Return the shift of a lever arm that is known to sigmas (3,) [m]."""
+    return Parameter(np.zeros(3), sigmas, shared=shared, part=ARM, change=CHANGE)
 
 
 def arm_of(parameters: tuple[Parameter, ...]) -> Parameter | None:
-    """Return the lever arm among the parameters of a sensor, which is the first of an antenna's."""
+    """Return the shift of the lever arm among the parameters of a sensor; it is the first of an antenna's."""
     return next((one for one in parameters if one.part == ARM), None)
 
 

@@ -42,7 +42,7 @@ class OdometryCalibration:
         change = np.array([CHANGE_RAD, CHANGE_RAD, CHANGE_RAD, IF_RIGHT_S])
         prior = Parameter(np.zeros(SIZE), np.maximum(sigmas, KNOWN), if_right, change=change, has_clock=True)
         self.prior = prior if sigmas.any() else None
-        self.arm_prior = measured_arm(np.zeros(3)) if self.is_mount_estimated else None
+        self.arm_prior = measured_arm() if self.is_mount_estimated else None
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -15,10 +15,10 @@ from holdfast.sensors.sensor import Innovation, Position, State
 def position_innovation(position: Position, state: State, p_I_P: Array) -> Innovation:
     """Compare with a state: y = p_W_P - (p_W_I + R_W_I p_I_P), (13) in docs/math.md.
 
-    The lever arm is the state's parameter if it has one, else `p_I_P` (3,).
+    A parameter of the state is the shift of the lever arm `p_I_P` (3,).
     """
     is_estimated = state.parameter.size > 0
-    arm = state.parameter if is_estimated else p_I_P
+    arm = p_I_P + state.parameter if is_estimated else p_I_P
     R_W_I = state.nav.attitude().matrix()
     H = np.zeros((3, 9))
     H[:, :3] = -R_W_I @ gtsam.SO3.Hat(arm)
@@ -28,15 +28,10 @@ def position_innovation(position: Position, state: State, p_I_P: Array) -> Innov
 
 
 def position_factor(
-    key: int, position: Position, p_I_P: Array | int, loss: RobustLoss, inflation: float
+    key: int, position: Position, p_I_P: Array, loss: RobustLoss, inflation: float
 ) -> gtsam.NonlinearFactor:
-    """Return the factor with the lever arm inside: Eqs. (8)-(9) of the paper, covariance times `inflation`.
-
-    `p_I_P` is the arm (3,), or the key of the variable that it is.
-    """
+    """Return the factor with the lever arm (3,) inside: Eqs. (8)-(9) of the paper, covariance times `inflation`."""
     noise = noise_model(position.covariance * inflation, loss)
-    if isinstance(p_I_P, int):
-        return gtsam.GPSFactor2ArmCalib(key, p_I_P, position.p_W_P, noise)
     return gtsam.GPSFactor2Arm(key, position.p_W_P, p_I_P, noise)
 
 

@@ -12,6 +12,7 @@ from holdfast.geometry.world import World
 from holdfast.messages import Array, Message, PointPosition
 from holdfast.sensors.position import position_factor, position_innovation
 from holdfast.sensors.sensor import (
+    ANYWHERE,
     Innovation,
     Parameter,
     Position,
@@ -65,11 +66,10 @@ class PrismModel:
         keys: Sequence[int],
         position: Position,
         inflation: float,
-        state: State | None = None,  # noqa: ARG002 (it is linear about none)
+        state: State = ANYWHERE,  # noqa: ARG002
     ) -> gtsam.NonlinearFactor:
-        """Return the factor of a position on a node, and on its arm if that is estimated."""
-        arm = self.p_I_P if len(keys) == 1 else keys[1]
-        return position_factor(keys[0], position, arm, self.loss, inflation)
+        """Return the factor of a position on a node."""
+        return position_factor(keys[0], position, self.p_I_P, self.loss, inflation)
 
 
 register(PrismConfig, lambda name, section, config: PrismModel(name, section, lever_arm(name, config)))

@@ -84,6 +84,9 @@ class State(NamedTuple):
     twist_beyond: Callable[[float], Array] = lambda _: STEADY
 
 
+ANYWHERE = State(gtsam.NavState(), np.zeros((9, 9)))  # of a factor that does not depend on where it is made
+
+
 class Innovation(NamedTuple):
     """A measurement minus what a state predicts: y = z - h(x), and how it depends on the state.
 
@@ -208,7 +211,7 @@ class PositionSensor(Sensor, Protocol):
         """Compare a position with a state."""
 
     def factor(
-        self, keys: Sequence[int], position: Position, inflation: float, state: State | None = None
+        self, keys: Sequence[int], position: Position, inflation: float, state: State = ANYWHERE
     ) -> gtsam.NonlinearFactor:
         """Return the factor on a node, and on the parameters if there are any, its covariance times `inflation`.
 

@@ -20,7 +20,7 @@ from holdfast.graph.smoother import Smoother
 from holdfast.sensors.clock import with_estimated_clock
 from holdfast.sensors.constants import priors_of_machine
 from holdfast.sensors.gnss import GnssModel
-from holdfast.sensors.lever_arm import arm_name, is_in_doubt
+from holdfast.sensors.lever_arm import GNSS_ARM, is_in_doubt
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise
 from holdfast.sensors.sensor import Measurement, Parameter, Role, Sensor, of_role
 from holdfast.smoothing.block import Biases, Block, Refused, Work
@@ -112,7 +112,7 @@ class Segment:
         """Return a sensor with its clock, and an antenna with its lever arm, as known unless they were found off."""
         name = sensor.name
         if isinstance(sensor, GnssModel) and not is_in_doubt(sensor.parameters):
-            sensor = sensor if self._recorded.is_off(arm_name(name)) else sensor.with_known_arm()
+            sensor = sensor if self._recorded.is_off(GNSS_ARM) else sensor.with_known_arm()
         clocked = with_estimated_clock(sensor)
         is_known = clocked is sensor or not self._recorded.is_off(clocked.parameters[-1].name(name))
         return sensor if is_known else clocked
