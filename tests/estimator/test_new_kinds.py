@@ -88,7 +88,7 @@ def test_a_scale_factor_of_the_wheels_is_found_while_gnss_is_there_and_holds_wit
     found = {}
 
     def note(optimiser, stamp_ns):
-        found[seconds(stamp_ns)] = optimiser.tracking.graph.published.parameter_estimate("wheels")
+        found[seconds(stamp_ns)] = optimiser.tracking.graph.published.parameters.estimate("wheels")
 
     optimised(config, wheeled(1.03), note)
     for end_s in (10.0, 28.0):
@@ -204,7 +204,7 @@ def test_a_mounting_that_is_off_by_half_a_degree_is_found():
     ]
     messages = in_order(imu(ROAD, 0.0, 20.0, 100.0, rng), *antennas)
     optimiser, log, _ = optimised(machine(lidar=False, right=True, more={"rear": no_slip}), messages)
-    found, sigmas = np.degrees(optimiser.tracking.graph.main.parameter_estimate("rear"))
+    found, sigmas = np.degrees(optimiser.tracking.graph.main.parameters.estimate("rear"))
     assert (abs(found - [0.5, -0.5]) < 4.0 * sigmas).all() and (sigmas < 0.06).all()
     assert kinds(log, "rear") == []
 
@@ -291,7 +291,7 @@ def test_a_frame_that_is_offset_from_w_is_found_and_carries_an_outage(yaw_deg):
     )
     config = machine(lidar=False, more={"marker": marker})
     optimiser, log, _ = optimised(config, messages)
-    found, sigmas = optimiser.tracking.graph.main.parameter_estimate("marker")
+    found, sigmas = optimiser.tracking.graph.main.parameters.estimate("marker")
     assert (abs(found - [20.0, -10.0, 2.0, np.radians(yaw_deg)]) < 4.0 * sigmas).all() and (sigmas < 0.06).all()
     assert kinds(log, "marker") == []
     _, outputs = run(config, messages)
@@ -313,7 +313,7 @@ def test_an_offset_of_a_hundred_metres_is_found_although_the_machine_starts_six_
     )
     start = {"heading_deg": HEADING_DEG + 6.0, "initialisation": {"heading_sigma_deg": 6.0}}
     optimiser, _, _ = optimised(machine(lidar=False, more={"marker": marker}, **start), messages)
-    found, sigmas = optimiser.tracking.graph.main.parameter_estimate("marker")
+    found, sigmas = optimiser.tracking.graph.main.parameters.estimate("marker")
     assert (abs(found - [100.0, -60.0, 2.0, np.radians(40.0)]) < 3.0 * sigmas).all() and (sigmas < 0.3).all()
 
 
@@ -348,7 +348,7 @@ def test_a_height_with_an_unknown_constant_learns_it_from_gnss_and_holds_the_hei
     )
     config = machine(more={"laser": laser})
     optimiser, log, _ = optimised(config, messages)
-    (constant,), _ = optimiser.tracking.graph.main.parameter_estimate("laser")
+    (constant,), _ = optimiser.tracking.graph.main.parameters.estimate("laser")
     assert constant == pytest.approx(37.0, abs=0.03)
     assert kinds(log, "laser") == []
     _, outputs = run(config, messages)

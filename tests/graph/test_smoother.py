@@ -193,7 +193,7 @@ def measure_height(smoother, t, constant_m, sigma_m=0.01):
 
 def test_a_parameter_is_estimated_and_its_sigma_shrinks():
     smoother = smoother_of(DRIVE, 8.0)
-    assert smoother.parameter_estimate("laser") is None
+    assert smoother.parameters.estimate("laser") is None
     for t in np.arange(0.5, 6.0, 0.1):
         enter(smoother, position(DRIVE, t, ARM))
         measure_height(smoother, t, 0.7)
@@ -201,7 +201,7 @@ def test_a_parameter_is_estimated_and_its_sigma_shrinks():
     value, covariance = measure_height(smoother, 6.0, 0.7)
     assert value == pytest.approx(0.7, abs=0.005)
     assert covariance[0, 0] ** 0.5 < 0.01
-    found, sigmas = smoother.parameter_estimate("laser")
+    found, sigmas = smoother.parameters.estimate("laser")
     assert found == value and sigmas**2 == pytest.approx(covariance[0])
 
 

@@ -140,5 +140,5 @@ def test_a_parameter_is_shared_by_all_measurements_of_a_sensor():
         main = rig.graph.main
         main.enter(fix, rig.sensors["gnss"].factor([main.node(fix.stamp_ns)], fix, 1.0))
         assert receive(rig, height(t, 42.0)) is Outcome.USED
-    (found,), (sigma,) = rig.graph.main.parameter_estimate("laser")
+    (found,), (sigma,) = rig.graph.main.parameters.estimate("laser")
     assert abs(found - 42.0) < 4.0 * sigma < 0.02

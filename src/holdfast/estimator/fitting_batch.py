@@ -15,9 +15,9 @@ from holdfast.estimator.odometry_tracks import OdometryTracks
 from holdfast.graph.alignment import FITS, JUMPED, Alignment, BatchAligner
 from holdfast.graph.alignment_problem import MAX_EXCESS, BiasPrior, Evidence, Problems
 from holdfast.messages import Array
-from holdfast.sensors.gnss import GnssModel
+from holdfast.sensors.gnss import is_measured
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.sensors.lever_arm import GNSS_ARM, IF_RIGHT_M, doubtful_arm, is_in_doubt
+from holdfast.sensors.lever_arm import GNSS_ARM, IF_RIGHT_M, doubtful_arm
 from holdfast.sensors.preintegration import ImuNoise
 from holdfast.sensors.sensor import Parameter, VelocitySensor, is_gnss
 
@@ -62,7 +62,7 @@ class FittingBatches:
         odometries: OdometryTracks,
     ) -> None:
         self._points, self._odometries = points, odometries
-        antennas = {name: one for name, one in points.items() if _is_measured(one)}
+        antennas = {name: one for name, one in points.items() if is_measured(one)}
         self._may_be_moved = bool(antennas)
         freed = {name: one.with_arm(doubtful_arm(np.full(3, FREED_M), GNSS_ARM)) for name, one in antennas.items()}
         self._aligner = BatchAligner(Problems(buffer, noise, points, velocities))
@@ -136,11 +136,6 @@ class FittingBatches:
         velocities = [one for one in evidence.velocities if one.stamp_ns >= positions[0].stamp_ns]
         fewer = Evidence(positions, velocities)
         return fewer._replace(motions=self._odometries.factors(fewer.stamps, names) if evidence.motions else ())
-
-
-def _is_measured(point: Any) -> bool:
-    """Whether a point is an antenna whose lever arm is as it was measured, or far off."""
-    return isinstance(point, GnssModel) and bool(point.parameters) and not is_in_doubt(point.parameters)
 
 
 def _shift(freed: Alignment) -> Parameter | None:

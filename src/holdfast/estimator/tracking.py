@@ -32,6 +32,7 @@ from holdfast.integrity.states import JointAt, States
 from holdfast.integrity.yaw_learning import Witness
 from holdfast.sensors.clock import with_estimated_clock
 from holdfast.sensors.constants import Constant, priors_of_machine
+from holdfast.sensors.gnss import is_measured
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lever_arm import GNSS_ARM
 from holdfast.sensors.noise import Colour
@@ -99,6 +100,7 @@ class Tracking:
         self._roles = {name: sensor.role for name, sensor in sensors.items()}
         self._constraints = [sensor for sensor in sensors.values() if isinstance(sensor, ConstraintSensor)]
         self._gate = config.gate
+        antenna = next((one for one in sensors.values() if is_measured(one)), None)
         sensors = {name: with_estimated_clock(sensor) for name, sensor in sensors.items()}
         receivers = of_role(sensors, Role.POSITION)
         self._positions = Positions(
@@ -144,10 +146,18 @@ class Tracking:
         self._machine_constants = constants_of_machine(config, sensors, lever_arms.doubts())
         self.queue = MeasurementQueue()
         known = carried_priors(carried.constants, self._machine_constants)
-        self.graph = DualGraph(config, buffer, gravity, self._odometries.new_tracks(), state, carried=known)
+        shift = successor.start.shift
+        self.graph = DualGraph(
+            config,
+            buffer,
+            gravity,
+            self._odometries.new_tracks(),
+            state,
+            carried=known,
+            found={} if shift is None or GNSS_ARM not in self._priors else {GNSS_ARM: shift},
+            antenna=antenna,
+        )
         self.graph.main.imu_noise.walk_scale = successor.walk_scale
-        if successor.start.shift is not None and GNSS_ARM in self._priors:
-            self.graph.begin_parameter_anew(GNSS_ARM, successor.start.shift)
         self._hold_mistaken(state.stamp_ns)
 
     @property

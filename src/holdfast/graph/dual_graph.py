@@ -18,7 +18,7 @@ from holdfast.graph.odometry_track import Joined, OdometryTrack
 from holdfast.graph.smoother import Smoother
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.odometry import TrackPose
-from holdfast.sensors.sensor import Parameter
+from holdfast.sensors.sensor import Parameter, PositionSensor
 from holdfast.state import OptimisedState, Outcome
 
 
@@ -45,6 +45,8 @@ class DualGraph:
         tracks: an empty track of each odometry, by name.
         state: where both begin.
         carried: priors of constants of sensors, by name, as they were learnt before.
+        found: the same, as they were found by what has found the state.
+        antenna: whose fixes have told where both begin, if its lever arm is estimated.
     """
 
     def __init__(
@@ -56,9 +58,13 @@ class DualGraph:
         state: OptimisedState,
         *,
         carried: Mapping[str, Parameter] = MappingProxyType({}),
+        found: Mapping[str, Parameter] = MappingProxyType({}),
+        antenna: PositionSensor | None = None,
     ) -> None:
         self._config = config.graph
-        self._main = _Graph(Smoother(config, buffer, gravity, state, carried=carried), dict(tracks))
+        self._main = _Graph(
+            Smoother(config, buffer, gravity, state, carried=carried, found=found, antenna=antenna), dict(tracks)
+        )
         self._fallback: _Graph | None = None
         self.is_lost = False
 
@@ -134,7 +140,7 @@ class DualGraph:
     def begin_parameter_anew(self, name: str, prior: Parameter) -> None:
         """Know this alone of a sensor's parameter from now on."""
         for smoother in self.smoothers():
-            smoother.begin_parameter_anew(name, prior)
+            smoother.parameters.begin_anew(name, prior)
 
     def begin_tracks_anew(self, smoother: Smoother, odometry: str | None = None) -> None:
         """Begin the track of an odometry, or of all, anew in a smoother that lost its window or its position."""

@@ -27,7 +27,7 @@ Mode = Literal["anchored", "relative", "frozen"]
 
 def believed_calibration(smoother: Smoother, odometry: str, calibration: OdometryCalibration) -> Array:
     """Return what is believed of how and where an odometry is mounted, and of its clock (7,)."""
-    beliefs = [smoother.parameter_belief(one.name(odometry), one)[0] for one in calibration.parameters]
+    beliefs = [smoother.parameters.belief(one.name(odometry), one)[0] for one in calibration.parameters]
     return joined(*beliefs) if beliefs else NOMINAL
 
 

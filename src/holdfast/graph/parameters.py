@@ -56,13 +56,17 @@ class Parameters:
     Args:
         refreshed_ns: a marginal is read so often; of a solver that holds minutes it costs the whole problem.
         carried: priors by name that stand in for those of the sensors, as they were learnt before.
+        found: priors by name that stand in for those of the sensors for good.
     """
 
     def __init__(
-        self, refreshed_ns: int = REFRESHED_NS, carried: Mapping[str, Parameter] = MappingProxyType({})
+        self,
+        refreshed_ns: int = REFRESHED_NS,
+        carried: Mapping[str, Parameter] = MappingProxyType({}),
+        found: Mapping[str, Parameter] = MappingProxyType({}),
     ) -> None:
-        self._refreshed_ns, self._carried = refreshed_ns, carried
-        self._anew: Mapping[str, Parameter] = MappingProxyType({})  # which stand in for the configured ones, for good
+        self._refreshed_ns, self._anew = refreshed_ns, found
+        self._carried = {name: one for name, one in carried.items() if name not in found}
         self._known: dict[str, Known] = {}
         self._made = 0
 

@@ -29,13 +29,13 @@ def with_parameters(
 
 def with_beliefs(smoother: Smoother, sensor: Any, state: State) -> State:
     """Return a state with what is believed of a sensor's parameters, their priors where they are no variables yet."""
-    beliefs = [smoother.parameter_belief(prior.name(sensor.name), prior) for prior in sensor.parameters]
+    beliefs = [smoother.parameters.belief(prior.name(sensor.name), prior) for prior in sensor.parameters]
     return _with(state, [value for value, _ in beliefs], [covariance for _, covariance in beliefs])
 
 
 def believed_parameters(smoother: Smoother, sensor: Any) -> Array:
     """Return what is believed of a sensor's parameters (p,)."""
-    beliefs = [smoother.parameter_belief(prior.name(sensor.name), prior)[0] for prior in sensor.parameters]
+    beliefs = [smoother.parameters.belief(prior.name(sensor.name), prior)[0] for prior in sensor.parameters]
     return np.concatenate([np.zeros(0), *beliefs])
 
 

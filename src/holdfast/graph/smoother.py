@@ -16,7 +16,7 @@ from holdfast.graph.biases import Biases
 from holdfast.graph.chain import Chain, Motion
 from holdfast.graph.nodes import BIAS, FRAME, NODE, Link, to_grid
 from holdfast.graph.parameters import MAX_SIZE, REFRESHED_NS, Parameters, parameter_letter
-from holdfast.graph.prior import joint_prior
+from holdfast.graph.prior import joint_prior, priors_through
 from holdfast.graph.slow_errors import SLOW, SlowErrors, sizes_of
 from holdfast.graph.solution import check_solution
 from holdfast.graph.solver import Placed, Solver
@@ -29,7 +29,7 @@ from holdfast.sensors.constants import Constant
 from holdfast.sensors.imu import ImuBuffer, Turning
 from holdfast.sensors.noise import FREE_VARIANCE, Colour
 from holdfast.sensors.preintegration import ImuNoise, MotionModel
-from holdfast.sensors.sensor import Joint, Measurement, Parameter, State
+from holdfast.sensors.sensor import Joint, Measurement, Parameter, PositionSensor, State
 from holdfast.state import OptimisedState, is_finite
 
 SETTLE_MARGIN_NS = 1_000_000_000  # a node is read this long before it leaves the window; updates are not further apart
@@ -58,6 +58,11 @@ class Smoother:
         new_solver: makes an empty solver; without it a `Window`.
         known: tells the state at the time of a new node [ns], if it is known better than by prediction.
         carried: priors of constants of sensors, by name, as they were learnt before.
+        found: the same, as they were found by what has found the state.
+        antenna: whose fixes have told where it begins, if its lever arm is estimated.
+
+    Attributes:
+        parameters: what is known of constants of sensors.
     """
 
     def __init__(
@@ -70,6 +75,8 @@ class Smoother:
         *,
         known: Callable[[int], gtsam.NavState | None] = lambda _: None,
         carried: Mapping[str, Parameter] = MappingProxyType({}),
+        found: Mapping[str, Parameter] = MappingProxyType({}),
+        antenna: PositionSensor | None = None,
     ) -> None:
         imu = config.imu
         self._config = config.graph
@@ -80,10 +87,10 @@ class Smoother:
         self._motion = Motion(buffer, self.imu_noise, model, config.graph.nodes == "imu", known)
         self._greatest_bias = np.repeat([imu.accelerometer_range, imu.gyroscope_range], 3)
         self._new_solver = new_solver or (lambda: Window(self._relinearize_thresholds()))
-        self._parameters = Parameters(max(REFRESHED_NS, self._lag_ns // 3), carried)
-        self._biases = Biases(config, self._parameters, self.imu_noise)
+        self.parameters = Parameters(max(REFRESHED_NS, self._lag_ns // 3), carried, found)
+        self._biases = Biases(config, self.parameters, self.imu_noise)
         self._slow_sizes = sizes_of(config)
-        self._frames_made = 0
+        self._frames_made, self._antenna = 0, antenna
         self._begin(state)
 
     def _begin(self, state: OptimisedState) -> None:
@@ -95,7 +102,14 @@ class Smoother:
         self._settled_ns = NEVER_NS
         self._state = state
         self._tail = Tail(state.covariance)  # new nodes included
-        self.add(joint_prior(self._chain.key(self.newest_ns), self._biases.newest_key, state))
+        keys = self._chain.key(self.newest_ns), self._biases.newest_key
+        if self._antenna is None:
+            self.add(joint_prior(*keys, state))
+            return
+        arm = self._antenna.parameters[0]
+        arm_key, shift, _ = self.parameter(arm.name(self._antenna.name), arm, state.stamp_ns)
+        for factor in priors_through(self._antenna, *keys, arm_key, state, shift):
+            self.add(factor)
 
     def clone(self) -> "Smoother":
         """Return a smoother of its own with the same window, measurements included.
@@ -104,8 +118,8 @@ class Smoother:
         """
         other = copy(self)
         other._window, counterpart = self._window.copy()
-        other._parameters = self._parameters.copy(other._window, counterpart)
-        other._biases = self._biases.copy(other._parameters, counterpart, self._window)
+        other.parameters = self.parameters.copy(other._window, counterpart)
+        other._biases = self._biases.copy(other.parameters, counterpart, self._window)
         other._chain = self._chain.copy(other._window, counterpart, other._biases)
         held = ((key, one, placed) for key, (one, placed) in self._measured.items() if self._holds(placed))
         other._measured = {key: (one, counterpart(placed)) for key, one, placed in held}
@@ -193,37 +207,17 @@ class Smoother:
 
         `start` (p,) is where a new one is linearised; without it at the mean of the prior.
         """
-        known = self._parameters.use(self._window, name, prior, to_grid(stamp_ns), start)
+        known = self.parameters.use(self._window, name, prior, to_grid(stamp_ns), start)
         return known.key, known.value, known.covariance
-
-    def parameter_belief(self, name: str, prior: Parameter) -> tuple[Array, Array]:
-        """Return the estimate (p,) and covariance (p, p) of a sensor's parameter, of its prior while there is none."""
-        return self._parameters.belief(name, prior)
-
-    def unheld(self, name: str, prior: Parameter) -> tuple[Array, Array]:
-        """Return the estimate (p,) and covariance (p, p) of a parameter as if it were not believed to be right."""
-        return self._parameters.unheld(name, prior)
-
-    def parameter_prior(self, name: str, configured: Parameter) -> Parameter:
-        """Return the prior that a sensor's parameter began with."""
-        return self._parameters.prior(name, configured)
-
-    def begin_parameter_anew(self, name: str, prior: Parameter) -> None:
-        """Know this alone of a sensor's parameter from now on."""
-        self._parameters.begin_anew(name, prior)
-
-    def parameter_estimate(self, name: str) -> tuple[Array, Array] | None:
-        """Return the estimate (p,) of a sensor's parameter and its sigmas (p,), None while there is none."""
-        return self._parameters.estimate(name)
 
     def constants(self, priors: Mapping[str, Parameter]) -> dict[str, Constant]:
         """Return what is known of the parameters of some names."""
-        found = {name: self._parameters.constant(name, prior) for name, prior in priors.items()}
+        found = {name: self.parameters.constant(name, prior) for name, prior in priors.items()}
         return {name: one for name, one in found.items() if one is not None}
 
     def review_parameters(self, priors: Mapping[str, Parameter]) -> bool:
         """Read parameters after a batch has converged; return whether it must once more, as their belief changed."""
-        return self._parameters.review(self._window, priors)
+        return self.parameters.review(self._window, priors)
 
     def slow_error(self, name: str, colour: Colour, stamp_ns: int, at_W: Array | None = None) -> SlowError:
         """Return the slow error of a sensor at a time, whose node must exist, made a variable where there is none."""
@@ -374,7 +368,7 @@ class Smoother:
             self._reanchor()
             raise OptimiserError((str(error).strip() or repr(error)).splitlines()[0]) from error
         self._chain.mark_solved(state.bias, horizon)
-        self._parameters.mark_solved()
+        self.parameters.mark_solved()
         self._slow_errors.mark_solved()
         if self._measured and next(iter(self._measured.values()))[0].stamp_ns < self.oldest_ns - FORGET_NS:
             self._measured = {key: one for key, one in self._measured.items() if one[0].stamp_ns >= self.oldest_ns}

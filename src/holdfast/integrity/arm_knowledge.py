@@ -15,7 +15,7 @@ def is_arm_proven(sensor: PositionSensor, smoother: Smoother) -> bool:
     arm = arm_of(sensor.parameters)
     if arm is None or arm.if_right is None:
         return False
-    value, covariance = smoother.unheld(arm.name(sensor.name), arm)
+    value, covariance = smoother.parameters.unheld(arm.name(sensor.name), arm)
     variances, axes = np.linalg.eigh(covariance)
     off = axes.T[:2] @ (value - arm.mean)
     return bool(variances[1] <= KNOWN_M**2 and (off**2 <= SIGMA**2 * variances[:2] + IF_RIGHT_M**2).all())

@@ -64,10 +64,10 @@ class Calibration:
         self._reviewed_ns = now_ns
         for name, sensor in self._sensors.items():
             for prior in sensor.parameters:
-                estimate = smoother.parameter_estimate(prior.name(name))
+                estimate = smoother.parameters.estimate(prior.name(name))
                 if estimate is not None:
                     self._tell(name, _findings(sensor, prior, *estimate), now_ns)
-        scale = smoother.parameter_estimate(self._imu)
+        scale = smoother.parameters.estimate(self._imu)
         if scale is not None:
             self._tell(self._imu, _findings_of_gyroscope(*scale), now_ns)
 

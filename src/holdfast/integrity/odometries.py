@@ -226,7 +226,7 @@ class Odometries:
         calibration = odometry.model.calibration
         if calibration.prior is None or not calibration.is_mount_estimated:
             return False
-        prior = graph.main.parameter_prior(name, calibration.prior)
+        prior = graph.main.parameters.prior(name, calibration.prior)
         return calibration.is_turned(prior, self._calibration(graph, name))
 
     def _mount(self, graph: DualGraph, name: str, prior: Parameter) -> None:
@@ -274,7 +274,7 @@ class Odometries:
     def _forget_arm(self, graph: DualGraph, name: str) -> None:
         """Forget where an odometry is if that was not known yet: its lies may have looked like it."""
         arm = self._odometries[name].model.calibration.arm_prior
-        known = None if arm is None else graph.main.parameter_estimate(arm.name(name))
+        known = None if arm is None else graph.main.parameters.estimate(arm.name(name))
         if arm is None or known is None:
             return
         _, sigma_m = length_and_sigma(*known)

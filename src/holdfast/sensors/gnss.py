@@ -3,17 +3,17 @@
 from collections.abc import Sequence
 from copy import copy
 from math import isfinite
-from typing import ClassVar
+from typing import ClassVar, TypeGuard
 
 import gtsam
 import numpy as np
 
 from holdfast.config.model import Config
-from holdfast.config.sensors import GnssConfig
+from holdfast.config.sensors import GnssConfig, PrismConfig
 from holdfast.geometry.earth import Geodetic
 from holdfast.geometry.world import World
 from holdfast.messages import Array, FixStatus, GnssFix, Message
-from holdfast.sensors.lever_arm import GNSS_ARM, doubtful_arm, measured_arm
+from holdfast.sensors.lever_arm import GNSS_ARM, doubtful_arm, is_in_doubt, measured_arm
 from holdfast.sensors.noise import Colour
 from holdfast.sensors.position import position_factor, position_innovation
 from holdfast.sensors.sensor import (
@@ -145,10 +145,15 @@ class GnssModel:
         return innovation_factor(self, keys, position, state, position.covariance * inflation, self.loss)
 
 
+def is_measured(sensor: object) -> TypeGuard[GnssModel]:
+    """Whether a sensor is an antenna whose lever arm is estimated, as it was measured or far off."""
+    return isinstance(sensor, GnssModel) and bool(sensor.parameters) and not is_in_doubt(sensor.parameters)
+
+
 def _configured(name: str, section: GnssConfig, config: Config) -> GnssModel:
     model, sigma_m = GnssModel(name, section, lever_arm(name, config)), section.lever_arm_sigma_m
-    if sigma_m == 0.0:
-        return model.with_known_arm()
+    if sigma_m == 0.0 or (sigma_m is None and config.sensors_of(PrismConfig)):
+        return model.with_known_arm()  # of a prism and an antenna that contradict, nobody knows which is elsewhere
     return model if sigma_m is None else model.with_arm(doubtful_arm(np.full(3, sigma_m)))
 
 

@@ -19,8 +19,8 @@ from holdfast.graph.odometry_track import OdometryTrack, believed_calibration
 from holdfast.graph.smoother import Smoother
 from holdfast.sensors.clock import with_estimated_clock
 from holdfast.sensors.constants import priors_of_machine
-from holdfast.sensors.gnss import GnssModel
-from holdfast.sensors.lever_arm import GNSS_ARM, is_in_doubt
+from holdfast.sensors.gnss import is_measured
+from holdfast.sensors.lever_arm import GNSS_ARM
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise
 from holdfast.sensors.sensor import Measurement, Parameter, Role, Sensor, of_role
 from holdfast.smoothing.block import Biases, Block, Refused, Work
@@ -73,6 +73,7 @@ class Segment:
             state,
             new_solver=lambda: self._batch,
             known=recorded.nav,
+            antenna=next((one for one in sensors.values() if is_measured(one)), None),
         )
         models: dict[str, OdometryModel] = of_role(sensors, Role.ODOMETRY)
         self._tracks = {
@@ -111,7 +112,7 @@ class Segment:
     def _believed(self, sensor: Any) -> Any:
         """Return a sensor with its clock, and an antenna with its lever arm, as known unless they were found off."""
         name = sensor.name
-        if isinstance(sensor, GnssModel) and not is_in_doubt(sensor.parameters):
+        if is_measured(sensor):
             sensor = sensor if self._recorded.is_off(GNSS_ARM) else sensor.with_known_arm()
         clocked = with_estimated_clock(sensor)
         is_known = clocked is sensor or not self._recorded.is_off(clocked.parameters[-1].name(name))
