@@ -23,6 +23,7 @@ from holdfast.integrity.learnt_snapshot import (
     LearntYaw,
 )
 from holdfast.sensors.constants import LearntConstant
+from holdfast.sensors.lever_arm import GNSS_ARM
 
 TURNED = (0.02, -0.01, 0.03)
 YAW = LearntYaw(log_means=(0.0, 1.5, 0.0), log_covariance=((0.1, 0.0, 0.0), (0.0, 0.06, 0.0), (0.0, 0.0, 0.1)))
@@ -205,6 +206,18 @@ def test_a_lever_arm_is_told_along_the_axes_that_are_known():
     assert not learnt_rows(right, config)
 
 
+def test_a_shift_of_the_antennas_is_told_of_each_as_what_to_write():
+    shift = LearntConstant(mean=(1.0, -0.5, 0.0), sigmas=(0.02, 0.02, 0.0006), is_off=True)
+    rows = learnt_rows(LearntSnapshot(constants={GNSS_ARM: shift}), machine(right=True))
+    for name, arm in (("gnss", ARM), ("gnss_right", ARM_RIGHT)):
+        x, y, z = (row for row in rows if row.sensor == name)
+        assert x.looks_wrong and y.looks_wrong and not z.looks_wrong
+        assert (x.configured, x.learnt) == pytest.approx((arm[0], arm[0] + 1.0))
+        assert json.loads(x.write) == pytest.approx(arm + [1.0, -0.5, 0.0], abs=1e-3)
+    right = LearntSnapshot(constants={GNSS_ARM: shift.model_copy(update={"is_off": False})})
+    assert not learnt_rows(right, machine())
+
+
 def test_a_lever_arm_is_kept_until_the_frame_is_moved(tmp_path):
     arm = LearntConstant(mean=(-1.6, 0.01, 0.4), sigmas=(0.02, 0.02, 1.5), is_off=True)
     known = LearntSnapshot(constants={"lidar arm": arm})
@@ -213,6 +226,8 @@ def test_a_lever_arm_is_kept_until_the_frame_is_moved(tmp_path):
     learnt, (warning,) = load_learnt(tmp_path / "learnt.json", machine(lidar_={"mounting_sigma_deg": 2.0}))
     assert not learnt.constants and "mounting_sigma_deg" in warning
     assert not load_learnt(tmp_path / "learnt.json", machine(lidar=False))[0].constants
+    later, _ = load_learnt(tmp_path / "learnt.json", machine(lidar_={"time_offset_s": 0.01}))
+    assert later.constants == known.constants  # the clock of a sensor does not move it
 
 
 def test_a_boastful_receiver_is_told():

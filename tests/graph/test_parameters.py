@@ -153,6 +153,29 @@ def test_what_was_held_counts_once_when_it_leaves_the_window_and_comes_back():
     np.testing.assert_allclose(again.covariance, before.covariance, rtol=1e-6)
 
 
+def test_of_one_that_is_off_what_nothing_tells_stays_where_it_was_configured():
+    arm = Parameter(np.zeros(3), np.full(3, 2.0), np.full(3, 0.03))
+    window, parameters = empty(), Parameters()
+    sigmas = np.array([0.05, 0.05, 100.0])
+    for k in range(1, 4):
+        key = parameters.use(window, "arm", arm, k * REFRESHED_NS).key
+        model = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+        window.add(gtsam.PriorFactorVector(key, np.array([1.0, 0.0, 5.0]), model))
+        window.solve(0)
+        parameters.mark_solved()
+    known = parameters.use(window, "arm", arm, 4 * REFRESHED_NS)
+    assert not known.is_right and parameters.constant("arm", arm).is_off
+    np.testing.assert_allclose(known.value, [1.0, 0.0, 0.0], atol=0.01)
+    assert np.sqrt(known.covariance[2, 2]) < 0.001 < np.sqrt(known.covariance[1, 1])
+    model = gtsam.noiseModel.Isotropic.Sigma(3, 0.01)
+    window.add(gtsam.PriorFactorVector(known.key, np.array([1.0, 0.0, 0.5]), model))
+    for k in range(5, 7):
+        window.solve(0)
+        parameters.mark_solved()
+        known = parameters.use(window, "arm", arm, k * REFRESHED_NS)
+    assert known.value[2] == pytest.approx(0.5, abs=0.01)  # once it is told
+
+
 def test_parameters_of_different_sizes_have_keys_of_different_letters():
     letters = {parameter_letter(size) for size in range(1, MAX_SIZE + 1)}
     assert len(letters) == MAX_SIZE and letters.isdisjoint("xlb")

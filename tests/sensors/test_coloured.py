@@ -8,7 +8,7 @@ from holdfast.config.sensors import RobustLoss
 from holdfast.sensors.coloured import SlowError, coloured, coloured_factor
 from holdfast.sensors.noise import Colour
 from holdfast.sensors.position import position_innovation
-from holdfast.sensors.sensor import Position, State
+from holdfast.sensors.sensor import Innovation, Parameter, Position, State
 
 ARM, NODE, SLOW = np.array([-1.0, 0.8, 2.0]), gtsam.symbol("x", 0), gtsam.symbol("s", 0)
 COLOUR = Colour(0.3, 0.7, 60.0)
@@ -63,6 +63,44 @@ def test_the_linear_factor_is_the_evaluated_one_to_first_order(moved):
     assert isinstance(evaluated, gtsam.CustomFactor)
     assert linear.error(at) == pytest.approx(evaluated.error(at), rel=5e-3)
     ours, theirs = (one.linearize(at).information() for one in (linear, evaluated))
+    np.testing.assert_allclose(ours, theirs, rtol=1e-2, atol=1e-2 * abs(theirs).max())
+
+
+class TwoConstants:
+    """A sensor of positions with two parameters of its own, by which the innovation changes as by a state."""
+
+    parameters = Parameter(np.zeros(3), np.ones(3)), Parameter(np.zeros(1), np.ones(1))
+
+    @staticmethod
+    def innovation(measured, state):
+        found = position_innovation(measured, state._replace(parameter=state.parameter[:3]), ARM)
+        along = np.array([[1.0], [2.0], [-1.0]])
+        y = found.y - along @ state.parameter[3:]
+        return Innovation(y, found.H, found.R, np.hstack([found.J, along]))
+
+
+def test_of_more_variables_than_gtsam_takes_the_linear_factor_is_the_evaluated_one_too():
+    keys, parameter = [NODE, gtsam.symbol("D", 0), gtsam.symbol("B", 0)], np.array([0.2, -0.1, 0.3, 0.05])
+    measured, _, slow = compared()
+    found = []
+    for sigma in (1e-3, 0.5):
+        state = State(NAV, compared(sigma)[1].state.covariance[:9, :9], parameter=parameter)
+        innovation = TwoConstants.innovation(measured, state)
+        joint = coloured(keys, state, innovation, COLOUR, compared(sigma)[2])
+        found.append(coloured_factor(TwoConstants, measured, joint, slow, 1.0))
+    linear, evaluated = found
+    assert isinstance(linear, gtsam.LinearContainerFactor) and isinstance(evaluated, gtsam.CustomFactor)
+    at = values(NAV.retract(np.full(9, 1e-4)), (0.3, -1.0, 0.5, 0.2))
+    at.insert(keys[1], parameter[:3] + 0.01)
+    at.insert(keys[2], parameter[3:] - 0.02)
+    assert linear.error(at) == pytest.approx(evaluated.error(at), rel=5e-3)
+    order = gtsam.Ordering()
+    for key in (*keys, SLOW):
+        order.push_back(key)
+    ours, theirs = (gtsam.GaussianFactorGraph(), gtsam.GaussianFactorGraph())
+    ours.add(linear.linearize(at))
+    theirs.add(evaluated.linearize(at))
+    ours, theirs = (graph.hessian(order)[0] for graph in (ours, theirs))
     np.testing.assert_allclose(ours, theirs, rtol=1e-2, atol=1e-2 * abs(theirs).max())
 
 

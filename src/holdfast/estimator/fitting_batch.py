@@ -6,6 +6,7 @@ what is left.
 """
 
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from math import log
 from typing import Any, NamedTuple
 
@@ -13,9 +14,9 @@ import numpy as np
 
 from holdfast.estimator.odometry_tracks import OdometryTracks
 from holdfast.graph.alignment import FITS, JUMPED, Alignment, BatchAligner
-from holdfast.graph.alignment_problem import MAX_EXCESS, BiasPrior, Evidence, Problems
+from holdfast.graph.alignment_problem import CLAIMED_DEGREES, MAX_EXCESS, BiasPrior, Evidence, Problems
 from holdfast.messages import Array
-from holdfast.sensors.gnss import is_measured
+from holdfast.sensors.gnss import GnssModel, is_measured
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lever_arm import GNSS_ARM, IF_RIGHT_M, doubtful_arm
 from holdfast.sensors.preintegration import ImuNoise
@@ -48,7 +49,7 @@ class FittingBatches:
     Args:
         buffer: of the IMU's samples.
         noise: of the IMU.
-        points: the receivers of positions, by name.
+        points: the receivers of positions, by name; antennas are replaced where they are found to be elsewhere.
         velocities: sensors of velocity, by name.
         odometries: that have measured meanwhile.
     """
@@ -57,20 +58,26 @@ class FittingBatches:
         self,
         buffer: ImuBuffer,
         noise: ImuNoise,
-        points: Mapping[str, Any],
+        points: dict[str, Any],
         velocities: Mapping[str, VelocitySensor],
         odometries: OdometryTracks,
     ) -> None:
-        self._points, self._odometries = points, odometries
-        antennas = {name: one for name, one in points.items() if is_measured(one)}
-        self._may_be_moved = bool(antennas)
-        freed = {name: one.with_arm(doubtful_arm(np.full(3, FREED_M), GNSS_ARM)) for name, one in antennas.items()}
+        self._buffer, self._points, self._odometries = buffer, points, odometries
+        self._freed = {name: _freed(one) if is_measured(one) else one for name, one in points.items()}
+        self._may_be_moved = any(is_measured(one) for one in points.values())
         self._aligner = BatchAligner(Problems(buffer, noise, points, velocities))
-        self._of_freed = BatchAligner(Problems(buffer, noise, {**points, **freed}, velocities))
+        self._of_freed = BatchAligner(Problems(buffer, noise, self._freed, velocities))
 
     def settle_arms(self) -> None:
         """Know that the lever arms of antennas are as they were measured, for good: they are constants."""
         self._may_be_moved = False
+
+    def move_antennas(self, shift: Parameter) -> None:
+        """Know from now on that antennas are elsewhere than they were believed to be, in `points`, too."""
+        for name, point in self._points.items():
+            if isinstance(point, GnssModel):
+                self._points[name] = point.with_arm(shift)
+                self._freed[name] = _freed(self._points[name])
 
     def solve(
         self, evidence: Evidence, prior: BiasPrior, max_heading_sigma_rad: float, jump_sigmas: Array | None
@@ -106,18 +113,26 @@ class FittingBatches:
     ) -> FittingBatch | None:
         """Return the batch with antennas that are elsewhere than configured, if nothing else makes it fit.
 
-        Velocities that are wrong would, too: they are left out of what it is compared with.
+        Velocities that are wrong would, too, or a clock: it is compared with what is left without them, and with
+        positions that are so much older or younger.
         """
         whole = evidence._replace(motions=self._odometries.factors(evidence.stamps))
         freed = self._of_freed.solve(whole, prior, max_heading_sigma_rad) if self._may_be_moved else None
         shift = None if freed is None else _shift(freed)
         if freed is None or shift is None:
             return None
-        fewer = Evidence(evidence.positions, ())
-        without = fewer._replace(motions=self._odometries.factors(fewer.stamps))
-        rivals = [self._aligner.solve(one, prior, max_heading_sigma_rad) for one in (whole, without)]
-        is_certain = all(_evidence(one, freed, whole) >= JUMPED for one in rivals)
-        return FittingBatch(freed, whole, shift=shift) if is_certain else None
+        without, late = Evidence(evidence.positions, ()), self._late(evidence, freed.clock_s)
+        for rival in (evidence, without, late):
+            other = rival._replace(motions=self._odometries.factors(rival.stamps))
+            if _evidence(self._aligner.solve(other, prior, max_heading_sigma_rad), freed, whole) < JUMPED:
+                return None
+        return FittingBatch(freed, whole, shift=shift)
+
+    def _late(self, evidence: Evidence, offset_s: float) -> Evidence:
+        """Return the evidence with positions that are younger by an offset, as far as the IMU has measured."""
+        off_ns, newest_ns = round(offset_s * 1e9), self._buffer.latest_ns
+        younger = [replace(one, stamp_ns=one.stamp_ns + off_ns) for one in evidence.positions]
+        return evidence._replace(positions=[one for one in younger if one.stamp_ns <= newest_ns])
 
     def _doubtful(self, evidence: Evidence, alignment: Alignment) -> list[frozenset[str]]:
         """Return what may be left out of a batch that does not fit: receivers, one odometry of several, or all."""
@@ -138,6 +153,11 @@ class FittingBatches:
         return fewer._replace(motions=self._odometries.factors(fewer.stamps, names) if evidence.motions else ())
 
 
+def _freed(antenna: GnssModel) -> GnssModel:
+    """Return an antenna whose lever arm nothing holds."""
+    return antenna.with_arm(doubtful_arm(np.full(3, FREED_M), GNSS_ARM))
+
+
 def _shift(freed: Alignment) -> Parameter | None:
     """Return by how much antennas are elsewhere than configured, if they are and the batch in which they may be fits.
 
@@ -156,5 +176,11 @@ def _shift(freed: Alignment) -> Parameter | None:
 
 def _evidence(before: Alignment, after: Alignment, evidence: Evidence) -> float:
     """Return twice the logarithm of how many times likelier other arms make what was measured: as (85)."""
-    of_before, of_after = (max(one.excess, one.misfit, 1.0) for one in (before, after))
-    return evidence.freedom * log(min(of_before, MAX_EXCESS) / of_after)
+    n = evidence.freedom
+    of_before, of_after = (min(_misfit(one), MAX_EXCESS) * n + CLAIMED_DEGREES for one in (before, after))
+    return n * log(of_before / of_after)
+
+
+def _misfit(alignment: Alignment) -> float:
+    """Return the squared residuals over what is claimed, or of positions or velocities alone if these vary by more."""
+    return alignment.misfit if alignment.misfit > 1.0 else alignment.excess

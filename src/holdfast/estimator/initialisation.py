@@ -29,7 +29,6 @@ from holdfast.graph.first_guess import level_attitude
 from holdfast.integrity.consensus import BEFORE_NS, Departure
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array, Message
-from holdfast.sensors.gnss import GnssModel
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lever_arm import is_in_doubt
 from holdfast.sensors.odometry import TrackPose
@@ -85,6 +84,7 @@ class Initialising:
         self._antennas: Antennas | None = (antennas[0], antennas[1]) if are_sure else None
         self._triggers = {one.role for one in of_role(sensors, Role.POSITION, Role.POSE).values()}
         self._positions: deque[Position] = deque()
+        self._all_positions: deque[Position] = deque()  # those that were forgotten, too: an arm is a constant
         self._velocities: deque[Velocity] = deque()
         self._others: dict[str, deque[Any]] = {}  # headings and poses, by sensor
         self.biases = KnownBiases(imu, config.initialisation.standstill_s)
@@ -112,6 +112,7 @@ class Initialising:
         role = self._sensors[measurement.sensor].role
         if role is Role.POSITION and isinstance(measurement, Position):
             self._positions.append(measurement)
+            self._all_positions.append(measurement)
         elif role is Role.VELOCITY and isinstance(measurement, Velocity):
             self._velocities.append(measurement)
         elif role is Role.ODOMETRY and isinstance(measurement, TrackPose):
@@ -121,7 +122,10 @@ class Initialising:
         if role is Role.POSE and measurement.sensor in self._points:
             self._positions.append(as_position(measurement))
         self._newest_ns = max(self._newest_ns, measurement.stamp_ns)
-        self._forget_before(self._newest_ns - self._window_ns)
+        horizon_ns = self._newest_ns - self._window_ns
+        self._forget_before(horizon_ns)
+        while self._all_positions and self._all_positions[0].stamp_ns < horizon_ns:
+            self._all_positions.popleft()
         return role in self._triggers or not self._triggers
 
     @property
@@ -185,9 +189,7 @@ class Initialising:
 
     def _move_antennas(self, shift: Parameter) -> None:
         """Know that antennas are elsewhere than they were believed to be."""
-        for name, one in self._points.items():
-            if isinstance(one, GnssModel):
-                self._points[name] = one.with_arm(shift)
+        self._batches.move_antennas(shift)
         before = 0.0 if self.shift is None else self.shift.mean
         self.shift = shift._replace(mean=before + shift.mean)
 
@@ -347,7 +349,7 @@ class Initialising:
     # --- in motion ---------------------------------------------------------------------------------------------------
 
     def _in_motion(self, now_ns: int, *, may_have_jumped: bool) -> OptimisedState | None:
-        found = self._evidence(now_ns)
+        found = self._evidence(self._positions, now_ns)
         if found is None:
             return None
         evidence, lying = found
@@ -363,20 +365,21 @@ class Initialising:
 
     def attempt_with_moved_antennas(self) -> OptimisedState | None:
         """Return a state if an antenna that is elsewhere than configured explains what was measured."""
-        reason, found = self.reason, self._evidence(self._buffer.latest_ns)
-        self.reason = reason
+        now_ns, reason = self._buffer.latest_ns, self.reason
+        found, self.reason = self._evidence(self._all_positions, now_ns), reason
         if found is None:
             return None
-        batch = self._batches.with_moved_antennas(found[0], self.biases.prior, self._limit_rad)
-        return None if batch is None else self._judged(batch, found[1], self._buffer.latest_ns)
+        evidence, lying = found
+        batch = self._batches.with_moved_antennas(evidence, self.biases.prior, self._limit_rad)
+        return None if batch is None else self._judged(batch, lying, now_ns)
 
-    def _evidence(self, now_ns: int) -> tuple[Evidence, list[str]] | None:
+    def _evidence(self, positions: Iterable[Position], now_ns: int) -> tuple[Evidence, list[str]] | None:
         """Return what a batch is made of, and the sensors of velocity that are left out; None if it is too little."""
         if not self._points:
             self.reason = "moving, and no source of positions is configured: start at standstill"
             return None
         since_ns = self._measuring_since_ns(now_ns)
-        fixes = thin(_between(self._positions, since_ns, now_ns))
+        fixes = thin(_between(positions, since_ns, now_ns))
         if len(fixes) < MIN_POSITIONS:
             self.reason = (
                 f"{len(fixes)} usable positions since the IMU measures without a gap; {MIN_POSITIONS} are needed"

@@ -20,6 +20,7 @@ from holdfast.state import OptimisedState
 AGAIN_NS = 60_000_000_000
 CALM_NS = 20_000_000_000  # after which the IMU is doubted less: such a walk is what an outage is lost by
 FASTER, MOST_DOUBTS = 10, 3  # the biases walk for each time that what has begun is contradicted within a minute
+LOOKED_NS = 10_000_000_000  # whether antennas are elsewhere is looked at this often
 TRIED_NS = 500_000_000  # whether the biases have jumped is looked at this often
 GROWN = 10.0  # a jump is believed if it is found again with so much more evidence
 DOUBT_RAD = radians(60.0)  # of a heading that is kept
@@ -113,9 +114,13 @@ class Successor:
         self._is_in_doubt = False
         return self._begun(state)
 
-    def with_moved_antennas(self, now_ns: int) -> Beginning | None:
-        """Return a state to begin from if an antenna that is elsewhere than configured explains what was refused."""
-        if now_ns - self._tried_arms_ns < TRIED_NS:
+    def with_moved_antennas(self, now_ns: int, *, is_suspected: bool) -> Beginning | None:
+        """Return a state to begin from if antennas that are elsewhere than configured explain what was measured.
+
+        It is asked now and then, and more often where positions are refused.
+        """
+        is_found = self.start.shift is not None
+        if now_ns - self._tried_arms_ns < (TRIED_NS if is_suspected else LOOKED_NS) or (is_found and not is_suspected):
             return None
         self._tried_arms_ns = now_ns
         state = self.start.attempt_with_moved_antennas()

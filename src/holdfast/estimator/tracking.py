@@ -326,10 +326,11 @@ class Tracking:
         return Update(published.newest, published.settled(), is_recovery, standing=standing)
 
     def _with_moved_antennas(self, now_ns: int) -> Beginning | None:
-        """Return a state to begin from if antennas that are elsewhere explain what the estimate refuses."""
+        """Return a state to begin from if antennas that are elsewhere explain what was measured better."""
         if self._positions.are_arms_proven:
             self.successor.start.settle_arms()
-        return self.successor.with_moved_antennas(now_ns) if self._positions.suspects() else None
+        is_suspected = bool(self._positions.suspects())
+        return self.successor.with_moved_antennas(now_ns, is_suspected=is_suspected)
 
     def _is_astray(self) -> bool:
         """Whether positions or velocities are not what the estimate expects, several in a row."""

@@ -76,6 +76,7 @@ class Alignment:
         misfit: the same, or how many times more than claimed the positions or the velocities vary, if that is more.
         jump: of the biases that would explain most; if it `is_believed`, the state is that after it.
         arms: shifts (3,) [m] of lever arms that were in doubt, with covariance (3, 3), by name.
+        clock_s: offset of the clock of positions that looks most like the first of them [s].
     """
 
     state: OptimisedState | None
@@ -85,6 +86,7 @@ class Alignment:
     misfit: float = inf
     jump: Jump | None = None
     arms: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+    clock_s: float = 0.0
 
 
 class Explained(NamedTuple):
@@ -232,15 +234,14 @@ class BatchAligner:
             apart = abs(nav.attitude().between(other.atNavState(last).attitude()).rpy()[2])
             if apart > 3.0 * max_heading_sigma_rad and other_error - error < DISTINCT * scale:
                 return Alignment(None, "the motion so far fits more than one heading")
+        keys = {name: key for name, (key, _) in self._problems.arms.items()}
         try:
-            marginals = gtsam.Marginals(problem.graph, best)
-            joint = marginals.jointMarginalCovariance([last, of_bias])
-            keys = {name: key for name, (key, _) in self._problems.arms.items()}
-            of_arms = {name: marginals.marginalCovariance(key) for name, key in keys.items()}
-        except RuntimeError:
+            joint = scale * _covariance(problem.graph, best, [last, of_bias, *keys.values()], 15 + 3 * len(keys))
+        except np.linalg.LinAlgError:
             return Alignment(None, "the motion so far does not determine the heading")
-        arms = {name: (best.atVector(key), of_arms[name] * scale) for name, key in keys.items()}
-        covariance: Array = joint.fullMatrix() * scale
+        of_arms = {name: slice(15 + 3 * k, 18 + 3 * k) for k, name in enumerate(keys)}
+        arms = {name: (best.atVector(keys[name]), joint[own, own]) for name, own in of_arms.items()}
+        covariance = joint[:15, :15].copy()
         R = nav.attitude().matrix()
         sigma = float(np.sqrt((R @ covariance[:3, :3] @ R.T)[2, 2]))
         if sigma > max_heading_sigma_rad:
@@ -253,13 +254,40 @@ class BatchAligner:
         rate = self._problems.buffer.angular_velocity(stamps[-1]) - bias.gyroscope()
         state = OptimisedState(stamps[-1], nav, bias, covariance, rate)
         reason, misfit = f"heading from motion, {np.degrees(sigma):.1f} deg", max(excess, *noise)
-        return Alignment(state, reason, sigma, excess, misfit, arms=arms)
+        clock_s = _as_clock_s(best, len(stamps), *(shift for shift, _ in arms.values()))
+        return Alignment(state, reason, sigma, excess, misfit, arms=arms, clock_s=clock_s)
 
 
 def _is_beyond(solution: Solution, prior: BiasPrior) -> bool:
     """Whether a bias is so far from what was known of it that this must have been wrong."""
     off: Array = (solution[1].atConstantBias(gtsam.symbol("b", 0)) - prior.bias).vector()
     return bool((np.abs(off) > BEYOND * prior.sigmas).any())
+
+
+def _as_clock_s(values: gtsam.Values, nodes: int, *shifts: Array) -> float:
+    """Return for how long [s] the nodes moved by a shift (3,) in I, as nearly as they did; zero without one."""
+    navs = [values.atNavState(gtsam.symbol("x", k)) for k in range(nodes)] if shifts else []
+    along = sum(float(nav.attitude().rotate(shifts[0]) @ nav.velocity()) for nav in navs)
+    return along / max(sum(float(nav.velocity() @ nav.velocity()) for nav in navs), 1e-9)
+
+
+def _covariance(graph: gtsam.NonlinearFactorGraph, at: gtsam.Values, keys: Sequence[int], size: int) -> Array:
+    """Return the joint covariance (n, n) of some variables, of so many numbers.
+
+    GTSAM's marginals fail where pivots differ by four thousand, as metres and radians do, however well they are known.
+
+    Raises:
+        LinAlgError: nothing tells one of the variables.
+    """
+    order = gtsam.Ordering()
+    others = [key for key in at.keys() if key not in keys]  # noqa: SIM118 (no mapping)
+    for key in (*keys, *others):
+        order.push_back(key)
+    information, _ = graph.linearize(at).hessian(order)
+    scale = 1.0 / np.sqrt(information.diagonal())
+    scaled = np.linalg.solve(scale[:, None] * information * scale, np.eye(len(scale), size))[:size]
+    covariance: Array = scale[:size, None] * scaled * scale[:size]
+    return covariance
 
 
 def _solved(graph: gtsam.NonlinearFactorGraph, starts: Sequence[gtsam.Values]) -> list[Solution]:

@@ -208,39 +208,35 @@ class Parameters:
             known = known._replace(carried=placed)
         if prior.if_right is None:
             return known
-        if before is None or before.is_right:
-            return _held(solver, known, prior, np.isfinite(prior.if_right))
-        return _held(solver, known, prior, before.holding * np.ones(len(mean)) > 0.0)._replace(is_right=False)
+        held = np.isfinite(prior.if_right) if before is None else before.holding * np.ones(len(mean)) > 0.0
+        return _held(solver, known, prior, held)
 
 
 def _believed(solver: Solver, known: Known, prior: Parameter) -> Known:
-    """Let a parameter go where an error is more plausible than what was configured, or back: (54) in docs/math.md.
-
-    What nothing tells of one that is off stays where it was configured.
-    """
+    """Let go what is more plausibly off than as configured, and hold it again if not: (54) in docs/math.md."""
     if prior.if_right is None:
         return known
-    log_ratio, is_told = _evidence(known, prior, prior.if_right)
-    if not is_told.any():
+    log_ratio = _evidence(known, prior, prior.if_right)
+    held = known.holding * np.ones(len(known.value)) > 0.0
+    goes, returns = held & (log_ratio < OFF), ~held & (log_ratio > RIGHT)
+    if not (goes | returns).any():
         return known
-    if known.is_right:
-        return _let_go(solver, known, prior, is_told) if log_ratio < OFF else known
-    if log_ratio > RIGHT:
-        return _held(solver, known, prior, np.isfinite(prior.if_right))
-    return _let_go(solver, known, prior, is_told) if (known.holding * is_told).any() else known
+    changed = _held(solver, known, prior, (held & ~goes) | returns)
+    # what is let go stays where it is until it is solved
+    return changed if returns.any() else changed._replace(value=known.value, is_solved=known.is_solved)
 
 
-def _evidence(known: Known, prior: Parameter, if_right: Array) -> tuple[float, NDArray[np.bool_]]:
-    """Return how much more plausible it is that a parameter is right than that it is off, as a logarithm.
+def _evidence(known: Known, prior: Parameter, if_right: Array) -> Array:
+    """Return how much more plausible it is that each element (p,) is right than that it is off, as a logarithm.
 
-    And (p,) of which elements the measurements tell: of others they say too little beside the prior.
+    Zero where the measurements say too little beside the prior, or where there is no telling.
     """
     precision = 1.0 / known.covariance.diagonal() - 1.0 / prior.sigmas**2 - known.holding
     is_told = np.isfinite(if_right) & (precision >= TOLD / prior.sigmas**2)
     variance = 1.0 / np.maximum(precision, 1e-6 / prior.sigmas**2)  # of what the measurements say alone
     off = (known.value - prior.mean) * variance / known.covariance.diagonal()
     ratio = _log_density(off, variance + if_right**2) - _log_density(off, variance + prior.sigmas**2)
-    return float(ratio[is_told].sum()), is_told
+    return np.where(is_told, ratio, 0.0)
 
 
 def _held(solver: Solver, known: Known, prior: Parameter, which: NDArray[np.bool_]) -> Known:
@@ -257,15 +253,10 @@ def _held(solver: Solver, known: Known, prior: Parameter, which: NDArray[np.bool
     free = np.linalg.inv(covariance)
     covariance = np.linalg.inv(free + np.diag(holding))
     value = prior.mean + covariance @ free @ (value - prior.mean)
+    is_right = bool((which == np.isfinite(prior.if_right)).all())
     return known._replace(
-        value=value, covariance=covariance, is_solved=False, is_right=True, hold=placed, holding=holding
+        value=value, covariance=covariance, is_solved=False, is_right=is_right, hold=placed, holding=holding
     )
-
-
-def _let_go(solver: Solver, known: Known, prior: Parameter, is_told: NDArray[np.bool_]) -> Known:
-    """Hold no more what measurements tell of a parameter that is off; until it is solved it stays where it is."""
-    changed = _held(solver, known, prior, (known.holding > 0.0) & ~is_told)
-    return changed._replace(value=known.value, is_solved=known.is_solved, is_right=False)
 
 
 def _unheld(known: Known, mean: Array) -> tuple[Array, Array]:

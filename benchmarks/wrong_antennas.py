@@ -1,0 +1,67 @@
+"""Prints what antennas cost a machine that are not where the file says: `python benchmarks/wrong_antennas.py`.
+
+A scenario with two antennas is simulated and estimated with their lever arms as they are, then moved along x and y of
+the machine: both, as where the origin of the file is elsewhere, one of them, and one where the other is left out. The
+truth of the simulation judges while fixes come, from the start on.
+"""
+
+import argparse
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from copy import deepcopy
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from wrong_by_ten import scores
+
+from holdfast.sim.configuration import configuration_data
+from holdfast.sim.scenario import load_scenario
+from holdfast.trial.run import write_simulation
+
+DISTANCES_M = (0.3, 1.0, 3.0)
+WHICH = ("both", "one", "alone")
+SHOWN = ("with GNSS", "heading", "outage")
+
+
+def moved(data: dict[str, Any], which: str, by: Sequence[float]) -> dict[str, Any]:
+    """Return a configuration with antennas that are elsewhere by a vector (3,) [m]."""
+    changed = deepcopy(data)
+    sensors = changed["sensors"]
+    antennas = [name for name, section in sensors.items() if section["kind"] == "gnss"]
+    frames = [sensors[name].get("frame", name) for name in antennas]
+    if which == "alone":
+        headings = [name for name, section in sensors.items() if section["kind"] == "heading"]
+        for name in (*antennas[1:], *headings):
+            del sensors[name]
+    for link in changed["extrinsics"]:
+        if link["child"] in (frames if which == "both" else frames[:1]):
+            link["translation_m"] = (np.array(link["translation_m"]) + by).tolist()
+    return changed
+
+
+def main() -> None:
+    """Run what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenario", nargs="?", default="rounds")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--m", type=float, nargs="+", default=DISTANCES_M, help="moved by")
+    parser.add_argument("--which", nargs="+", choices=WHICH, default=WHICH)
+    given = parser.parse_args()
+    scenario = load_scenario(given.scenario)
+    data = configuration_data(scenario, given.seed)
+    tried = [(which, axis, by) for which in given.which for by in (0.0, *given.m) for axis in "xy"[: 2 if by else 1]]
+    print("| antennas | axis | moved by [m] | horizontal RMS [m] | heading RMS [deg] | outages: horizontal RMS [m] |")
+    print("|---|---|---:|---:|---:|---:|")
+    with TemporaryDirectory() as folder, ProcessPoolExecutor(2) as pool:
+        score = partial(scores, Path(folder), write_simulation(scenario, given.seed, Path(folder)))
+        changed = [moved(data, which, np.eye(3)["xyz".index(axis)] * by) for which, axis, by in tried]
+        for (which, axis, by), row in zip(tried, pool.map(score, changed), strict=True):
+            cells = " | ".join(f"{row[title]:.3f}" for title in SHOWN)
+            print(f"| {which} | {axis if by else ''} | {by:g} | {cells} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
