@@ -9,7 +9,7 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[1] / "estimator"))
 
-from motion import T_I_L, machine
+from motion import ARM, ARM_RIGHT, T_I_L, machine
 
 from holdfast.calibration.learnt_file import check_learnt_file, load_learnt, save_learnt
 from holdfast.calibration.learnt_table import learnt_rows, plain_rows, wrong_lines
@@ -213,7 +213,7 @@ def test_a_shift_of_the_antennas_is_told_of_each_as_what_to_write():
         x, y, z = (row for row in rows if row.sensor == name)
         assert x.looks_wrong and y.looks_wrong and not z.looks_wrong
         assert (x.configured, x.learnt) == pytest.approx((arm[0], arm[0] + 1.0))
-        assert json.loads(x.write) == pytest.approx(arm + [1.0, -0.5, 0.0], abs=1e-3)
+        assert json.loads(x.write) == pytest.approx(arm + np.array([1.0, -0.5, 0.0]), abs=1e-3)
     right = LearntSnapshot(constants={GNSS_ARM: shift.model_copy(update={"is_off": False})})
     assert not learnt_rows(right, machine())
 

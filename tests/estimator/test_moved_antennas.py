@@ -53,7 +53,7 @@ class FigureEight(Drive):
 DRIVE = FigureEight(start_s=4.0, ramp_s=4.0, speed=0.3)  # up to 8 m/s
 
 
-def driven(shift, sigma=RTK, hz=5.0, right=False, lidar=False, end_s=END_S):
+def driven(shift, sigma=RTK, hz=5.0, *, right=False, lidar=False, end_s=END_S):
     """The estimator after a drive with antennas that are shifted (3,) from where it believes them."""
     rng = np.random.default_rng(1)
     sent = [imu(DRIVE, 0.0, end_s, 50.0, rng), fixes(DRIVE, 0.0, end_s, hz, rng, sigma, arm=ARM + shift)]

@@ -97,7 +97,7 @@ class FittingBatches:
         whole = evidence._replace(motions=self._odometries.factors(evidence.stamps))
         alignment = solved(whole)
         if alignment.excess > DOUBTFUL or alignment.misfit > FITS:
-            moved = self.with_moved_antennas(evidence, prior, max_heading_sigma_rad)
+            moved = self.with_moved_antennas(evidence, prior, max_heading_sigma_rad, jump_sigmas)
             if moved is not None:
                 return moved
         for names in self._doubtful(whole, alignment):
@@ -109,12 +109,12 @@ class FittingBatches:
         return FittingBatch(alignment, whole)
 
     def with_moved_antennas(
-        self, evidence: Evidence, prior: BiasPrior, max_heading_sigma_rad: float
+        self, evidence: Evidence, prior: BiasPrior, max_heading_sigma_rad: float, jump_sigmas: Array | None
     ) -> FittingBatch | None:
         """Return the batch with antennas that are elsewhere than configured, if nothing else makes it fit.
 
-        Velocities that are wrong would, too, or a clock: it is compared with what is left without them, and with
-        positions that are so much older or younger.
+        Velocities that are wrong would, too, a clock, or biases that have jumped: it is compared with what is left
+        without velocities, with positions that are so much younger, and with a jump. Arguments as of `solve`.
         """
         whole = evidence._replace(motions=self._odometries.factors(evidence.stamps))
         freed = self._of_freed.solve(whole, prior, max_heading_sigma_rad) if self._may_be_moved else None
@@ -122,9 +122,9 @@ class FittingBatches:
         if freed is None or shift is None:
             return None
         without, late = Evidence(evidence.positions, ()), self._late(evidence, freed.clock_s)
-        for rival in (evidence, without, late):
+        for rival, jump in ((evidence, None), (without, None), (late, None), (evidence, jump_sigmas)):
             other = rival._replace(motions=self._odometries.factors(rival.stamps))
-            if _evidence(self._aligner.solve(other, prior, max_heading_sigma_rad), freed, whole) < JUMPED:
+            if _evidence(self._aligner.solve(other, prior, max_heading_sigma_rad, jump), freed, whole) < JUMPED:
                 return None
         return FittingBatch(freed, whole, shift=shift)
 

@@ -370,7 +370,7 @@ class Initialising:
         if found is None:
             return None
         evidence, lying = found
-        batch = self._batches.with_moved_antennas(evidence, self.biases.prior, self._limit_rad)
+        batch = self._batches.with_moved_antennas(evidence, self.biases.prior, self._limit_rad, self.biases.doubted)
         return None if batch is None else self._judged(batch, lying, now_ns)
 
     def _evidence(self, positions: Iterable[Position], now_ns: int) -> tuple[Evidence, list[str]] | None:

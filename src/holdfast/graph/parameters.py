@@ -22,7 +22,7 @@ from holdfast.sensors.sensor import Parameter
 MAX_SIZE = 12
 RIGHT, OFF = 0.0, -log(3.0)  # log ratio of the densities under what was configured and under the prior
 HELD = 0.02  # of the error that counts as right: as if there were none
-TOLD = 15.0  # times the information in the prior: an element is known to a quarter of that
+TOLD, NEAR = 0.25, 6.0  # of the sigmas if it is off and if it is right, to the greater of which one must be told
 REFUTED = 3.0  # sigmas of what was learnt before a restart
 REFRESHED_NS = 1_000_000_000  # a marginal is read this often
 WALK_NS = 10_000_000_000  # a parameter that walks is another variable after so long
@@ -232,7 +232,8 @@ def _evidence(known: Known, prior: Parameter, if_right: Array) -> Array:
     Zero where the measurements say too little beside the prior, or where there is no telling.
     """
     precision = 1.0 / known.covariance.diagonal() - 1.0 / prior.sigmas**2 - known.holding
-    is_told = np.isfinite(if_right) & (precision >= TOLD / prior.sigmas**2)
+    told = np.where(np.isfinite(if_right), np.maximum(TOLD * prior.sigmas, NEAR * if_right), 0.0)
+    is_told = precision * told**2 >= 1.0
     variance = 1.0 / np.maximum(precision, 1e-6 / prior.sigmas**2)  # of what the measurements say alone
     off = (known.value - prior.mean) * variance / known.covariance.diagonal()
     ratio = _log_density(off, variance + if_right**2) - _log_density(off, variance + prior.sigmas**2)

@@ -283,9 +283,11 @@ class HeldOutJudge:
         """Return a position with what has been learnt of its receiver until now."""
         sensor = with_estimated_clock(self._sensors[position.sensor])
         known = {} if self._estimator is None else self._estimator.learnt().constants
-        learnt = [known.get(prior.name(position.sensor)) for prior in sensor.parameters]
-        means = [prior.mean if one is None else one.mean for prior, one in zip(sensor.parameters, learnt, strict=True)]
-        value = np.concatenate([np.zeros(0), *means])
+        value = np.zeros(0)
+        for prior in sensor.parameters:
+            learnt = known.get(prior.name(position.sensor))
+            is_told = learnt is not None and (learnt.is_off or prior.if_right is None)
+            value = np.append(value, learnt.mean if learnt is not None and is_told else prior.mean)
         shift, offset_s = (value[:-1], float(value[-1])) if has_estimated_clock(sensor) else (value, 0.0)
         return _Due(position, in_outage, position.stamp_ns + round(offset_s * 1e9), shift)
 
