@@ -31,11 +31,16 @@ AS_MOUNTED, NOT_MOVED = Rotation.identity(), np.zeros(3)
 
 
 def configuration(
-    bag: Path, turned: Rotation = AS_MOUNTED, moved: np.ndarray = NOT_MOVED, antenna: np.ndarray = NOT_MOVED
+    bag: Path,
+    turned: Rotation = AS_MOUNTED,
+    moved: np.ndarray = NOT_MOVED,
+    antenna: np.ndarray = NOT_MOVED,
+    *,
+    is_known: bool = False,
 ) -> Config:
     """Return what `config init` writes, with the pose of the lidar, which may be turned and moved (3,) in its axes.
 
-    The antenna, which is where the IMU is, may be moved, too.
+    The antenna, which is where the IMU is, may be moved, too; its place may be said to be known.
     """
     with open_recording(bag) as opened:
         document = yaml.safe_load(first_config(opened))
@@ -43,6 +48,8 @@ def configuration(
     mount["rotation_matrix"] = (turned * Rotation.from_matrix(mount["rotation_matrix"])).as_matrix().tolist()
     mount["translation_m"] = (turned.apply(mount["translation_m"]) + moved).tolist()
     placed = {"parent": "imu", "child": "gnss", "translation_m": antenna.tolist()}
+    if is_known:
+        document["sensors"]["gnss"]["lever_arm_sigma_m"] = 0.0
     return config_of(document | {"extrinsics": [mount, placed]}, "config init")
 
 

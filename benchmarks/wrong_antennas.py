@@ -26,12 +26,14 @@ WHICH = ("both", "one", "alone")
 SHOWN = ("with GNSS", "heading", "outage")
 
 
-def moved(data: dict[str, Any], which: str, by: Sequence[float]) -> dict[str, Any]:
-    """Return a configuration with antennas that are elsewhere by a vector (3,) [m]."""
+def moved(data: dict[str, Any], which: str, by: Sequence[float], *, is_known: bool) -> dict[str, Any]:
+    """Return a configuration with antennas that are elsewhere by a vector (3,) [m]; it may say that they are not."""
     changed = deepcopy(data)
     sensors = changed["sensors"]
     antennas = [name for name, section in sensors.items() if section["kind"] == "gnss"]
     frames = [sensors[name].get("frame", name) for name in antennas]
+    for name in antennas if is_known else ():
+        sensors[name]["lever_arm_sigma_m"] = 0.0
     if which == "alone":
         headings = [name for name, section in sensors.items() if section["kind"] == "heading"]
         for name in (*antennas[1:], *headings):
@@ -48,6 +50,7 @@ def main() -> None:
     parser.add_argument("scenario", nargs="?", default="rounds")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--m", type=float, nargs="+", default=DISTANCES_M, help="moved by")
+    parser.add_argument("--known", action="store_true", help="the file says that the places of antennas are known")
     parser.add_argument("--which", nargs="+", choices=WHICH, default=WHICH)
     given = parser.parse_args()
     scenario = load_scenario(given.scenario)
@@ -57,7 +60,10 @@ def main() -> None:
     print("|---|---|---:|---:|---:|---:|")
     with TemporaryDirectory() as folder, ProcessPoolExecutor(2) as pool:
         score = partial(scores, Path(folder), write_simulation(scenario, given.seed, Path(folder)))
-        changed = [moved(data, which, np.eye(3)["xyz".index(axis)] * by) for which, axis, by in tried]
+        vectors = [np.eye(3)["xyz".index(axis)] * by for _, axis, by in tried]
+        changed = [
+            moved(data, which, by, is_known=given.known) for (which, _, _), by in zip(tried, vectors, strict=True)
+        ]
         for (which, axis, by), row in zip(tried, pool.map(score, changed), strict=True):
             cells = " | ".join(f"{row[title]:.3f}" for title in SHOWN)
             print(f"| {which} | {axis if by else ''} | {by:g} | {cells} |", flush=True)

@@ -3,7 +3,7 @@
 KITTI's drive from its first metre, where the car moves too little for the start to show it, with what `config init`
 writes and the pose of the lidar, which is turned about each of its axes, and then moved along them; then the antenna is
 moved along the axes of the IMU. Every second fix, of one a second, is held out.
-`--deg 90 --m --antenna-m --axes z` runs one row alone.
+`--deg 90 --m --antenna-m --axes z` runs one row alone, `--deg --m --known` antennas whose place is not estimated.
 """
 
 import argparse
@@ -32,11 +32,11 @@ class Wrong(NamedTuple):
     unit: str
 
 
-def run(drive: Path, wrong: Wrong) -> dict[str, Any]:
+def run(drive: Path, is_known: bool, wrong: Wrong) -> dict[str, Any]:
     """Return the errors with the lidar turned or moved, or the antenna moved."""
     vector = np.eye(3)["xyz".index(wrong.axis)] * wrong.by
     if wrong.what == "antenna":
-        config = configuration(drive / "bag", antenna=vector)
+        config = configuration(drive / "bag", antenna=vector, is_known=is_known)
     elif wrong.unit == "deg":
         config = configuration(drive / "bag", Rotation.from_rotvec(vector, degrees=True))
     else:
@@ -51,6 +51,7 @@ def main() -> None:
     parser.add_argument("--deg", type=float, nargs="*", default=ANGLES_DEG, help="by which the lidar is turned")
     parser.add_argument("--m", type=float, nargs="*", default=DISTANCES_M, help="by which it is moved")
     parser.add_argument("--antenna-m", type=float, nargs="*", default=DISTANCES_M, help="by which the antenna is moved")
+    parser.add_argument("--known", action="store_true", help="the file says that the place of the antenna is known")
     parser.add_argument("--axes", nargs="+", default=["x", "y", "z"])
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     given = parser.parse_args()
@@ -62,7 +63,7 @@ def main() -> None:
     kinds = ("lidar", "deg", given.deg), ("lidar", "m", given.m), ("antenna", "m", given.antenna_m)
     wrong = [Wrong(what, axis, by, unit) for what, unit, all_ in kinds for by in all_ for axis in given.axes]
     with ProcessPoolExecutor(2) as pool:
-        for one, row in zip(wrong, pool.map(partial(run, drive), wrong), strict=True):
+        for one, row in zip(wrong, pool.map(partial(run, drive, given.known), wrong), strict=True):
             said = [
                 one.what,
                 one.axis,

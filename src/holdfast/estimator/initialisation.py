@@ -16,9 +16,10 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig
-from holdfast.estimator.course import Course, course_of, travel_m
+from holdfast.estimator.course import Course, course_of
 from holdfast.estimator.first_heading import Antennas, baseline_heading, pose_heading
 from holdfast.estimator.fitting_batch import FittingBatch, FittingBatches
+from holdfast.estimator.fixes_in_motion import fixes_in_motion, turn
 from holdfast.estimator.known_biases import KnownBiases
 from holdfast.estimator.odometry_tracks import OdometryTracks
 from holdfast.estimator.pose_as_point import PoseAsPoint, as_position
@@ -44,10 +45,8 @@ from holdfast.sensors.standstill import (
 from holdfast.state import OptimisedState, Outcome
 
 PLAUSIBLE_FORCE_M_S2 = (7.0, 13.0)  # mean specific force of a machine on the ground
-MIN_TRAVEL_M, MIN_TRAVEL_SIGMAS = 2.0, 5.0
 TIMES_NEARER = 8.0  # to positions, an odometry is than the estimate that leaves them
 RETRY_NS = 1_000_000_000
-MIN_POSITIONS = 3
 STANDING_S = 5.0, 15.0  # over which positions tell whether the machine stands, longer ones if the first cannot
 COURSE_S = 8.0, 3.0  # over which positions and velocities are averaged: two positions, or all of the shorter time
 Point = TypeVar("Point", Position, Velocity)
@@ -349,49 +348,31 @@ class Initialising:
     # --- in motion ---------------------------------------------------------------------------------------------------
 
     def _in_motion(self, now_ns: int, *, may_have_jumped: bool) -> OptimisedState | None:
-        found = self._evidence(self._positions, now_ns)
-        if found is None:
+        fixes = fixes_in_motion(self._positions, self._points, self._buffer, now_ns)
+        if isinstance(fixes, str):
+            self.reason = fixes
             return None
-        evidence, lying = found
-        newest_ns = evidence.positions[-1].stamp_ns
         if not may_have_jumped:
-            if newest_ns - self._last_try_ns < RETRY_NS:
+            if fixes[-1].stamp_ns - self._last_try_ns < RETRY_NS:
                 return None
-            self._last_try_ns = newest_ns
+            self._last_try_ns = fixes[-1].stamp_ns
+        velocities, lying = self._credible_velocities(fixes, now_ns)
         is_explained = may_have_jumped and self._velocity_check.are_explained(self._velocities, lying)
         jump_sigmas = self.biases.doubted if is_explained else None
+        evidence = Evidence(fixes, thin(velocities))
         batch = self._batches.solve(evidence, self.biases.prior, self._limit_rad, jump_sigmas)
         return self._judged(batch, lying, now_ns)
 
     def attempt_with_moved_antennas(self) -> OptimisedState | None:
         """Return a state if an antenna that is elsewhere than configured explains what was measured."""
-        now_ns, reason = self._buffer.latest_ns, self.reason
-        found, self.reason = self._evidence(self._all_positions, now_ns), reason
-        if found is None:
-            return None
-        evidence, lying = found
-        batch = self._batches.with_moved_antennas(evidence, self.biases.prior, self._limit_rad, self.biases.doubted)
-        return None if batch is None else self._judged(batch, lying, now_ns)
-
-    def _evidence(self, positions: Iterable[Position], now_ns: int) -> tuple[Evidence, list[str]] | None:
-        """Return what a batch is made of, and the sensors of velocity that are left out; None if it is too little."""
-        if not self._points:
-            self.reason = "moving, and no source of positions is configured: start at standstill"
-            return None
-        since_ns = self._measuring_since_ns(now_ns)
-        fixes = thin(_between(positions, since_ns, now_ns))
-        if len(fixes) < MIN_POSITIONS:
-            self.reason = (
-                f"{len(fixes)} usable positions since the IMU measures without a gap; {MIN_POSITIONS} are needed"
-            )
-            return None
-        travel = max(travel_m([fix for fix in fixes if fix.sensor == name]) for name in self._points)
-        needed = max(MIN_TRAVEL_M, MIN_TRAVEL_SIGMAS * float(np.sqrt(fixes[-1].covariance[:2, :2].max())))
-        if travel < needed:
-            self.reason = f"moved {travel:.1f} m; a heading from motion needs {needed:.1f} m"
+        now_ns = self._buffer.latest_ns
+        fixes = fixes_in_motion(self._all_positions, self._points, self._buffer, now_ns)
+        if isinstance(fixes, str) or not turn(fixes):
             return None
         velocities, lying = self._credible_velocities(fixes, now_ns)
-        return Evidence(fixes, thin(velocities)), lying
+        evidence = Evidence(fixes, thin(velocities))
+        batch = self._batches.with_moved_antennas(evidence, self.biases.prior, self._limit_rad, self.biases.doubted)
+        return None if batch is None else self._judged(batch, lying, now_ns)
 
     def _judged(self, batch: FittingBatch, lying: Collection[str], now_ns: int) -> OptimisedState | None:
         """Return the state that a batch tells, if it does."""
@@ -425,14 +406,6 @@ class Initialising:
         covariance = state.covariance.copy()
         covariance[:6, :6] += np.outer(moving, moving)
         return replace(state, covariance=covariance)
-
-    def _measuring_since_ns(self, now_ns: int) -> int:
-        """Return the end of the last gap of the IMU."""
-        start = self._buffer.oldest_ns
-        for piece in self._buffer.pieces(start, now_ns):
-            if piece.is_gap:
-                start = piece.end_ns
-        return start
 
 
 def _between(measurements: Iterable[Point], start_ns: int, end_ns: int) -> list[Point]:

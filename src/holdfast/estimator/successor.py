@@ -20,7 +20,7 @@ from holdfast.state import OptimisedState
 AGAIN_NS = 60_000_000_000
 CALM_NS = 20_000_000_000  # after which the IMU is doubted less: such a walk is what an outage is lost by
 FASTER, MOST_DOUBTS = 10, 3  # the biases walk for each time that what has begun is contradicted within a minute
-LOOKED_NS = 10_000_000_000  # whether antennas are elsewhere is looked at this often
+LOOKED_NS = 30_000_000_000  # whether antennas are elsewhere is looked at this often
 TRIED_NS = 500_000_000  # whether the biases have jumped is looked at this often
 GROWN = 10.0  # a jump is believed if it is found again with so much more evidence
 DOUBT_RAD = radians(60.0)  # of a heading that is kept

@@ -208,8 +208,8 @@ class BatchAligner:
             for i, attitude in enumerate(attitudes):
                 R_W_I = turned.compose(attitude)
                 values.insert(gtsam.symbol("x", i), gtsam.NavState(R_W_I, track[i] - R_W_I.rotate(arm), speeds[i]))
-            for key, prior in self._problems.arms.values():
-                values.insert(key, prior.mean)
+            for name, key in self._problems.arms.items():
+                values.insert(key, self._problems.positions[name].p_I_P)
             yield values
 
     def _judge(
@@ -234,13 +234,17 @@ class BatchAligner:
             apart = abs(nav.attitude().between(other.atNavState(last).attitude()).rpy()[2])
             if apart > 3.0 * max_heading_sigma_rad and other_error - error < DISTINCT * scale:
                 return Alignment(None, "the motion so far fits more than one heading")
-        keys = {name: key for name, (key, _) in self._problems.arms.items()}
+        shifts = self._problems.shifts()
         try:
-            joint = scale * _covariance(problem.graph, best, [last, of_bias, *keys.values()], 15 + 3 * len(keys))
+            joint = scale * _covariance(
+                problem.graph, best, [last, of_bias, *(key for key, _ in shifts.values())], 15 + 3 * len(shifts)
+            )
         except np.linalg.LinAlgError:
             return Alignment(None, "the motion so far does not determine the heading")
-        of_arms = {name: slice(15 + 3 * k, 18 + 3 * k) for k, name in enumerate(keys)}
-        arms = {name: (best.atVector(keys[name]), joint[own, own]) for name, own in of_arms.items()}
+        arms = {
+            name: (best.atVector(key) - sensor.p_I_P, joint[15 + 3 * k : 18 + 3 * k, 15 + 3 * k : 18 + 3 * k])
+            for k, (name, (key, sensor)) in enumerate(shifts.items())
+        }
         covariance = joint[:15, :15].copy()
         R = nav.attitude().matrix()
         sigma = float(np.sqrt((R @ covariance[:3, :3] @ R.T)[2, 2]))

@@ -1,6 +1,6 @@
 """The batch of a start in motion as a graph: what it is made of, and what its residuals say of the noise."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from math import inf
 from typing import NamedTuple, TypeVar
@@ -14,6 +14,7 @@ from holdfast.messages import Array
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lever_arm import is_in_doubt
 from holdfast.sensors.noise import correlation_inflation, shared_inflation
+from holdfast.sensors.position import arm_factor
 from holdfast.sensors.preintegration import ImuNoise, preintegrate
 from holdfast.sensors.sensor import Position, PositionSensor, Velocity, VelocitySensor
 
@@ -23,6 +24,7 @@ CLAIMED_DEGREES = 30.0  # of freedom, that residuals must have to count as much 
 BUCKET_NS = 1_000_000_000  # of each sensor one measurement in so long: errors of neighbours are alike
 FAR_RAD_S = 0.02  # over a second what is linear about a bias is right to 2e-4 rad
 FREE = 1e6
+TIED_M = 1e-4  # by which two arms that have one shift may differ otherwise
 Point = TypeVar("Point", Position, Velocity)
 
 
@@ -110,7 +112,7 @@ class Problems:
 
     Attributes:
         buffer: as given, as are `noise` and `positions`.
-        arms: key and prior of the shifts of lever arms that are in doubt, by name.
+        arms: key of each lever arm that is in doubt, by receiver.
     """
 
     def __init__(
@@ -122,8 +124,8 @@ class Problems:
     ) -> None:
         self.buffer, self.noise = buffer, noise
         self.positions, self._velocities = positions, velocities
-        doubted = {one.parameters[0].name(name): one for name, one in positions.items() if is_in_doubt(one.parameters)}
-        self.arms = {name: (gtsam.symbol("a", k), one.parameters[0]) for k, (name, one) in enumerate(doubted.items())}
+        doubted = [name for name, one in positions.items() if is_in_doubt(one.parameters)]
+        self.arms = {name: gtsam.symbol("a", k) for k, name in enumerate(doubted)}
         self._deltas: dict[tuple[int, int], gtsam.PreintegratedImuMeasurements] = {}
         self._bias = gtsam.imuBias.ConstantBias()  # about which they are linear
 
@@ -170,18 +172,22 @@ class Problems:
         first = graph.size()
         for name, sensor in self.positions.items():
             own = [one for one in evidence.positions if one.sensor == name]
-            arm_keys = [self.arms[prior.name(name)][0] for prior in sensor.parameters if prior.name(name) in self.arms]
+            arm_key = self.arms.get(name)
             gaps_s = [(b.stamp_ns - a.stamp_ns) * 1e-9 for a, b in pairwise(own)]
             correlation_s = max((one.correlation_s for one in own), default=0.0)
             inflation = shared_inflation(correlation_s, [inf, *gaps_s]) * noise.of_positions
             for one in own:
-                graph.add(sensor.factor([keys[to_grid(one.stamp_ns)], *arm_keys], one, inflation))
+                key = keys[to_grid(one.stamp_ns)]
+                if arm_key is None:
+                    graph.add(sensor.factor([key], one, inflation))
+                else:
+                    graph.add(arm_factor(key, arm_key, one, sensor.loss, inflation))
         of_positions = range(first, graph.size())
         for velocity in evidence.velocities:
             graph.add(self._velocity_factor(keys[to_grid(velocity.stamp_ns)], velocity, noise.of_velocities))
         of_velocities = range(of_positions.stop, graph.size())
-        for key, of_arm in self.arms.values():
-            graph.add(gtsam.PriorFactorVector(key, of_arm.mean, gtsam.noiseModel.Diagonal.Sigmas(of_arm.sigmas)))
+        for factor in self._of_arms():
+            graph.add(factor)
         for motion in evidence.motions:
             graph.add(motion)
         weak = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([10.0, FREE, FASTEST_M_S], 3))
@@ -190,6 +196,27 @@ class Problems:
             of_biases = gtsam.noiseModel.Diagonal.Sigmas(prior.sigmas)
             graph.add(gtsam.PriorFactorConstantBias(gtsam.symbol("b", k), prior.bias, of_biases))
         return Problem(graph, of_positions, of_velocities, gtsam.symbol("b", len(spells) - 1))
+
+    def shifts(self) -> dict[str, tuple[int, PositionSensor]]:
+        """Return the key of the lever arm that tells each shift, by its name, and whose arm it is."""
+        found: dict[str, tuple[int, PositionSensor]] = {}
+        for name, key in self.arms.items():
+            found.setdefault(self.positions[name].parameters[0].name(name), (key, self.positions[name]))
+        return found
+
+    def _of_arms(self) -> Iterator[gtsam.NonlinearFactor]:
+        """Yield the priors of lever arms; those that share a shift are tied to the first of them."""
+        first = self.shifts()
+        for name, key in self.arms.items():
+            sensor = self.positions[name]
+            prior = sensor.parameters[0]
+            other_key, other = first[prior.name(name)]
+            if other is sensor:
+                model = gtsam.noiseModel.Diagonal.Sigmas(prior.sigmas)
+                yield gtsam.PriorFactorVector(key, sensor.p_I_P, model)
+            else:
+                between = sensor.p_I_P - other.p_I_P
+                yield gtsam.BetweenFactorVector(other_key, key, between, gtsam.noiseModel.Isotropic.Sigma(3, TIED_M))
 
     def _velocity_factor(self, key: int, velocity: Velocity, noise: float) -> gtsam.NonlinearFactor:
         """Return a prior on the velocity of I; while the heading is unknown, the lever arm adds to the noise."""

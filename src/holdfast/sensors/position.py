@@ -35,6 +35,11 @@ def position_factor(
     return gtsam.GPSFactor2Arm(key, position.p_W_P, p_I_P, noise)
 
 
+def arm_factor(key: int, arm_key: int, position: Position, loss: RobustLoss, inflation: float) -> gtsam.NonlinearFactor:
+    """Return the factor on a node and on the lever arm (3,) itself."""
+    return gtsam.GPSFactor2ArmCalib(key, arm_key, position.p_W_P, noise_model(position.covariance * inflation, loss))
+
+
 class Motion(NamedTuple):
     """How I moves in W, at one time or at many.
 
