@@ -20,6 +20,7 @@ from motion import (
     scans,
 )
 
+from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT
 from holdfast.sensors.lever_arm import GNSS_ARM
 from holdfast.sensors.registry import sensors_of
 from holdfast.state import EventKind
@@ -53,7 +54,7 @@ class FigureEight(Drive):
 DRIVE = FigureEight(start_s=4.0, ramp_s=4.0, speed=0.3)  # up to 8 m/s
 
 
-def driven(shift, sigma=RTK, hz=5.0, *, right=False, lidar=False, end_s=END_S):
+def driven(shift, sigma=RTK, hz=5.0, *, right=False, lidar=False, end_s=END_S, learnt=NOTHING_LEARNT):
     """The estimator after a drive with antennas that are shifted (3,) from where it believes them."""
     rng = np.random.default_rng(1)
     sent = [imu(DRIVE, 0.0, end_s, 50.0, rng), fixes(DRIVE, 0.0, end_s, hz, rng, sigma, arm=ARM + shift)]
@@ -61,7 +62,7 @@ def driven(shift, sigma=RTK, hz=5.0, *, right=False, lidar=False, end_s=END_S):
         sent.append(fixes(DRIVE, 0.0, end_s, hz, rng, sigma, arm=ARM_RIGHT + shift, sensor="gnss_right"))
     if lidar:
         sent.append(scans(DRIVE, 0.0, end_s, 5.0, rng, (0.001, 0.01), phase_s=0.0071))
-    return run(machine(lidar=lidar, right=right, heading_deg=None), in_order(*sent))
+    return run(machine(lidar=lidar, right=right, heading_deg=None), in_order(*sent), learnt)
 
 
 def worst_m(outputs, since_s=SETTLED_S):
@@ -85,6 +86,17 @@ def test_two_antennas_that_are_moved_alike_are_found_though_they_are_as_far_apar
     shift = np.array([0.0, 1.0, 0.0])
     estimator, outputs = driven(shift, right=True, lidar=lidar)
     np.testing.assert_allclose(estimator.constants()[GNSS_ARM].value, shift, atol=0.1)
+    assert worst_m(outputs) < 0.1
+
+
+def test_what_was_found_is_known_from_the_start_of_the_next_day_and_found_again_if_it_is_right_then():
+    shift = np.array([0.0, -3.0, 0.0])
+    before, _ = driven(shift)
+    learnt = before.learnt()
+    estimator, outputs = driven(shift, end_s=20.0, learnt=learnt)
+    assert worst_m(outputs, 7.0) < 0.15 and estimator.constants()[GNSS_ARM].is_off
+    assert EventKind.BEGUN_ANEW not in {event.kind for event in estimator.events}
+    _, outputs = driven(np.zeros(3), learnt=learnt)
     assert worst_m(outputs) < 0.1
 
 

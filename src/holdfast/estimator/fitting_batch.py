@@ -24,6 +24,7 @@ from holdfast.sensors.sensor import Parameter, VelocitySensor, is_gnss
 
 DOUBTFUL = 2.0  # squared residuals over what is claimed, where an odometry is among them
 FREED_M = 10.0  # sigma of an arm in doubt: nothing shall hold it
+MOST_LATE_S, FEWEST = 1.0, 3  # of clocks, and positions that make a batch
 TOLD_M, MOVED = 0.5, 5.0  # sigma to which motions must tell an element of an arm, and sigmas by which it is off
 
 
@@ -62,7 +63,7 @@ class FittingBatches:
         velocities: Mapping[str, VelocitySensor],
         odometries: OdometryTracks,
     ) -> None:
-        self._buffer, self._points, self._odometries = buffer, points, odometries
+        self._points, self._odometries = points, odometries
         self._freed = {name: _freed(one) if is_measured(one) else one for name, one in points.items()}
         self._may_be_moved = any(is_measured(one) for one in points.values())
         self._aligner = BatchAligner(Problems(buffer, noise, points, velocities))
@@ -121,18 +122,12 @@ class FittingBatches:
         shift = None if freed is None else _shift(freed)
         if freed is None or shift is None:
             return None
-        without, late = Evidence(evidence.positions, ()), self._late(evidence, freed.clock_s)
+        without, late = Evidence(evidence.positions, ()), _younger(evidence, freed.clock_s)
         for rival, jump in ((evidence, None), (without, None), (late, None), (evidence, jump_sigmas)):
             other = rival._replace(motions=self._odometries.factors(rival.stamps))
             if _evidence(self._aligner.solve(other, prior, max_heading_sigma_rad, jump), freed, whole) < JUMPED:
                 return None
         return FittingBatch(freed, whole, shift=shift)
-
-    def _late(self, evidence: Evidence, offset_s: float) -> Evidence:
-        """Return the evidence with positions that are younger by an offset, as far as the IMU has measured."""
-        off_ns, newest_ns = round(offset_s * 1e9), self._buffer.latest_ns
-        younger = [replace(one, stamp_ns=one.stamp_ns + off_ns) for one in evidence.positions]
-        return evidence._replace(positions=[one for one in younger if one.stamp_ns <= newest_ns])
 
     def _doubtful(self, evidence: Evidence, alignment: Alignment) -> list[frozenset[str]]:
         """Return what may be left out of a batch that does not fit: receivers, one odometry of several, or all."""
@@ -172,6 +167,15 @@ def _shift(freed: Alignment) -> Parameter | None:
         return None
     shift = doubtful_arm(np.where(is_told, sigmas, IF_RIGHT_M), GNSS_ARM)
     return shift._replace(mean=np.where(is_told, mean, 0.0))
+
+
+def _younger(evidence: Evidence, by_s: float) -> Evidence:
+    """Return the evidence with positions that are younger, as far as a clock can be off, within the same time."""
+    by_ns = round(float(np.clip(by_s, -MOST_LATE_S, MOST_LATE_S)) * 1e9)
+    first_ns, last_ns = evidence.positions[0].stamp_ns, evidence.positions[-1].stamp_ns
+    moved = [replace(one, stamp_ns=one.stamp_ns + by_ns) for one in evidence.positions]
+    inside = [one for one in moved if first_ns <= one.stamp_ns <= last_ns]
+    return evidence._replace(positions=inside if len(inside) >= FEWEST else evidence.positions)
 
 
 def _evidence(before: Alignment, after: Alignment, evidence: Evidence) -> float:

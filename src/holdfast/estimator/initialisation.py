@@ -63,9 +63,17 @@ class Initialising:
         buffer: of the IMU's samples.
         sensors: all models, by name.
         gravity: [m/s^2].
+        shift: of antennas that are known to be elsewhere than configured.
     """
 
-    def __init__(self, config: Config, buffer: ImuBuffer, sensors: Mapping[str, Sensor], gravity: float) -> None:
+    def __init__(
+        self,
+        config: Config,
+        buffer: ImuBuffer,
+        sensors: Mapping[str, Sensor],
+        gravity: float,
+        shift: Parameter | None = None,
+    ) -> None:
         imu = config.imu
         self._config, self._buffer, self._gravity = config, buffer, gravity
         self._sensors = sensors
@@ -96,6 +104,8 @@ class Initialising:
         self._window_ns = round(config.initialisation.window_s * 1e9)
         noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
         self._batches = FittingBatches(buffer, noise, self._points, of_role(sensors, Role.VELOCITY), self._odometries)
+        if shift is not None:
+            self._move_antennas(shift)
         has_messages = any(one.message is not None for one in sensors.values())
         self.reason = NO_POSITION if self._points else NO_OTHER if has_messages else NO_SENSOR
 

@@ -22,6 +22,7 @@ from holdfast.estimator.tracking import Tracking, Update
 from holdfast.event_log import EventLog
 from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, gravity
 from holdfast.geometry.world import World
+from holdfast.integrity.learnt_constants import learnt_shift
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.integrity.lever_arms import LeverArms
 from holdfast.integrity.noise_scale import NoiseScale
@@ -103,8 +104,10 @@ class Optimiser:
             self._log.count(measurement.sensor, Outcome.UNREACHED)
             self._log.record(measurement.stamp_ns, measurement.sensor, Outcome.UNREACHED, p_W_P=position)
 
-    def _initialising(self) -> Initialising:
-        return Initialising(self._config, self._buffer, self._lever_arms.believed(self._sensors), self.gravity)
+    def _initialising(self, config: Config | None = None) -> Initialising:
+        sensors = self._lever_arms.believed(self._sensors)
+        shift = learnt_shift(self._learnt.constants, sensors)
+        return Initialising(config or self._config, self._buffer, sensors, self.gravity, shift)
 
     def _know(self, learnt: LearntSnapshot) -> None:
         """Know this of the sensors, and nothing else."""
@@ -271,6 +274,7 @@ class Optimiser:
         if datum is None:
             self._begin()
             self._know(NOTHING_LEARNT)
+            self._phase = self._initialising()
         else:
             self.place(datum)
 
@@ -362,9 +366,7 @@ class Optimiser:
         """Return what would begin anew from the motion, by the lever arms as they are believed now."""
         start = self._config.initialisation.model_copy(update={"heading_deg": None})
         config = self._config.model_copy(update={"initialisation": start})
-        sensors = self._lever_arms.believed(self._sensors)
-        is_in_doubt = bool(self._lever_arms.doubts())
-        return Successor(Initialising(config, self._buffer, sensors, self.gravity), is_in_doubt=is_in_doubt)
+        return Successor(self._initialising(config), is_in_doubt=bool(self._lever_arms.doubts()))
 
     def _begin_anew(self, before: Tracking, state: OptimisedState, successor: Successor) -> None:
         """Let other graphs begin at a state, in which every sensor is trusted again."""

@@ -6,7 +6,8 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.sensors.constants import Constant, LearntConstant, carried, priors_of_machine
-from holdfast.sensors.lever_arm import arm_of
+from holdfast.sensors.gnss import is_measured
+from holdfast.sensors.lever_arm import GNSS_ARM, arm_of
 from holdfast.sensors.sensor import Parameter, Sensor
 
 
@@ -23,6 +24,15 @@ def constants_of_machine(
     priors = priors_of_machine(config, sensors)
     in_doubt = {arm.name(name) for name in doubted if (arm := arm_of(sensors[name].parameters)) is not None}
     return {name: one for name, one in priors.items() if one.change is not None and name not in in_doubt}
+
+
+def learnt_shift(learnt: Mapping[str, LearntConstant], sensors: Mapping[str, Sensor]) -> Parameter | None:
+    """Return where antennas were found to be before, as a shift from the models; None where they were not off."""
+    known = learnt.get(GNSS_ARM)
+    arm = next((arm_of(one.parameters) for one in sensors.values() if is_measured(one)), None)
+    if known is None or not known.is_off or arm is None or arm.change is None:
+        return None
+    return carried(arm, arm.change, known)
 
 
 def learnt_constants(constants: Mapping[str, Constant]) -> dict[str, LearntConstant]:
