@@ -32,7 +32,6 @@ from holdfast.integrity.states import JointAt, States
 from holdfast.integrity.yaw_learning import Witness
 from holdfast.sensors.clock import with_estimated_clock
 from holdfast.sensors.constants import Constant, priors_of_machine
-from holdfast.sensors.gnss import is_measured
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lever_arm import GNSS_ARM
 from holdfast.sensors.noise import Colour
@@ -100,7 +99,6 @@ class Tracking:
         self._roles = {name: sensor.role for name, sensor in sensors.items()}
         self._constraints = [sensor for sensor in sensors.values() if isinstance(sensor, ConstraintSensor)]
         self._gate = config.gate
-        antenna = next((one for one in sensors.values() if is_measured(one)), None)
         sensors = {name: with_estimated_clock(sensor) for name, sensor in sensors.items()}
         receivers = of_role(sensors, Role.POSITION)
         self._positions = Positions(
@@ -155,7 +153,7 @@ class Tracking:
             state,
             carried=known,
             found={} if shift is None or GNSS_ARM not in self._priors else {GNSS_ARM: shift},
-            antenna=antenna,
+            arm=self._priors.get(GNSS_ARM),
         )
         self.graph.main.imu_noise.walk_scale = successor.walk_scale
         self._hold_mistaken(state.stamp_ns)

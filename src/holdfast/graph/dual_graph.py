@@ -18,7 +18,7 @@ from holdfast.graph.odometry_track import Joined, OdometryTrack
 from holdfast.graph.smoother import Smoother
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.odometry import TrackPose
-from holdfast.sensors.sensor import Parameter, PositionSensor
+from holdfast.sensors.sensor import Parameter
 from holdfast.state import OptimisedState, Outcome
 
 
@@ -46,7 +46,7 @@ class DualGraph:
         state: where both begin.
         carried: priors of constants of sensors, by name, as they were learnt before.
         found: the same, as they were found by what has found the state.
-        antenna: whose fixes have told where both begin, if its lever arm is estimated.
+        arm: the shift of antennas that have told where both begin, if that is estimated.
     """
 
     def __init__(
@@ -59,11 +59,11 @@ class DualGraph:
         *,
         carried: Mapping[str, Parameter] = MappingProxyType({}),
         found: Mapping[str, Parameter] = MappingProxyType({}),
-        antenna: PositionSensor | None = None,
+        arm: Parameter | None = None,
     ) -> None:
         self._config = config.graph
         self._main = _Graph(
-            Smoother(config, buffer, gravity, state, carried=carried, found=found, antenna=antenna), dict(tracks)
+            Smoother(config, buffer, gravity, state, carried=carried, found=found, arm=arm), dict(tracks)
         )
         self._fallback: _Graph | None = None
         self.is_lost = False

@@ -16,7 +16,7 @@ from holdfast.graph.biases import Biases
 from holdfast.graph.chain import Chain, Motion
 from holdfast.graph.nodes import BIAS, FRAME, NODE, Link, to_grid
 from holdfast.graph.parameters import MAX_SIZE, REFRESHED_NS, Parameters, parameter_letter
-from holdfast.graph.prior import joint_prior, priors_through
+from holdfast.graph.prior import joint_prior
 from holdfast.graph.slow_errors import SLOW, SlowErrors, sizes_of
 from holdfast.graph.solution import check_solution
 from holdfast.graph.solver import Placed, Solver
@@ -29,7 +29,7 @@ from holdfast.sensors.constants import Constant
 from holdfast.sensors.imu import ImuBuffer, Turning
 from holdfast.sensors.noise import FREE_VARIANCE, Colour
 from holdfast.sensors.preintegration import ImuNoise, MotionModel
-from holdfast.sensors.sensor import Joint, Measurement, Parameter, PositionSensor, State
+from holdfast.sensors.sensor import Joint, Measurement, Parameter, State
 from holdfast.state import OptimisedState, is_finite
 
 SETTLE_MARGIN_NS = 1_000_000_000  # a node is read this long before it leaves the window; updates are not further apart
@@ -59,7 +59,7 @@ class Smoother:
         known: tells the state at the time of a new node [ns], if it is known better than by prediction.
         carried: priors of constants of sensors, by name, as they were learnt before.
         found: the same, as they were found by what has found the state.
-        antenna: whose fixes have told where it begins, if its lever arm is estimated.
+        arm: the shift of antennas that have told where it begins, if that is estimated.
 
     Attributes:
         parameters: what is known of constants of sensors.
@@ -76,7 +76,7 @@ class Smoother:
         known: Callable[[int], gtsam.NavState | None] = lambda _: None,
         carried: Mapping[str, Parameter] = MappingProxyType({}),
         found: Mapping[str, Parameter] = MappingProxyType({}),
-        antenna: PositionSensor | None = None,
+        arm: Parameter | None = None,
     ) -> None:
         imu = config.imu
         self._config = config.graph
@@ -90,7 +90,7 @@ class Smoother:
         self.parameters = Parameters(max(REFRESHED_NS, self._lag_ns // 3), carried, found)
         self._biases = Biases(config, self.parameters, self.imu_noise)
         self._slow_sizes = sizes_of(config)
-        self._frames_made, self._antenna = 0, antenna
+        self._frames_made, self._arm = 0, arm
         self._begin(state)
 
     def _begin(self, state: OptimisedState) -> None:
@@ -103,13 +103,11 @@ class Smoother:
         self._state = state
         self._tail = Tail(state.covariance)  # new nodes included
         keys = self._chain.key(self.newest_ns), self._biases.newest_key
-        if self._antenna is None:
+        if self._arm is None:
             self.add(joint_prior(*keys, state))
-            return
-        arm = self._antenna.parameters[0]
-        arm_key, shift, _ = self.parameter(arm.name(self._antenna.name), arm, state.stamp_ns)
-        for factor in priors_through(self._antenna, *keys, arm_key, state, shift):
-            self.add(factor)
+        else:
+            arm_key, shift, _ = self.parameter(self._arm.shared, self._arm, state.stamp_ns)
+            self.add(joint_prior(*keys, state, (arm_key, shift)))
 
     def clone(self) -> "Smoother":
         """Return a smoother of its own with the same window, measurements included.

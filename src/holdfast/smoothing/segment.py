@@ -20,7 +20,7 @@ from holdfast.graph.smoother import Smoother
 from holdfast.sensors.clock import with_estimated_clock
 from holdfast.sensors.constants import priors_of_machine
 from holdfast.sensors.gnss import is_measured
-from holdfast.sensors.lever_arm import GNSS_ARM
+from holdfast.sensors.lever_arm import GNSS_ARM, arm_of
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise
 from holdfast.sensors.sensor import Measurement, Parameter, Role, Sensor, of_role
 from holdfast.smoothing.block import Biases, Block, Refused, Work
@@ -73,7 +73,7 @@ class Segment:
             state,
             new_solver=lambda: self._batch,
             known=recorded.nav,
-            antenna=next((one for one in sensors.values() if is_measured(one)), None),
+            arm=next((arm_of(one.parameters) for one in sensors.values() if is_measured(one)), None),
         )
         models: dict[str, OdometryModel] = of_role(sensors, Role.ODOMETRY)
         self._tracks = {
