@@ -18,11 +18,14 @@ from motion import (
     machine,
     run,
     scans,
+    seconds,
 )
 
+from holdfast.estimator.estimator import Estimator
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT
 from holdfast.sensors.lever_arm import GNSS_ARM
 from holdfast.sensors.registry import sensors_of
+from holdfast.smoothing.batch_smoother import BatchSmoother
 from holdfast.state import EventKind
 
 RTK, CONSUMER = (0.01, 0.01, 0.02), (0.4, 0.4, 0.8)
@@ -54,15 +57,21 @@ class FigureEight(Drive):
 DRIVE = FigureEight(start_s=4.0, ramp_s=4.0, speed=0.3)  # up to 8 m/s
 
 
-def driven(shift, sigma=RTK, hz=5.0, *, right=False, lidar=False, end_s=END_S, learnt=NOTHING_LEARNT):
-    """The estimator after a drive with antennas that are shifted (3,) from where it believes them."""
+def recorded(shift, sigma=RTK, hz=5.0, *, right=False, lidar=False, end_s=END_S):
+    """A drive with antennas that are shifted (3,) from where the configuration has them."""
     rng = np.random.default_rng(1)
     sent = [imu(DRIVE, 0.0, end_s, 50.0, rng), fixes(DRIVE, 0.0, end_s, hz, rng, sigma, arm=ARM + shift)]
     if right:
         sent.append(fixes(DRIVE, 0.0, end_s, hz, rng, sigma, arm=ARM_RIGHT + shift, sensor="gnss_right"))
     if lidar:
         sent.append(scans(DRIVE, 0.0, end_s, 5.0, rng, (0.001, 0.01), phase_s=0.0071))
-    return run(machine(lidar=lidar, right=right, heading_deg=None), in_order(*sent), learnt)
+    return in_order(*sent)
+
+
+def driven(shift, *what, right=False, lidar=False, learnt=NOTHING_LEARNT, **more):
+    """The estimator after such a drive, and what came out."""
+    sent = recorded(shift, *what, right=right, lidar=lidar, **more)
+    return run(machine(lidar=lidar, right=right, heading_deg=None), sent, learnt)
 
 
 def worst_m(outputs, since_s=SETTLED_S):
@@ -98,6 +107,24 @@ def test_what_was_found_is_known_from_the_start_of_the_next_day_and_found_again_
     assert EventKind.BEGUN_ANEW not in {event.kind for event in estimator.events}
     _, outputs = driven(np.zeros(3), learnt=learnt)
     assert worst_m(outputs) < 0.1
+
+
+def test_the_optimum_over_a_recording_begins_where_the_antennas_are():
+    """A window that begins as if they were where the file has them bends by centimetres."""
+    shift, config = np.array([0.0, -3.0, 0.0]), machine(lidar=False, heading_deg=None)
+    batch = BatchSmoother(config)
+    estimator = Estimator(config, batch)
+    for message in recorded(shift):
+        estimator.process(message)
+    batch.stop()
+    block = batch.take()[-1]
+    np.testing.assert_allclose(block.constants[GNSS_ARM].value[:2], shift[:2], atol=0.02)
+    track = block.track
+    off = [
+        position - DRIVE.nav(seconds(time)).position()
+        for time, position in zip(track.times_ns.tolist(), track.positions, strict=True)
+    ]
+    assert np.hypot(*np.array(off).T[:2]).max() < 0.03
 
 
 def test_fixes_of_half_a_metre_find_three_metres():

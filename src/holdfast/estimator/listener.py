@@ -10,7 +10,7 @@ from typing import Protocol, runtime_checkable
 from holdfast.estimator.imu_path import Received
 from holdfast.estimator.learnt_view import LearntView
 from holdfast.estimator.tracking import Update
-from holdfast.sensors.sensor import Joint, Measurement, Sensor
+from holdfast.sensors.sensor import Joint, Measurement, Parameter, Sensor
 from holdfast.state import OptimisedState
 
 
@@ -24,8 +24,13 @@ class Listener(Protocol):
     def add(self, measurement: Measurement, joint: Joint | None) -> None:
         """Take note of a checked measurement, in the order of arrival; `joint` is the turn joint at its time."""
 
-    def start(self, state: OptimisedState, sensors: Mapping[str, Sensor], gravity: float) -> None:
-        """Take note of a first state, or one to begin anew from, with the models from now on and gravity [m/s^2]."""
+    def start(
+        self, state: OptimisedState, sensors: Mapping[str, Sensor], gravity: float, shift: Parameter | None
+    ) -> None:
+        """Take note of a first state, or one to begin anew from, with the models from now on and gravity [m/s^2].
+
+        `shift` says by how much antennas are elsewhere, if the state was found with that.
+        """
 
     def stop(self) -> None:
         """Take note that nothing of before is known any more, until the next start."""

@@ -321,7 +321,7 @@ class Optimiser:
     def _start(self, state: OptimisedState, successor: Successor) -> Tracking:
         sensors = self._lever_arms.believed(self._sensors)
         if self._listener is not None:
-            self._listener.start(state, sensors, self.gravity)
+            self._listener.start(state, sensors, self.gravity, successor.start.shift)
         tracking = Tracking(
             self._config,
             self._buffer,

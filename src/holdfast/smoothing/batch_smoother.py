@@ -15,7 +15,7 @@ from holdfast.estimator.imu_path import Received
 from holdfast.estimator.learnt_view import LearntView
 from holdfast.estimator.tracking import Update
 from holdfast.measured_fields import has_double, in_words, is_number
-from holdfast.sensors.sensor import Joint, Measurement, Sensor
+from holdfast.sensors.sensor import Joint, Measurement, Parameter, Sensor
 from holdfast.smoothing.block import Block
 from holdfast.smoothing.closures import Closer
 from holdfast.smoothing.recorded import Recorded
@@ -68,7 +68,8 @@ class BatchSmoother:
         self._window_ns, self._overlap_s = round((window_s + overlap_s) * 1e9), overlap_s
         self._recorded = Recorded(config)
         self._segment: Segment | None = None
-        self._machine: tuple[Mapping[str, Sensor], float] | None = None  # models and gravity since the last start
+        # models, gravity and where antennas were known to be, since the last start
+        self._machine: tuple[Mapping[str, Sensor], float, Parameter | None] | None = None
         self._dropped_ns = 0
         self._blocks: list[Block] = []
         self.failures: list[Failure] = []
@@ -88,15 +89,17 @@ class BatchSmoother:
         """Take note of a checked measurement."""
         self._recorded.add(measurement, joint)
 
-    def start(self, state: OptimisedState, sensors: Mapping[str, Sensor], gravity: float) -> None:
+    def start(
+        self, state: OptimisedState, sensors: Mapping[str, Sensor], gravity: float, shift: Parameter | None
+    ) -> None:
         """Take note of a first state, and end what was before."""
         self.stop()
-        self._machine = sensors, gravity
+        self._machine = sensors, gravity, shift
         self._begin(state)
 
     def _begin(self, state: OptimisedState) -> None:
         assert self._machine is not None
-        sensors, gravity = self._machine
+        sensors, gravity, shift = self._machine
         self._recorded.drop_before(state.stamp_ns)
         self._segment = Segment(
             self._config,
@@ -104,6 +107,7 @@ class BatchSmoother:
             state,
             sensors,
             gravity=gravity,
+            shift=shift,
             overlap_s=self._overlap_s,
             closer=self._closer,
         )

@@ -18,9 +18,9 @@ from holdfast.graph.nodes import Link
 from holdfast.graph.odometry_track import OdometryTrack, believed_calibration
 from holdfast.graph.smoother import Smoother
 from holdfast.sensors.clock import with_estimated_clock
-from holdfast.sensors.constants import priors_of_machine
+from holdfast.sensors.constants import priors_of, priors_of_machine
 from holdfast.sensors.gnss import is_measured
-from holdfast.sensors.lever_arm import GNSS_ARM, arm_of
+from holdfast.sensors.lever_arm import GNSS_ARM
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise
 from holdfast.sensors.sensor import Measurement, Parameter, Role, Sensor, of_role
 from holdfast.smoothing.block import Biases, Block, Refused, Work
@@ -47,6 +47,7 @@ class Segment:
         state: where it begins.
         sensors: the models, by name.
         gravity: [m/s^2].
+        shift: of antennas that are elsewhere than configured, if the state was found with that.
         overlap_s: of the window after its done part, which the future still tells about.
         closer: finds loop closures, if there are scans.
     """
@@ -59,13 +60,14 @@ class Segment:
         sensors: Mapping[str, Sensor],
         *,
         gravity: float,
+        shift: Parameter | None,
         overlap_s: float,
         closer: Closer | None = None,
     ) -> None:
         graph = config.graph.model_copy(update={"lag_s": overlap_s})
         self._config, self._recorded, self._models, self._gravity = config, recorded, sensors, gravity
         self._sensors: Mapping[str, Any] = sensors
-        self._batch = Batch()
+        self._batch, arm = Batch(), priors_of(sensors).get(GNSS_ARM)
         self._smoother = Smoother(
             config.model_copy(update={"graph": graph}),
             recorded.buffer,
@@ -73,7 +75,8 @@ class Segment:
             state,
             new_solver=lambda: self._batch,
             known=recorded.nav,
-            arm=next((arm_of(one.parameters) for one in sensors.values() if is_measured(one)), None),
+            found={} if shift is None or arm is None else {GNSS_ARM: shift},
+            arm=arm,
         )
         models: dict[str, OdometryModel] = of_role(sensors, Role.ODOMETRY)
         self._tracks = {
