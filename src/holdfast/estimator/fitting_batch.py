@@ -53,6 +53,9 @@ class FittingBatches:
         points: the receivers of positions, by name; antennas are replaced where they are found to be elsewhere.
         velocities: sensors of velocity, by name.
         odometries: that have measured meanwhile.
+
+    Attributes:
+        may_be_moved: whether antennas may be elsewhere than they are believed to be.
     """
 
     def __init__(
@@ -65,13 +68,13 @@ class FittingBatches:
     ) -> None:
         self._points, self._odometries = points, odometries
         self._freed = {name: _freed(one) if is_measured(one) else one for name, one in points.items()}
-        self._may_be_moved = any(is_measured(one) for one in points.values())
+        self.may_be_moved = any(is_measured(one) for one in points.values())
         self._aligner = BatchAligner(Problems(buffer, noise, points, velocities))
         self._of_freed = BatchAligner(Problems(buffer, noise, self._freed, velocities))
 
     def settle_arms(self) -> None:
         """Know that the lever arms of antennas are as they were measured, for good: they are constants."""
-        self._may_be_moved = False
+        self.may_be_moved = False
 
     def move_antennas(self, shift: Parameter) -> None:
         """Know from now on that antennas are elsewhere than they were believed to be, in `points`, too."""
@@ -95,7 +98,7 @@ class FittingBatches:
         def solved(evidence: Evidence) -> Alignment:
             return self._aligner.solve(evidence, prior, max_heading_sigma_rad, jump_sigmas)
 
-        whole = evidence._replace(motions=self._odometries.factors(evidence.stamps))
+        whole = self._with_motions(evidence)
         alignment = solved(whole)
         if alignment.excess > DOUBTFUL or alignment.misfit > FITS:
             moved = self.with_moved_antennas(evidence, prior, max_heading_sigma_rad, jump_sigmas)
@@ -117,17 +120,29 @@ class FittingBatches:
         Velocities that are wrong would, too, a clock, or biases that have jumped: it is compared with what is left
         without velocities, with positions that are so much younger, and with a jump. Arguments as of `solve`.
         """
-        whole = evidence._replace(motions=self._odometries.factors(evidence.stamps))
-        freed = self._of_freed.solve(whole, prior, max_heading_sigma_rad) if self._may_be_moved else None
-        shift = None if freed is None else _shift(freed)
-        if freed is None or shift is None:
+        if not self.may_be_moved:
+            return None
+        whole = self._with_motions(evidence)
+        freed = self._of_freed.solve(whole, prior, max_heading_sigma_rad)
+        shift = _shift(freed)
+        if shift is None:
             return None
         without, late = Evidence(evidence.positions, ()), _younger(evidence, freed.clock_s)
-        for rival, jump in ((evidence, None), (without, None), (late, None), (evidence, jump_sigmas)):
-            other = rival._replace(motions=self._odometries.factors(rival.stamps))
-            if _evidence(self._aligner.solve(other, prior, max_heading_sigma_rad, jump), freed, whole) < JUMPED:
+        rivals: list[tuple[Evidence, Array | None]] = [
+            (whole, None),
+            (self._with_motions(without), None),
+            (self._with_motions(late), None),
+        ]
+        if jump_sigmas is not None:
+            rivals.append((whole, jump_sigmas))
+        for rival, jump in rivals:
+            if _evidence(self._aligner.solve(rival, prior, max_heading_sigma_rad, jump), freed, whole) < JUMPED:
                 return None
         return FittingBatch(freed, whole, shift=shift)
+
+    def _with_motions(self, evidence: Evidence) -> Evidence:
+        """Return the evidence with the motions of odometries between its stamps."""
+        return evidence._replace(motions=self._odometries.factors(evidence.stamps))
 
     def _doubtful(self, evidence: Evidence, alignment: Alignment) -> list[frozenset[str]]:
         """Return what may be left out of a batch that does not fit: receivers, one odometry of several, or all."""

@@ -366,23 +366,28 @@ class Initialising:
             if fixes[-1].stamp_ns - self._last_try_ns < RETRY_NS:
                 return None
             self._last_try_ns = fixes[-1].stamp_ns
-        velocities, lying = self._credible_velocities(fixes, now_ns)
+        evidence, lying = self._evidence(fixes, now_ns)
         is_explained = may_have_jumped and self._velocity_check.are_explained(self._velocities, lying)
         jump_sigmas = self.biases.doubted if is_explained else None
-        evidence = Evidence(fixes, thin(velocities))
         batch = self._batches.solve(evidence, self.biases.prior, self._limit_rad, jump_sigmas)
         return self._judged(batch, lying, now_ns)
 
     def attempt_with_moved_antennas(self) -> OptimisedState | None:
         """Return a state if an antenna that is elsewhere than configured explains what was measured."""
+        if not self._batches.may_be_moved:
+            return None
         now_ns = self._buffer.latest_ns
         fixes = fixes_in_motion(self._all_positions, self._points, self._buffer, now_ns)
         if isinstance(fixes, str) or not turn(fixes):
             return None
-        velocities, lying = self._credible_velocities(fixes, now_ns)
-        evidence = Evidence(fixes, thin(velocities))
+        evidence, lying = self._evidence(fixes, now_ns)
         batch = self._batches.with_moved_antennas(evidence, self.biases.prior, self._limit_rad, self.biases.doubted)
         return None if batch is None else self._judged(batch, lying, now_ns)
+
+    def _evidence(self, fixes: Sequence[Position], now_ns: int) -> tuple[Evidence, list[str]]:
+        """Return what a batch is made of, and the sensors of velocity that are left out."""
+        velocities, lying = self._credible_velocities(fixes, now_ns)
+        return Evidence(fixes, thin(velocities)), lying
 
     def _judged(self, batch: FittingBatch, lying: Collection[str], now_ns: int) -> OptimisedState | None:
         """Return the state that a batch tells, if it does."""

@@ -258,7 +258,7 @@ class BatchAligner:
         rate = self._problems.buffer.angular_velocity(stamps[-1]) - bias.gyroscope()
         state = OptimisedState(stamps[-1], nav, bias, covariance, rate)
         reason, misfit = f"heading from motion, {np.degrees(sigma):.1f} deg", max(excess, *noise)
-        clock_s = _as_clock_s(best, len(stamps), *(shift for shift, _ in arms.values()))
+        clock_s = next((_as_clock_s(best, len(stamps), shift) for shift, _ in arms.values()), 0.0)
         return Alignment(state, reason, sigma, excess, misfit, arms=arms, clock_s=clock_s)
 
 
@@ -268,10 +268,10 @@ def _is_beyond(solution: Solution, prior: BiasPrior) -> bool:
     return bool((np.abs(off) > BEYOND * prior.sigmas).any())
 
 
-def _as_clock_s(values: gtsam.Values, nodes: int, *shifts: Array) -> float:
-    """Return for how long [s] the nodes moved by a shift (3,) in I, as nearly as they did; zero without one."""
-    navs = [values.atNavState(gtsam.symbol("x", k)) for k in range(nodes)] if shifts else []
-    along = sum(float(nav.attitude().rotate(shifts[0]) @ nav.velocity()) for nav in navs)
+def _as_clock_s(values: gtsam.Values, nodes: int, shift: Array) -> float:
+    """Return in how long [s] the nodes moved by a shift (3,) in I, as nearly as they did."""
+    navs = [values.atNavState(gtsam.symbol("x", k)) for k in range(nodes)]
+    along = sum(float(nav.attitude().rotate(shift) @ nav.velocity()) for nav in navs)
     return along / max(sum(float(nav.velocity() @ nav.velocity()) for nav in navs), 1e-9)
 
 

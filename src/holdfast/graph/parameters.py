@@ -208,7 +208,7 @@ class Parameters:
             known = known._replace(carried=placed)
         if prior.if_right is None:
             return known
-        held = np.isfinite(prior.if_right) if before is None else before.holding * np.ones(len(mean)) > 0.0
+        held = np.isfinite(prior.if_right) if before is None else _is_held(before)
         return _held(solver, known, prior, held)
 
 
@@ -217,7 +217,7 @@ def _believed(solver: Solver, known: Known, prior: Parameter) -> Known:
     if prior.if_right is None:
         return known
     log_ratio = _evidence(known, prior, prior.if_right)
-    held = known.holding * np.ones(len(known.value)) > 0.0
+    held = _is_held(known)
     goes, returns = held & (log_ratio < OFF), ~held & (log_ratio > RIGHT)
     if not (goes | returns).any():
         return known
@@ -258,6 +258,11 @@ def _held(solver: Solver, known: Known, prior: Parameter, which: NDArray[np.bool
     return known._replace(
         value=value, covariance=covariance, is_solved=False, is_right=is_right, hold=placed, holding=holding
     )
+
+
+def _is_held(known: Known) -> NDArray[np.bool_]:
+    """Return which elements (p,) of a parameter are held where they were configured."""
+    return np.broadcast_to(known.holding > 0.0, known.value.shape)
 
 
 def _unheld(known: Known, mean: Array) -> tuple[Array, Array]:

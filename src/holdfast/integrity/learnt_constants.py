@@ -5,8 +5,7 @@ from collections.abc import Collection, Mapping
 import numpy as np
 
 from holdfast.config.model import Config
-from holdfast.sensors.constants import Constant, LearntConstant, carried, priors_of_machine
-from holdfast.sensors.gnss import is_measured
+from holdfast.sensors.constants import Constant, LearntConstant, carried, priors_of, priors_of_machine
 from holdfast.sensors.lever_arm import GNSS_ARM, arm_of
 from holdfast.sensors.sensor import Parameter, Sensor
 
@@ -28,11 +27,8 @@ def constants_of_machine(
 
 def learnt_shift(learnt: Mapping[str, LearntConstant], sensors: Mapping[str, Sensor]) -> Parameter | None:
     """Return where antennas were found to be before, as a shift from the models; None where they were not off."""
-    known = learnt.get(GNSS_ARM)
-    arm = next((arm_of(one.parameters) for one in sensors.values() if is_measured(one)), None)
-    if known is None or not known.is_off or arm is None or arm.change is None:
-        return None
-    return carried(arm, arm.change, known)
+    known, arm = learnt.get(GNSS_ARM), priors_of(sensors).get(GNSS_ARM)
+    return None if known is None or arm is None or not known.is_off else carried(arm, known)
 
 
 def learnt_constants(constants: Mapping[str, Constant]) -> dict[str, LearntConstant]:
@@ -50,6 +46,6 @@ def carried_priors(learnt: Mapping[str, LearntConstant], priors: Mapping[str, Pa
     found: dict[str, Parameter] = {}
     for name, one in learnt.items():
         prior = priors.get(name)
-        if prior is not None and prior.change is not None and len(one.mean) == len(prior.mean):
-            found[name] = carried(prior, prior.change, one)
+        if prior is not None and len(one.mean) == len(prior.mean):
+            found[name] = carried(prior, one)
     return found

@@ -240,7 +240,8 @@ class Positions:
         self.used.forget_before(smoother.oldest_ns)
         if self._config.innovation and len(self.used) and self.used.newest_ns - self._reviewed_ns >= REVIEW_NS:
             self._reviewed_ns = self.used.newest_ns
-            self.are_arms_proven |= any(is_arm_proven(sensor, smoother) for sensor in self._sensors.values())
+            if not self.are_arms_proven:
+                self.are_arms_proven = any(is_arm_proven(sensor, smoother) for sensor in self._sensors.values())
             worst = self.used.worst(smoother, {name: self._quarantine_ns(name) for name in self.gates})
             if worst is not None:
                 self._consensus[worst.sensor].contradict(worst)

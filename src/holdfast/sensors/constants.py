@@ -79,23 +79,23 @@ def priors_of_imu(config: Config) -> dict[str, Parameter]:
     return {config.imu_name: Parameter(np.zeros(3), sigmas, walk=RATIO_WALK * sigmas, change=np.full(3, RATIO))}
 
 
-def carried(prior: Parameter, change: Array, learnt: LearntConstant) -> Parameter:
+def carried(prior: Parameter, learnt: LearntConstant) -> Parameter:
     """Return the prior of a constant that was learnt before.
 
     Its mean is what was learnt, its sigma is not below that and how much it may have changed. What was believed to be
     as configured keeps the prior of the configuration.
 
     Args:
-        prior: what the configuration says.
-        change: (p,) sigmas by which it may have changed since.
+        prior: what the configuration says, of a constant that may have changed since.
         learnt: before.
     """
+    assert prior.change is not None
     mean, sigmas, is_off = np.array(learnt.mean), np.array(learnt.sigmas), learnt.is_off
     if_right = np.full(len(prior.mean), np.inf) if prior.if_right is None else prior.if_right
     is_learnt = np.isinf(if_right) | is_off
     left = np.where(is_learnt, np.inf, if_right)
     return prior._replace(
         mean=np.where(is_learnt, mean, prior.mean),
-        sigmas=np.where(is_learnt, np.minimum(prior.sigmas, np.hypot(sigmas, change)), prior.sigmas),
+        sigmas=np.where(is_learnt, np.minimum(prior.sigmas, np.hypot(sigmas, prior.change)), prior.sigmas),
         if_right=left if np.isfinite(left).any() else None,
     )
