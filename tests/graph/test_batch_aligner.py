@@ -6,7 +6,7 @@ import pytest
 from motion import ARM, Drive, G, machine, ns
 from rig import NO_BIAS, buffered, position
 
-from holdfast.graph.alignment import BatchAligner
+from holdfast.graph.alignment import BatchAligner, joint_covariance
 from holdfast.graph.alignment_problem import BiasPrior, Evidence, Problems
 from holdfast.graph.first_guess import level_attitude
 from holdfast.sensors.preintegration import ImuNoise
@@ -100,3 +100,22 @@ def test_the_level_attitude_puts_the_specific_force_upright(roll, pitch):
     level = level_attitude(force)
     np.testing.assert_allclose(level.rotate(force), [0.0, 0.0, G], atol=1e-9)
     assert level.rpy() == pytest.approx([roll, pitch, 0.0])
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_what_hardly_anything_tells_has_no_covariance_or_a_true_one(seed):
+    """Information that is lost in rounding beside other may come out as less than none."""
+    rng = np.random.default_rng(seed)
+    graph, at = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for key in range(3):
+        at.insert(key, np.zeros(1))
+        graph.add(gtsam.PriorFactorVector(key, np.zeros(1), gtsam.noiseModel.Isotropic.Sigma(1, 1e9)))
+    for _ in range(2):
+        blocks = [block for key in range(3) for block in (key, rng.normal(0.0, 1e3, (1, 1)))]
+        linear = gtsam.JacobianFactor(*blocks, np.zeros(1), gtsam.noiseModel.Unit.Create(1))
+        graph.add(gtsam.LinearContainerFactor(linear, at))
+    try:
+        covariance = joint_covariance(graph, at, [0], 1)
+    except np.linalg.LinAlgError:
+        return
+    assert covariance[0, 0] > 0.0

@@ -134,13 +134,13 @@ def test_what_was_held_is_let_go_when_measurements_contradict():
     window, parameters, known = estimated([0.002, 0.0], 0.003)
     assert known.is_right
     for k in range(3, 6):
-        measure(window, known.key, [0.015, 0.0], 0.001)
+        measure(window, known.key, [0.02, 0.0], 0.001)
         window.solve(0)
         parameters.mark_solved()
         known = parameters.use(window, "clock", OFFSET, k * REFRESHED_NS)
     assert not known.is_right
     window.solve(0)
-    assert window.vector(known.key)[0] == pytest.approx(0.0145, abs=0.001)
+    assert window.vector(known.key)[0] == pytest.approx(0.0194, abs=0.001)
 
 
 def test_what_was_held_counts_once_when_it_leaves_the_window_and_comes_back():

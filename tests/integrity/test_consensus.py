@@ -15,8 +15,8 @@ def at(t, x_m, sigma_m=0.1):
     return Position(ns(t), "gnss", np.array([x_m, 0.0, 0.0]), np.eye(3) * sigma_m**2, 0.0)
 
 
-def begun(count=5, duration_s=1.0, max_speed_m_s=40.0):
-    return Consensus(max_speed_m_s, count, duration_s)
+def begun(count=5, duration_s=1.0):
+    return Consensus(count, duration_s)
 
 
 def drive(run, times, *, refused=lambda _: True, x_m=lambda t: 5.0 * t):
@@ -69,6 +69,10 @@ def test_positions_that_jump_about_never_make_a_run():
     for t in np.arange(0.0, 20.0, 0.1):
         run.add(at(t, rng.uniform(-100.0, 100.0)), REFUSED, np.zeros(3), is_expected=False)
         assert not run.is_against()
+
+
+def test_positions_of_a_machine_that_is_faster_than_any_that_was_thought_of_agree():
+    assert drive(begun(), np.arange(0.0, 1.5, 0.1), x_m=lambda t: 300.0 * t).is_against()
 
 
 def test_a_speed_that_changes_faster_than_a_machine_can_ends_the_run():

@@ -1,5 +1,7 @@
 """The drift monitor: silent while the odometry drifts as it may, alarmed when the fixes walk away."""
 
+from functools import partial
+
 import gtsam
 import numpy as np
 import pytest
@@ -29,16 +31,17 @@ def new_monitor():
     return DriftMonitor(noise), noise
 
 
-def watch(seconds, walk=nothing, rng=None, *, slip_from_s=np.inf, drift=1.0, speed_m_s=SPEED_M_S, monitor=None):
+def watch(seconds, walk=nothing, rng=None, *, slip_from_s=np.inf, drift=1.0, at=pose_at, monitor=None):
     """What the monitor finds each second: the odometry drifts as configured times `drift`, GNSS walks."""
     fresh, noise = new_monitor()
     monitor = monitor or fresh
-    track, before, found = gtsam.Pose3(), pose_at(0.0, speed_m_s), []
+    track, before, found = gtsam.Pose3(), at(0.0), []
     for t in np.arange(0.0, seconds, 1.0):
-        here = pose_at(t, speed_m_s)
+        here = at(t)
         motion = before.between(here)
         if rng is not None:
-            motion = motion * gtsam.Pose3.Expmap(drift * rng.normal(0.0, noise.drift(motion, 1.0)))
+            sigmas = drift * noise.drift(motion, 1.0)
+            motion = motion * gtsam.Pose3.Expmap(rng.normal(0.0, sigmas))
         slip = gtsam.Pose3(gtsam.Rot3(), np.array([-1.0 if t > slip_from_s else 0.0, 0.0, 0.0]))
         before, track = here, track * motion * slip
         error = np.zeros(3) if rng is None else rng.normal(0.0, 0.007, 3)
@@ -55,6 +58,21 @@ def test_an_honest_odometry_and_honest_fixes_are_never_accused(drift):
         assert not watch(300.0, rng=np.random.default_rng(seed), drift=drift)
 
 
+def test_an_odometry_that_turns_well_at_speed_is_not_taken_for_better_where_it_is_slow():
+    """A train for minutes at 35 m/s, where the attitude of an odometry says all of its residual, then it stops."""
+
+    def way_m(t):
+        braking_s = min(max(0.0, t - 200.0), 35.0)
+        return 35.0 * min(t, 200.0) + 35.0 * braking_s - 0.5 * braking_s**2
+
+    def at(t):
+        return gtsam.Pose3(gtsam.Rot3(), np.array([way_m(t), 0.0, 0.0]))
+
+    for seed in range(10):
+        well_turning = np.repeat([0.3, 0.8], 3)
+        assert not watch(240.0, rng=np.random.default_rng(seed), drift=well_turning, at=at)
+
+
 def test_an_odometry_three_times_worse_than_configured_is_learnt_and_not_taken_for_walking_fixes():
     accused = sum(bool(watch(300.0, rng=np.random.default_rng(seed), drift=3.0)) for seed in range(6))
     assert accused <= 1
@@ -68,7 +86,8 @@ def test_fixes_that_walk_are_found_within_five_seconds(speed_m_s, walk_m_s):
         return np.array([walk_m_s * max(0.0, t - 60.0), 0.0, 0.0])
 
     for seed in range(10):
-        found = watch(90.0, walk, np.random.default_rng(seed), drift=0.2, speed_m_s=speed_m_s)  # 1 cm per root metre
+        at = partial(pose_at, speed_m_s=speed_m_s)
+        found = watch(90.0, walk, np.random.default_rng(seed), drift=0.2, at=at)  # 1 cm per root metre
         assert found and 60.0 < found[0][0] < 65.5
         assert not found[0][1].is_slip
 

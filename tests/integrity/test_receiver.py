@@ -125,6 +125,19 @@ def test_an_antenna_cannot_move_faster_than_the_machine_scaled_by_the_real_time_
     assert judged(gate, (0.5, 0.0, 0.0), 0.1) is Outcome.USED  # one fix was missing
 
 
+def test_a_machine_that_is_faster_than_was_configured_is_believed():
+    """An aeroplane, a train: fixes that the estimate expects show that it does move so fast."""
+    gate, speed_m_s = new_gate(max_speed_m_s=6.0), 45.0
+    for k in range(10):
+        t_s = 0.2 * k
+        prediction = Prediction(np.zeros(3), NOISE, NOISE, STEADY, speed_m_s)
+        assert gate.judge(fix((speed_m_s * t_s, 0.0, 0.0), NOISE, t_s), prediction, now_ns=EPOCH_NS) is Outcome.USED
+    doubtful = Prediction(np.zeros(3), NOISE, NOISE, np.eye(3) * 30.0**2, speed_m_s)
+    slow = new_gate(max_speed_m_s=6.0)
+    assert slow.judge(fix(), doubtful, now_ns=EPOCH_NS) is Outcome.USED
+    assert slow.judge(fix((5.0, 0.0, 0.0), NOISE, 0.2), doubtful, now_ns=EPOCH_NS) is Outcome.TOO_FAST
+
+
 def test_the_antennas_must_be_as_far_apart_as_they_are_mounted():
     assert judged(new_gate(), baseline_agrees=False) is Outcome.BASELINE
     assert judged(new_gate(baseline=False), baseline_agrees=False) is Outcome.USED

@@ -73,7 +73,9 @@ class GateConfig(Section):
     innovation: bool = Field(True, description="test fixes against the prediction")
     baseline: bool = Field(True, description="test the distance between two antennas")
     drift_monitor: bool = Field(True, description="test whether fixes drag the frame of an odometry through W")
-    max_speed_m_s: float = quantity("m/s", 40.0, gt=0, doc="no antenna moves faster between two fixes")
+    max_speed_m_s: float = quantity(
+        "m/s", 40.0, gt=0, doc="no antenna moves faster between two fixes, unless the machine was known to"
+    )
     lose_after: int = Field(5, ge=1, le=1000, description="so many bad fixes in a row lose an antenna")
     regain_after: int = Field(5, ge=1, le=1000, description="so many good fixes in a row regain it")
     regain_s: float = quantity("s", 2.0, gt=0, le=60, doc="or two good ones so far apart, without a bad one between")

@@ -1,6 +1,7 @@
 """The positions that a start in motion rests on, or why they are too few."""
 
 from collections.abc import Collection, Iterable, Sequence
+from itertools import pairwise
 from math import cos, radians
 
 import numpy as np
@@ -11,6 +12,7 @@ from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.sensor import Position
 
 MIN_TRAVEL_M, MIN_TRAVEL_SIGMAS = 2.0, 5.0
+TURNED_RAD, TURNED_TRAVEL_M = 1.0, 0.5  # a machine that digs turns where it stands: an arc of its arm is enough
 MIN_POSITIONS = 3
 LEAST_WAY_M, COS_TURNED = 0.3, cos(radians(30.0))
 
@@ -34,10 +36,18 @@ def fixes_in_motion(
     if len(fixes) < MIN_POSITIONS:
         return f"{len(fixes)} usable positions since the IMU measures without a gap; {MIN_POSITIONS} are needed"
     travel = max(travel_m([fix for fix in fixes if fix.sensor == name]) for name in receivers)
-    needed = max(MIN_TRAVEL_M, MIN_TRAVEL_SIGMAS * float(np.sqrt(fixes[-1].covariance[:2, :2].max())))
+    least_m = TURNED_TRAVEL_M if _has_turned(buffer, fixes) else MIN_TRAVEL_M
+    needed = max(least_m, MIN_TRAVEL_SIGMAS * float(np.sqrt(fixes[-1].covariance[:2, :2].max())))
     if travel < needed:
         return f"moved {travel:.1f} m; a heading from motion needs {needed:.1f} m"
     return fixes
+
+
+def _has_turned(buffer: ImuBuffer, fixes: Sequence[Position]) -> bool:
+    """Whether the gyroscope has turned far since the first of some fixes, at any of them."""
+    stamps = sorted({fix.stamp_ns for fix in fixes})
+    angles = np.cumsum([buffer.turning(*between).angle_rad for between in pairwise(stamps)], axis=0)
+    return bool((np.linalg.norm(angles, axis=-1) > TURNED_RAD).any())
 
 
 def turn(fixes: Sequence[Position]) -> bool:

@@ -236,7 +236,7 @@ class BatchAligner:
                 return Alignment(None, "the motion so far fits more than one heading")
         shifts = self._problems.shifts()
         try:
-            joint = scale * _covariance(
+            joint = scale * joint_covariance(
                 problem.graph, best, [last, of_bias, *(key for key, _ in shifts.values())], 15 + 3 * len(shifts)
             )
         except np.linalg.LinAlgError:
@@ -275,13 +275,13 @@ def _as_clock_s(values: gtsam.Values, nodes: int, shift: Array) -> float:
     return along / max(sum(float(nav.velocity() @ nav.velocity()) for nav in navs), 1e-9)
 
 
-def _covariance(graph: gtsam.NonlinearFactorGraph, at: gtsam.Values, keys: Sequence[int], size: int) -> Array:
+def joint_covariance(graph: gtsam.NonlinearFactorGraph, at: gtsam.Values, keys: Sequence[int], size: int) -> Array:
     """Return the joint covariance (n, n) of some variables, of so many numbers.
 
     GTSAM's marginals fail where pivots differ by four thousand, as metres and radians do, however well they are known.
 
     Raises:
-        LinAlgError: nothing tells one of the variables.
+        LinAlgError: nothing tells one of the variables, or too little for the digits that there are.
     """
     order = gtsam.Ordering()
     others = [key for key in at.keys() if key not in keys]  # noqa: SIM118 (no mapping)
@@ -289,8 +289,8 @@ def _covariance(graph: gtsam.NonlinearFactorGraph, at: gtsam.Values, keys: Seque
         order.push_back(key)
     information, _ = graph.linearize(at).hessian(order)
     scale = 1.0 / np.sqrt(information.diagonal())
-    scaled = np.linalg.solve(scale[:, None] * information * scale, np.eye(len(scale), size))[:size]
-    covariance: Array = scale[:size, None] * scaled * scale[:size]
+    root = np.linalg.solve(np.linalg.cholesky(scale[:, None] * information * scale), np.eye(len(scale), size))
+    covariance: Array = scale[:size, None] * (root.T @ root) * scale[:size]
     return covariance
 
 

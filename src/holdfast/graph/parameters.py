@@ -20,7 +20,7 @@ from holdfast.sensors.noise import FREE_VARIANCE
 from holdfast.sensors.sensor import Parameter
 
 MAX_SIZE = 12
-RIGHT, OFF = 0.0, -log(3.0)  # log ratio of the densities under what was configured and under the prior
+RIGHT, OFF = 0.0, -log(10.0)  # log ratio of the densities under what was configured and under the prior
 HELD = 0.02  # of the error that counts as right: as if there were none
 TOLD, NEAR = 0.25, 6.0  # of the sigmas if it is off and if it is right, to the greater of which one must be told
 REFUTED = 3.0  # sigmas of what was learnt before a restart

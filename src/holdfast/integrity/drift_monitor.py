@@ -154,18 +154,27 @@ class DriftMonitor:
         """Keep what is seen now, and learn from what was seen so long ago that a walk would have been found since."""
         if len(self._observations) >= LEARNING_STEPS:
             then = self._observations[-LEARNING_STEPS]
-            self._doubtful.append((now.pose.stamp_ns, self._residual_m(then, now) / self._sigma_m(then, now, 1.0)))
+            ratio = self._residual_m(then, now) / self._sigma_m(then, now, 1.0)
+            of_translation, of_rotation = self._variances(then, now)
+            if of_rotation > of_translation:  # at speed: that it turns well does not say that it measures ways well
+                ratio = max(ratio, TYPICAL_MAX)
+            self._doubtful.append((now.pose.stamp_ns, ratio))
         while self._doubtful and now.pose.stamp_ns - self._doubtful[0][0] > MEMORY_NS:
             self._ratios.append(self._doubtful.popleft()[1])
 
     def _sigma_m(self, then: _Observation, now: _Observation, scale: float) -> float:
         """Return the standard deviation of the residual per axis, what the odometry adds to it scaled."""
+        of_translation, of_rotation = self._variances(then, now)
+        moved = _distance_m(then.pose.T_I0_I, now.pose.T_I0_I)
+        of_estimate = now.estimate_variance + then.estimate_variance + then.attitude_variance * moved**2
+        return float(np.sqrt(scale**2 * (of_translation + of_rotation) + of_estimate))
+
+    def _variances(self, then: _Observation, now: _Observation) -> tuple[float, float]:
+        """Return what translation and rotation of the odometry, as configured, add to the residual per axis [m^2]."""
         moved = _distance_m(then.pose.T_I0_I, now.pose.T_I0_I)
         rotation_variance, translation_variance = self._noise.pose_variances()
-        of_odometry = now.translation_variance - then.translation_variance + 2.0 * translation_variance
-        of_odometry += (now.rotation_variance - then.rotation_variance + rotation_variance) * moved**2
-        of_estimate = now.estimate_variance + then.estimate_variance + then.attitude_variance * moved**2
-        return float(np.sqrt(scale**2 * of_odometry + of_estimate))
+        of_translation = now.translation_variance - then.translation_variance + 2.0 * translation_variance
+        return of_translation, (now.rotation_variance - then.rotation_variance + rotation_variance) * moved**2
 
     def _residual_m(self, then: _Observation, now: _Observation) -> float:
         """Return how far the machine of now lies from where the odometry has carried that of then [m]."""

@@ -82,9 +82,7 @@ class Positions:
         self._scales = scales
         self._force = {name: ForceLearning(accelerometer) for name in sensors}
         self.believe_after_s = believe_after_s
-        self._consensus = {
-            name: Consensus(config.max_speed_m_s, config.regain_after, believe_after_s) for name in sensors
-        }
+        self._consensus = {name: Consensus(config.regain_after, believe_after_s) for name in sensors}
 
     @property
     def is_trusted(self) -> bool:

@@ -27,6 +27,7 @@ AGREEMENT_SIGMA = 4.0  # positions in quarantine are no further from their mean
 COMPARED = 20  # with the mean of so many of the newest
 OUTLIERS = 3  # so many in a row that disagree end a run of agreement
 PUNCTUAL = 0.99  # positions every two seconds are not always two seconds apart
+FASTER = 1.5  # than it has ever been a machine may become
 UNKNOWN_PERIOD_S = 2.0  # before the second fix
 UNEXPECTED_S = 5.0  # positions after a silence that the estimate does not expect are consistent for so long
 
@@ -47,17 +48,24 @@ class Prediction:
         of_state: (3, 3) covariance of the prediction [m^2].
         of_position: (3, 3) covariance that is claimed [m^2].
         of_velocity: (3, 3) covariance of the velocity in W [m^2/s^2]: how fast the prediction may drift.
+        speed_m_s: of the machine.
     """
 
     innovation: Array
     of_state: Array
     of_position: Array
     of_velocity: Array
+    speed_m_s: float = 0.0
 
     @cached_property
     def nis(self) -> float:
         """Normalised innovation squared: (21) in docs/math.md."""
         return float(self.innovation @ np.linalg.solve(self.of_state + self.of_position, self.innovation))
+
+    @property
+    def least_speed_m_s(self) -> float:
+        """The speed that the machine has at least [m/s]."""
+        return self.speed_m_s - AGREEMENT_SIGMA * sqrt(float(np.trace(self.of_velocity)))
 
     def smallest_visible_m(self, limit: float) -> float:
         """Return the jump [m] that a limit on NIS sees in every direction: the power of the gate."""
@@ -68,7 +76,8 @@ def predict(innovation: Innovation, state: State) -> Prediction:
     """Return what a state expects of a position, given the innovation of that at the state."""
     R_W_I = state.nav.attitude().matrix()
     of_velocity = R_W_I @ state.covariance[6:9, 6:9] @ R_W_I.T
-    return Prediction(innovation.y, innovation.of_state(state), innovation.R, of_velocity)
+    speed_m_s = float(np.linalg.norm(state.nav.velocity()))
+    return Prediction(innovation.y, innovation.of_state(state), innovation.R, of_velocity, speed_m_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,6 +94,7 @@ class ReceiverGate:
     def __init__(self, gate: GateConfig, limit: float) -> None:
         self._gate = gate
         self.limit = limit
+        self._fastest_m_s = gate.max_speed_m_s
         self.trust = Trust.TRUSTED
         self._hold_s = 0.0
         self.reasons: Counter[Outcome] = Counter()  # of the bad positions since the receiver was trusted last
@@ -129,6 +139,7 @@ class ReceiverGate:
         self._last_good, self._received_ns = position, now_ns
         self._bad_in_a_row = 0
         if self.trust is Trust.TRUSTED:
+            self._fastest_m_s = max(self._fastest_m_s, FASTER * prediction.least_speed_m_s)
             return Outcome.USED
         self._wait(Held(position, prediction))
         return Outcome.QUARANTINED
@@ -205,12 +216,15 @@ class ReceiverGate:
         return Outcome.USED
 
     def _is_too_fast(self, position: Position) -> bool:
-        """Whether the receiver would have had to move faster than it can since its last good position (paper, IV-B)."""
+        """Whether the receiver would have had to move faster than it can since its last good position (paper, IV-B).
+
+        A machine that has moved faster than was configured can do so.
+        """
         last = self._last_good
         if last is None:
             return False
         noise_m = AGREEMENT_SIGMA * sqrt(float(np.trace(position.covariance + last.covariance)))
-        reach = self._gate.max_speed_m_s * abs(position.stamp_ns - last.stamp_ns) * 1e-9 + noise_m
+        reach = self._fastest_m_s * abs(position.stamp_ns - last.stamp_ns) * 1e-9 + noise_m
         return float(np.linalg.norm(position.p_W_P - last.p_W_P)) > reach
 
     def _is_silent(self, now_ns: int) -> bool:
