@@ -14,6 +14,7 @@ from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
+from drives import rms
 from motions import VEHICLES, wander
 from scipy.spatial.transform import Rotation
 
@@ -197,11 +198,6 @@ def run(name: str, kind: str, seed: int, has_odometry: bool, has_outages: bool) 
         cells += [f"{np.median(ends):.2f}", f"{max(ends):.2f}"] if ends else ["", ""]
     told = ", ".join(f"{event} {count}" for event, count in sorted(events.items()))
     return f"| {' | '.join([*cells, told])} |"
-
-
-def rms(values: np.ndarray) -> float:
-    """Return the root of the mean square."""
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def main() -> None:
