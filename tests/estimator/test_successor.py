@@ -91,6 +91,16 @@ def test_what_has_begun_and_is_contradicted_again_doubts_the_biases():
     np.testing.assert_allclose(sigmas[1], [0.1, 0.1, 0.1, 0.03, 0.03, 0.03])
 
 
+def test_an_attitude_in_doubt_that_is_contradicted_says_nothing_of_what_was_measured_before():
+    """With every contradiction the batch began with a second of fixes, which never told the heading."""
+    successor = drive(begun(), END_S - 4.0, END_S - 3.0)
+    reasons = [successor.begin(astray(), ns(0.0)).reason]
+    drive(successor, END_S - 3.0)
+    reasons.append(successor.begin(astray(yaw_rad=2.0), ns(END_S - 1.0)).reason)
+    assert reasons[0] == "position and velocity of the fixes, the heading in doubt"
+    assert reasons[1].startswith("heading from motion")
+
+
 def test_a_measured_velocity_is_used():
     successor = drive(begun(more=DOPPLER), END_S - 1.0)
     velocity = np.array([1.0, 2.0, 3.0])

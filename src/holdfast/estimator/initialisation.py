@@ -230,11 +230,12 @@ class Initialising:
             while series and series[0].stamp_ns < horizon_ns:
                 series.popleft()
 
-    def attempt(self, *, may_have_jumped: bool = False) -> OptimisedState | None:
+    def attempt(self, *, may_have_jumped: bool = False, limit_rad: float = 0.0) -> OptimisedState | None:
         """Return the first state, or None with `reason` set.
 
         Args:
             may_have_jumped: whether the biases may have jumped since the first position; `jump` tells when.
+            limit_rad: sigma of a heading from motion that will do, if it is more than what is configured.
         """
         self.misfit, self.jump, self.doubtful = inf, None, frozenset()
         now = self._buffer.latest_ns
@@ -253,7 +254,7 @@ class Initialising:
         quiet = quiet_window(self._config.standstill, self._buffer, now, standstill_s, ENGINE)
         if quiet is not None and self._is_standing(now):
             return self._at_standstill(now, *quiet)
-        return self._in_motion(now, may_have_jumped=may_have_jumped)
+        return self._in_motion(now, max(limit_rad, self._limit_rad), may_have_jumped=may_have_jumped)
 
     # --- at standstill -----------------------------------------------------------------------------------------------
 
@@ -357,7 +358,7 @@ class Initialising:
 
     # --- in motion ---------------------------------------------------------------------------------------------------
 
-    def _in_motion(self, now_ns: int, *, may_have_jumped: bool) -> OptimisedState | None:
+    def _in_motion(self, now_ns: int, limit_rad: float, *, may_have_jumped: bool) -> OptimisedState | None:
         fixes = fixes_in_motion(self._positions, self._points, self._buffer, now_ns)
         if isinstance(fixes, str):
             self.reason = fixes
@@ -369,7 +370,7 @@ class Initialising:
         evidence, lying = self._evidence(fixes, now_ns)
         is_explained = may_have_jumped and self._velocity_check.are_explained(self._velocities, lying)
         jump_sigmas = self.biases.doubted if is_explained else None
-        batch = self._batches.solve(evidence, self.biases.prior, self._limit_rad, jump_sigmas)
+        batch = self._batches.solve(evidence, self.biases.prior, limit_rad, jump_sigmas)
         return self._judged(batch, lying, now_ns)
 
     def attempt_with_moved_antennas(self) -> OptimisedState | None:

@@ -5,14 +5,14 @@ the estimate for long: position, velocity, heading and biases then begin anew, f
 the heading, else at the attitude as it is, held in doubt.
 """
 
-from math import radians
+from math import inf, radians
 from typing import NamedTuple
 
 import gtsam
 import numpy as np
 
 from holdfast.estimator.initialisation import Initialising
-from holdfast.graph.alignment import FITS, Jump
+from holdfast.graph.alignment import FITS, VAGUE_RAD, Jump
 from holdfast.measured_fields import NEVER_NS
 from holdfast.sensors.sensor import Measurement
 from holdfast.state import OptimisedState
@@ -76,19 +76,23 @@ class Successor:
         self.start.check_velocities()
         before, self._lying = self._lying, self.start.lying
         is_explained = bool(self._lying - before)  # by velocities that have led astray
-        is_wrong_again = current.stamp_ns - self._begun_ns < AGAIN_NS and not is_explained
-        if is_wrong_again and not self._is_in_doubt:
+        is_again = current.stamp_ns - self._begun_ns < AGAIN_NS and not is_explained
+        is_wrong_again = is_again and not self._is_in_doubt  # an attitude that is in doubt says nothing of the others
+        if is_wrong_again:
             self._doubts, self._doubted_ns = min(self._doubts + 1, MOST_DOUBTS), current.stamp_ns
-        state = None if is_wrong_again else self.start.attempt(may_have_jumped=True)
-        if state is None or self.start.misfit > FITS:
+        limit_rad = VAGUE_RAD if self._is_in_doubt else 0.0
+        state = None if is_wrong_again else self.start.attempt(may_have_jumped=True, limit_rad=limit_rad)
+        has_failed = state is None or self.start.misfit > FITS
+        is_untold = self._is_in_doubt and self.start.misfit == inf  # wait on, until the motion tells the heading
+        if has_failed and is_again:  # a bias may have jumped
+            self.start.biases.doubt()
+        if has_failed and not is_untold:
             self.start.forget_before(since_ns)
-            if is_wrong_again:  # a bias may have jumped
-                self.start.biases.doubt()
             state = self.start.attempt()
         self._is_in_doubt = state is None
         if state is not None:
             return self._begun(state)
-        moved = self._moved(current, doubt_biases=is_wrong_again)
+        moved = self._moved(current, doubt_biases=is_again)
         if moved is None:
             return None
         self._begun_ns = current.stamp_ns

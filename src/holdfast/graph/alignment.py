@@ -30,7 +30,7 @@ HEADINGS = 3  # the first guess, and others evenly beside it
 ITERATIONS = 15
 DISTINCT = 9.0  # difference of the objective (half a chi-square) by which the best heading must win
 JUMPED = 20.0  # evidence: chance leaves twelve or so
-JUMPED_RAD = radians(30.0)  # to which the heading must be known after a jump: without it the estimate runs away
+VAGUE_RAD = radians(30.0)  # to which a heading is better than none, or than one that is in doubt
 SAME_BIAS_RAD_S, MOST_RAD_S = 5e-3, 0.09  # two standstills differ by no more; what jumps by more has been knocked
 SAME_NS, SAME_RATIO = 1_500_000_000, 2.0
 BEYOND, WIDENED = 3.0, 10.0  # sigmas by which a bias departs from what was known of it, which then was so much less
@@ -137,7 +137,7 @@ class BatchAligner:
         if not solutions:
             return Alignment(None, "the batch of GNSS and IMU has no solution")
         if len(spells) > 1:
-            max_heading_sigma_rad = max(max_heading_sigma_rad, JUMPED_RAD)
+            max_heading_sigma_rad = max(max_heading_sigma_rad, VAGUE_RAD)
         return replace(self._judge(problem, evidence, solutions, noise, max_heading_sigma_rad), jump=jump)
 
     def _explained(self, evidence: Evidence, prior: BiasPrior, jump_sigmas: Array | None) -> Explained:
