@@ -37,10 +37,12 @@ def configuration(
     antenna: np.ndarray = NOT_MOVED,
     *,
     is_known: bool = False,
+    scale: float = 1.0,
 ) -> Config:
     """Return what `config init` writes, with the pose of the lidar, which may be turned and moved (3,) in its axes.
 
-    The antenna, which is where the IMU is, may be moved, too; its place may be said to be known.
+    Its distances may be scaled. The antenna, which is where the IMU is, may be moved, too; scale and place may be said
+    to be known.
     """
     with open_recording(bag) as opened:
         document = yaml.safe_load(first_config(opened))
@@ -50,6 +52,9 @@ def configuration(
     placed = {"parent": "imu", "child": "gnss", "translation_m": antenna.tolist()}
     if is_known:
         document["sensors"]["gnss"]["lever_arm_sigma_m"] = 0.0
+    for one in document["sensors"].values():
+        if one["kind"] == "odometry":
+            one.update({"scale": scale} | ({"scale_sigma": 0.0} if is_known else {}))
     return config_of(document | {"extrinsics": [mount, placed]}, "config init")
 
 

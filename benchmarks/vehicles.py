@@ -2,14 +2,15 @@
 
 One IMU as in a telephone, in any attitude, and one antenna move as `motions.py` says; the configuration says where the
 antenna is, and how many metres a fix may claim, as that of `config init`. GNSS is RTK without velocities, or alone with
-them; with `--odometry` there is a pose that drifts, too, and with `--outages` no fix for ten seconds now and then.
+them; with `--odometry` there is a pose that drifts, too, and with `--outages` no fix for ten seconds now and then. The
+distances of the odometry are `--scale` times what they are, which with `--known` the file says that they are not.
 """
 
 import argparse
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -53,6 +54,15 @@ RECEIVERS = {
     "RTK": Receiver(5, 0.006, 0.006, 0.01, FixStatus.GBAS, has_velocity=False),
     "alone": Receiver(1, 1.0, 0.2, 1.5, FixStatus.FIX, has_velocity=True),
 }
+
+
+class Odometry(NamedTuple):
+    """How many times the true distances an odometry says, and whether the file says that they are right."""
+
+    scale: float = 1.0
+    is_known: bool = False
+
+
 SLOW_S = 60.0
 EAST_NORTH_UP = np.array([1.0, 1.0, 2.0])
 
@@ -74,7 +84,7 @@ def stamp_of(t: float) -> int:
     return START_NS + round(1e9 * t)
 
 
-def record(name: str, receiver: Receiver, seed: int, *, has_odometry: bool) -> Recording:
+def record(name: str, receiver: Receiver, seed: int, odometry: Odometry | None) -> Recording:
     """Return what the sensors of a vehicle say."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, LENGTH_S, 0.5 / RATE_HZ)
@@ -93,14 +103,16 @@ def record(name: str, receiver: Receiver, seed: int, *, has_odometry: bool) -> R
     places = [{"parent": "imu", "child": "gnss", "translation_m": R_B_I.inv().apply(arm_B).tolist()}]
     if receiver.has_velocity:
         sensors["doppler"] = {"kind": "gnss_velocity", "topic": "/velocity", "frame": "gnss"}
-    if has_odometry:
-        sensors["odometry"] = {"kind": "odometry", "topic": "/odometry"}
+    if odometry is not None:
+        known = {"scale_sigma": 0.0} if odometry.is_known else {}
+        sensors["odometry"] = {"kind": "odometry", "topic": "/odometry", **known}
         R_I_S, p_I_S = Rotation.random(random_state=int(rng.integers(1 << 31))), rng.uniform(-0.3, 0.3, 3)
         rotation = R_I_S.as_matrix().tolist()
         places.append(
             {"parent": "imu", "child": "odometry", "translation_m": p_I_S.tolist(), "rotation_matrix": rotation}
         )
-        messages += _poses(rng, t, motion.p + attitude.apply(p_I_S), attitude * R_I_S)
+        poses = _poses(rng, t, motion.p + attitude.apply(p_I_S), attitude * R_I_S)
+        messages += [replace(one, position=odometry.scale * one.position) for one in poses]
     messages.sort(key=lambda one: one.stamp_ns)
     config = config_of({"sensors": sensors, "extrinsics": places}, name)
     return Recording(messages, config, np.array([stamp_of(s) for s in t]), motion.p, attitude, off)
@@ -164,13 +176,46 @@ def is_out(message: Message) -> bool:
     return isinstance(message, GnssFix | GnssVelocity) and since_s > 0.0 and since_s % EVERY_S < OUTAGE_S
 
 
-def run(name: str, kind: str, seed: int, has_odometry: bool, has_outages: bool) -> str:
+def run(name: str, kind: str, seed: int, odometry: Odometry | None, has_outages: bool) -> str:
     """Return a row of the table."""
-    recording = record(name, RECEIVERS[kind], seed, has_odometry=has_odometry)
+    recording = record(name, RECEIVERS[kind], seed, odometry)
+    messages = [one for one in recording.messages if not (has_outages and is_out(one))]
+    tried = judge(recording, messages)
+    if isinstance(tried, str):
+        return f"| {name} | {kind} | {seed} | {tried} |"
+    cells = [name, kind, str(seed), *tried.cells()]
+    if has_outages:
+        times_s, off = tried.times_s, tried.off_m
+        ends_s = np.arange(FIRST_S + OUTAGE_S, times_s[-1], EVERY_S)
+        ends = [off[times_s < end_s][-1] for end_s in ends_s if end_s > times_s[0] + SETTLED_S]
+        cells += [f"{np.median(ends):.2f}", f"{max(ends):.2f}"] if ends else ["", ""]
+    return f"| {' | '.join([*cells, tried.told])} |"
+
+
+@dataclass(frozen=True)
+class Tried:
+    """Horizontal errors, of tilt and of heading (n,) against the truth ten times a second, and what was told."""
+
+    times_s: np.ndarray
+    off_m: np.ndarray
+    tilt_deg: np.ndarray
+    heading_deg: np.ndarray
+    nees: np.ndarray
+    fixes_off_m: float
+    told: str
+
+    def cells(self) -> list[str]:
+        """Return values of the columns HEADS."""
+        settled = self.times_s > self.times_s[0] + SETTLED_S
+        angles = rms(self.heading_deg[settled]), rms(self.tilt_deg[settled])
+        values = self.times_s[0], rms(self.off_m), self.fixes_off_m, self.off_m.max(), *angles, self.nees.mean()
+        return [f"{value:.3f}" for value in values]
+
+
+def judge(recording: Recording, messages: list[Message]) -> Tried | str:
+    """Return how far from the truth the estimates of some messages are, or why there are none."""
     estimator, events, judged = Estimator(recording.config), Counter[str](), list[np.ndarray]()
-    for message in recording.messages:
-        if has_outages and is_out(message):
-            continue
+    for message in messages:
         one = estimator.process(message).estimate
         events.update(f"{event.sensor} {event.kind}" for event in estimator.take_events() if event.kind in WORST)
         if one is None or one.stamp_ns // 100_000_000 == (judged[-1][0] if judged else 0):
@@ -184,20 +229,11 @@ def run(name: str, kind: str, seed: int, has_odometry: bool, has_outages: bool) 
         nees = off @ np.linalg.solve(R @ one.covariance[3:6, 3:6] @ R.T, off)
         row = one.stamp_ns // 100_000_000, np.hypot(*off[:2]), np.hypot(*turned[:2]), abs(turned[2]), nees / 3.0
         judged.append(np.array(row))
-    cells = [name, kind, str(seed)]
     if not judged:
-        return f"| {' | '.join(cells)} | never started: {estimator.waiting_for} |"
-    times, off, tilt, heading, nees = np.array(judged).T
-    times_s = 0.1 * times - START_NS * 1e-9
-    settled = times_s > times_s[0] + SETTLED_S
-    values = [times_s[0], rms(off), rms(recording.off_m), off.max(), rms(heading[settled]), rms(tilt[settled])]
-    cells += [f"{value:.3f}" for value in (*values, nees.mean())]
-    if has_outages:
-        ends_s = np.arange(FIRST_S + OUTAGE_S, times_s[-1], EVERY_S)
-        ends = [off[times_s < end_s][-1] for end_s in ends_s if end_s > times_s[0] + SETTLED_S]
-        cells += [f"{np.median(ends):.2f}", f"{max(ends):.2f}"] if ends else ["", ""]
+        return f"never started: {estimator.waiting_for}"
+    times, *errors = np.array(judged).T
     told = ", ".join(f"{event} {count}" for event, count in sorted(events.items()))
-    return f"| {' | '.join([*cells, told])} |"
+    return Tried(0.1 * times - START_NS * 1e-9, *errors, rms(recording.off_m), told)
 
 
 def main() -> None:
@@ -208,6 +244,8 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, metavar="SEED")
     parser.add_argument("--count", type=int, default=1)
     parser.add_argument("--odometry", action="store_true")
+    parser.add_argument("--scale", type=float, default=1.0)
+    parser.add_argument("--known", action="store_true")
     parser.add_argument("--outages", action="store_true")
     given = parser.parse_args()
     heads = ["vehicle", "GNSS", "seed", *HEADS]
@@ -215,7 +253,8 @@ def main() -> None:
     print(f"| {' | '.join([*heads, 'events'])} |")
     print(f"|---|---|{'---:|' * (len(heads) - 2)}---|")
     seeds = range(given.first, given.first + given.count)
-    tasks = product(given.only, given.gnss, seeds, [given.odometry], [given.outages])
+    odometry = Odometry(given.scale, given.known) if given.odometry else None
+    tasks = product(given.only, given.gnss, seeds, [odometry], [given.outages])
     with ProcessPoolExecutor(2) as pool:
         for row in pool.map(run, *zip(*tasks, strict=True)):
             print(row, flush=True)

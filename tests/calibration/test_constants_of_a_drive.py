@@ -5,11 +5,14 @@ import numpy as np
 import pytest
 from motion import T_I_L, StopAndGo, fixes, imu, in_order, link, machine, scans
 
-from holdfast.calibration.clocks import clocks, is_off
+from holdfast.calibration.clocks import clocks
+from holdfast.calibration.constants import is_off
 from holdfast.calibration.evidence import collected
 from holdfast.calibration.lever_arms import lever_arms, with_estimated_arms
 from holdfast.calibration.mountings import mountings
 from holdfast.calibration.odometry_noise import odometry_noise
+from holdfast.calibration.scales import scales
+from holdfast.sensors.clock import IF_RIGHT_S
 
 DRIVE = StopAndGo(radius_m=4.0, speed=0.35)  # 0.4 to 2.4 m/s
 END_S = 40.0
@@ -77,6 +80,15 @@ def test_a_lidar_mounted_otherwise_is_turned_in_the_file():
     assert len(found.changes) == 1
 
 
+@pytest.mark.parametrize("true", [0.96, pytest.param(1.0, marks=pytest.mark.slow)])
+def test_distances_that_are_too_long_are_found_and_written(true):
+    """The file says that they are to be multiplied by one."""
+    config = config_of(lidar_={"scale": 1.0 / true})
+    (found,) = scales([drive(config)], config, config).estimates
+    assert abs(found.after - 1.0) < 3.0 * found.sigma and found.sigma < 0.01
+    assert found.is_written == (true != 1.0)
+
+
 @pytest.mark.slow
 def test_what_was_not_seen_is_said_and_not_written():
     config = config_of(turned=TURNED, lidar_={"mounting_sigma_deg": 0.05})
@@ -105,9 +117,9 @@ def test_an_odometry_five_times_noisier_is_written_as_such():
 
 
 def test_an_offset_that_filters_in_sensors_explain_is_none():
-    assert not is_off(0.008, 0.0005, 0.03)
-    assert is_off(0.02, 0.001, 0.03)
-    assert not is_off(0.02, 0.02, 0.03)
+    assert not is_off(0.008, 0.0005, 0.03, IF_RIGHT_S)
+    assert is_off(0.02, 0.001, 0.03, IF_RIGHT_S)
+    assert not is_off(0.02, 0.02, 0.03, IF_RIGHT_S)
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import pytest
 from motion import (
     HEADING_DEG,
     Drive,
+    StopAndGo,
     fixes,
     horizontal_errors_m,
     imu,
@@ -143,6 +144,26 @@ def test_one_that_is_elsewhere_on_the_machine_is_found_there(arm):
     assert constant.is_off and (np.abs(constant.mean - moved) < 3.0 * np.array(constant.sigmas)).all()
     assert max(constant.sigmas[:2]) < 0.5
     assert max(errors_m(outputs, 12.0)) < 0.5  # twelve seconds of it without GNSS, at 6 m/s
+    assert not of_lidar(estimator, EventKind.SENSOR_LOST)
+
+
+@pytest.mark.parametrize("scale", [0.96, pytest.param(1.05, marks=pytest.mark.slow)])
+def test_one_whose_distances_are_wrong_is_found_so(scale):
+    """Wheels of another size; twelve seconds of them without GNSS."""
+    road, rng, outage_s = StopAndGo(start_s=4.0, radius_m=8.0, speed=0.35), np.random.default_rng(1), 48.0
+    poses = scans(road, 0.0, outage_s + 12.0, 5.0, np.random.default_rng(3), (0.001, 0.01), phase_s=0.0071)
+    sent = in_order(
+        imu(road, 0.0, outage_s + 12.0, 100.0, rng),
+        fixes(road, 0.0, outage_s, 5.0, rng, RTK, phase_s=0.0137),
+        [replace(one, position=scale * one.position) for one in poses],
+    )
+    estimator, outputs = run(machine(heading_deg=HEADING_DEG), sent)
+    constant = estimator.learnt().constants["lidar scale"]
+    (log_scale,), (sigma,) = constant.mean, constant.sigmas
+    assert constant.is_off and abs(log_scale + np.log(scale)) < 3.0 * sigma and sigma < 0.01
+    told = [event.reason for event in estimator.events if event.kind is EventKind.CALIBRATION]
+    assert any("multiply `scale` by" in reason for reason in told)
+    assert max(errors_m(outputs, 12.0, road)) < 0.3
     assert not of_lidar(estimator, EventKind.SENSOR_LOST)
 
 

@@ -7,9 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from holdfast.config.sensors import OdometryConfig
-from holdfast.sensors.odometry_calibration import SIZE, OdometryCalibration, joined
+from holdfast.sensors.odometry_calibration import OdometryCalibration
 
-F, X, P, A = (gtsam.symbol(letter, 0) for letter in "lxED")
+SIZES = {gtsam.symbol(letter, 0): size for letter, size in (("l", 9), ("x", 9), ("E", 4), ("D", 3), ("B", 1))}
+F, X, P, A, S = KEYS = tuple(SIZES)
 T_I_L = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.1, -0.2, 0.4), np.array([0.8, 0.3, 1.9]))
 STEP = 1e-6
 
@@ -25,6 +26,7 @@ def values_at(rng, parameter):
         values.insert(key, gtsam.NavState(pose, rng.normal(0.0, 1.0, 3)))
     values.insert(P, parameter)
     values.insert(A, rng.normal(0.0, 1.0, 3))
+    values.insert(S, rng.normal(0.0, 0.1, 1))
     return values
 
 
@@ -34,7 +36,7 @@ def numeric(factor, values, key, size):
         ends = []
         for sign in (1.0, -1.0):
             step = gtsam.VectorValues()
-            for other, other_size in ((F, 9), (X, 9), (P, SIZE), (A, 3)):
+            for other, other_size in SIZES.items():
                 step.insert(other, np.zeros(other_size) if other != key else sign * STEP * np.eye(size)[k])
             ends.append(factor.unwhitenedError(values.retract(step)))
         columns.append((ends[0] - ends[1]) / (2.0 * STEP))
@@ -44,42 +46,42 @@ def numeric(factor, values, key, size):
 @given(st.integers(0, 10_000))
 def test_both_factors_have_the_derivatives_that_they_claim(seed):
     rng = np.random.default_rng(seed)
-    values = values_at(rng, rng.normal(0.0, 0.03, SIZE))
+    values = values_at(rng, rng.normal(0.0, 0.03, 4))
     motion = values.atNavState(F).pose().between(values.atNavState(X).pose()) * gtsam.Pose3.Expmap(
         rng.normal(0, 0.02, 6)
     )
     unit = gtsam.noiseModel.Isotropic.Sigma
-    anchored = calibration().anchored_factor((F, X, P, A), motion, np.zeros(3), np.zeros(6), unit(6, 1.0))
-    drift = calibration().drift_factor((F, X, P, A), motion, unit(9, 1.0))
+    anchored = calibration().anchored_factor(KEYS, motion, np.zeros(3), np.zeros(6), unit(6, 1.0))
+    drift = calibration().drift_factor(KEYS, motion, unit(9, 1.0))
     for factor in (anchored, drift):
         claimed = factor.linearize(values).jacobian()[0]
-        found = np.hstack([numeric(factor, values, key, size) for key, size in ((F, 9), (X, 9), (P, SIZE), (A, 3))])
+        found = np.hstack([numeric(factor, values, key, size) for key, size in SIZES.items()])
         np.testing.assert_allclose(claimed, found, atol=2e-6 * max(1.0, abs(claimed).max()))
 
 
 @given(st.integers(0, 10_000))
-def test_the_error_is_zero_where_mounting_and_clock_are_as_they_are(seed):
-    """A lidar that is turned by delta, d elsewhere and tau younger than its stamps, on a machine that turns."""
+def test_the_error_is_zero_where_mounting_scale_and_clock_are_as_they_are(seed):
+    """A sensor that is turned by delta, d elsewhere, short by s and tau younger than its stamps, as it turns."""
     rng = np.random.default_rng(seed)
     parameter = np.array([*rng.normal(0.0, 0.05, 3), rng.normal(0.0, 0.03)])
     rate, velocity = rng.normal(0.0, 0.5, 3), rng.normal(0.0, 1.0, 3)
     beyond = rng.normal(0.0, 0.3, 6)
     frame, pose = (gtsam.Pose3.Expmap(rng.normal(0.0, 1.0, 6)) for _ in range(2))
     later = pose * gtsam.Pose3.Expmap((np.concatenate([rate, velocity]) + beyond) * parameter[3])
-    arm = rng.normal(0.0, 1.0, 3)
+    arm, scale = rng.normal(0.0, 1.0, 3), rng.normal(0.0, 0.1, 1)
     true_mount = T_I_L * gtsam.Pose3(gtsam.Rot3.Expmap(parameter[:3]), arm)
-    motion_of_lidar = (frame * true_mount).between(later * true_mount)
-    as_configured = T_I_L * motion_of_lidar * T_I_L.inverse()
+    moved = (frame * true_mount).between(later * true_mount)
+    measured = gtsam.Pose3(moved.rotation(), np.exp(-scale[0]) * moved.translation())
+    as_configured = T_I_L * measured * T_I_L.inverse()
     values = gtsam.Values()
     values.insert(F, gtsam.NavState(frame, np.zeros(3)))
     values.insert(X, gtsam.NavState(pose, pose.rotation().rotate(velocity)))
     values.insert(P, parameter)
     values.insert(A, arm)
-    factor = calibration().anchored_factor(
-        (F, X, P, A), as_configured, rate, beyond, gtsam.noiseModel.Isotropic.Sigma(6, 1.0)
-    )
+    values.insert(S, scale)
+    factor = calibration().anchored_factor(KEYS, as_configured, rate, beyond, gtsam.noiseModel.Isotropic.Sigma(6, 1.0))
     np.testing.assert_allclose(factor.unwhitenedError(values), 0.0, atol=1e-9)
-    moved = calibration().after(values.atNavState(X), rate, joined(parameter, arm), beyond)
+    moved = calibration().after(values.atNavState(X), rate, calibration().joined((parameter, arm, scale)), beyond)
     np.testing.assert_allclose(gtsam.Pose3.Logmap(moved.between(later)), 0.0, atol=1e-12)
 
 

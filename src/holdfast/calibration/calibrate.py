@@ -15,6 +15,7 @@ from holdfast.calibration.imu_noise import imu_noise
 from holdfast.calibration.lever_arms import lever_arms, with_estimated_arms
 from holdfast.calibration.mountings import mountings
 from holdfast.calibration.odometry_noise import odometry_noise
+from holdfast.calibration.scales import scales
 from holdfast.calibration.turn_joint import turn_joint
 from holdfast.config.document import Path as KeyPath
 from holdfast.config.document import value_at, yaml_text
@@ -26,7 +27,7 @@ from holdfast.printable import one_line
 from holdfast.recording.source import Recording
 
 MAX_ROUNDS, AT_REST = 5, 0.3  # sigmas by which nothing moves any more
-JUDGED = (Family.CLOCKS, Family.MOUNTINGS, Family.LEVER_ARMS, Family.IMU_NOISE, Family.FIX_NOISE, Family.ODOMETRY_NOISE)
+JUDGED = frozenset(Family) - {Family.TURN_JOINT}
 Watch = Callable[[str, Recording], AbstractContextManager[Progress]]
 """Shows how far a recording has been read, given what is being done."""
 
@@ -126,11 +127,11 @@ class _Runs:
 
 
 def _constants(draft: Draft, runs: _Runs) -> tuple[list[Found], list[Evidence], int]:
-    """Return clocks and mountings once they have come to rest, and the runs that tell them."""
+    """Return clocks, mountings and scales once they have come to rest, and the runs that tell them."""
     now, before, evidence, found = draft, list[float](), list[Evidence](), list[Found]()
     for number in range(1, MAX_ROUNDS + 1):
         evidence = runs.run(f"round {number}", now.config)
-        found = [family(evidence, draft.config, now.config) for family in (clocks, mountings)]
+        found = [family(evidence, draft.config, now.config) for family in (clocks, mountings, scales)]
         written = [one for family in found for one in family.estimates if one.is_written]
         now = draft.changed([change for family in found for change in family.changes])
         values = [one.after / one.sigma for one in written]

@@ -1,9 +1,9 @@
 """Offsets of the clocks of fixes, headings and odometries, from the constants that the graph estimates."""
 
 from collections.abc import Sequence
-from math import hypot, log
+from math import hypot
 
-from holdfast.calibration.constants import combined, of_name
+from holdfast.calibration.constants import combined, is_off, of_name
 from holdfast.calibration.estimated import Estimated, Family, Found, judged
 from holdfast.calibration.evidence import Evidence
 from holdfast.config.edit import Change
@@ -12,7 +12,6 @@ from holdfast.sensors.clock import IF_RIGHT_S, with_estimated_clock
 from holdfast.sensors.registry import sensors_of
 
 FLOOR_S = 5e-4  # sigma: sampling of the IMU, filters inside of it
-ODDS = log(3.0)
 DIGITS = 4  # of seconds
 
 
@@ -42,19 +41,12 @@ def clocks(evidence: Sequence[Evidence], original: Config, config: Config) -> Fo
             after = config.sensors[name].time_offset_s + float(offset[-1])
             sigma = hypot(float(covariance[-1, -1]) ** 0.5, FLOOR_S)
             found = judged(Estimated(Family.CLOCKS, path, name, "s", before, after, sigma, prior))
-            if not is_off(after - before, sigma, prior):
+            if not is_off(after - before, sigma, prior, IF_RIGHT_S):
                 found = found.kept(f"as configured, to the {IF_RIGHT_S * 1e3:g} ms that filters in sensors take")
             estimates.append(found)
             if found.is_written:
                 changes.append(Change(path, round(after, DIGITS)))
     return Found(estimates, changes)
-
-
-def is_off(offset_s: float, sigma_s: float, prior_s: float) -> bool:
-    """Whether an offset is more plausible than a clock that is right: (54) in docs/math.md."""
-    right, off = sigma_s**2 + IF_RIGHT_S**2, sigma_s**2 + prior_s**2
-    ratio = -0.5 * (offset_s**2 / right + log(right)) + 0.5 * (offset_s**2 / off + log(off))
-    return ratio < -ODDS
 
 
 def _by_constant(config: Config) -> dict[str, list[str]]:

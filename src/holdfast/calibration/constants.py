@@ -1,12 +1,15 @@
 """What several runs know of a constant of a sensor together."""
 
 from collections.abc import Iterable, Sequence
+from math import log
 
 import numpy as np
 
 from holdfast.calibration.evidence import Evidence
 from holdfast.messages import Array
 from holdfast.sensors.constants import Constant
+
+ODDS = log(3.0)
 
 
 def of_name(evidence: Iterable[Evidence], name: str) -> list[Constant]:
@@ -24,3 +27,10 @@ def combined(constants: Sequence[Constant]) -> tuple[Array, Array]:
         weighted += measured @ (one.measured - one.prior.mean)
     covariance: Array = np.asarray(np.linalg.inv(information))
     return covariance @ weighted, covariance
+
+
+def is_off(off: float, sigma: float, prior: float, if_right: float) -> bool:
+    """Whether an estimate is more plausibly off than right, given the sigmas of both: (54) in docs/math.md."""
+    right, wrong = sigma**2 + if_right**2, sigma**2 + prior**2
+    ratio = -0.5 * (off**2 / right + log(right)) + 0.5 * (off**2 / wrong + log(wrong))
+    return ratio < -ODDS

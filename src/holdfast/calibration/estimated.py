@@ -18,6 +18,7 @@ class Family(StrEnum):
     CLOCKS = "clocks"
     MOUNTINGS = "mountings"
     LEVER_ARMS = "lever arms"
+    SCALES = "scales of odometries"
     TURN_JOINT = "turn joint"
     IMU_NOISE = "noise of the IMU"
     FIX_NOISE = "noise of fixes and headings"

@@ -31,7 +31,7 @@ from holdfast.whole_file import write_whole
 ALLOWED = "a file that --learnt has written"
 POSE = "pose"  # of the frame in that of the IMU, from `extrinsics`
 CLOCK_KEYS = {"time_offset_s", "time_offset_sigma_s"}
-MOUNT_KEYS = {POSE, "mounting_sigma_deg", "lever_arm_sigma_m", "scale_sigma"}
+MOUNT_KEYS = {POSE, "mounting_sigma_deg", "lever_arm_sigma_m", "scale", "scale_sigma"}
 JOINT_KEYS = {"zero_offset_deg", "zero_offset_sigma_deg", "mounting_sigma_deg"}
 NOISE_WORDS = "sigma", "drift", "density", "ratio", "correlation", "constant"
 NO_NOISE = {"gate_sigma", "jump_sigma"}  # thresholds, in sigmas

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from math import degrees, fmod, hypot, radians, sqrt
+from math import degrees, exp, fmod, hypot, radians, sqrt
 from typing import Any
 
 import gtsam
@@ -19,7 +19,7 @@ from holdfast.config.sensors import (
     NonholonomicConfig,
     TwistConfig,
 )
-from holdfast.integrity.calibration import SLACK_RAD, SLACK_S
+from holdfast.integrity.calibration import SLACK_RAD, SLACK_RATIO, SLACK_S
 from holdfast.integrity.learnt_snapshot import (
     Factor,
     LearntNoiseScale,
@@ -36,6 +36,7 @@ from holdfast.sensors.learnt_joint import LearntJoint
 from holdfast.sensors.lever_arm import ARM
 from holdfast.sensors.odometry_calibration import NOMINAL, mounted
 from holdfast.sensors.registry import sensors_of
+from holdfast.sensors.scale import SCALE
 from holdfast.sensors.sensor import Parameter
 
 SEEN = 0.55  # sigma of a logarithm above which a factor is not known: half of the prior's
@@ -168,6 +169,10 @@ def _of_constant(
         elif is_told:
             yield from _of_arm(name, config, mean, sigmas)
         return
+    if prior.part == SCALE:
+        if learnt.is_off and isinstance(section, DriftingConfig):
+            yield _of_scale(name, section.scale, float(mean[0]), float(sigmas[0]))
+        return
     if prior.has_clock and getattr(section, "time_offset_sigma_s", 0.0) > 0.0:
         yield _of_clock(name, section.time_offset_s, float(mean[-1]), float(sigmas[-1]), is_off=learnt.is_off)
     if isinstance(section, DriftingConfig) and section.mounting_sigma_deg > 0.0:
@@ -190,6 +195,13 @@ def _of_clock(name: str, configured_s: float, offset_s: float, sigma_s: float, *
     is_wrong = is_off and abs(offset_s) > SIGMA * sigma_s + SLACK_S
     value, key = configured_s + offset_s, path_text(("sensors", name, "time_offset_s"))
     return Row(name, "clock", key, "s", configured_s, value, sigma_s, is_wrong, f"{value:.4f}" if is_wrong else "")
+
+
+def _of_scale(name: str, configured: float, log_factor: float, sigma: float) -> Row:
+    is_wrong = abs(log_factor) > SIGMA * sigma + SLACK_RATIO
+    value, key = configured * exp(log_factor), path_text(("sensors", name, "scale"))
+    write = f"{value:.4f}" if is_wrong else ""
+    return Row(name, "scale of its distances", key, "1", configured, value, value * sigma, is_wrong, write)
 
 
 def _of_mounting(name: str, config: Config, rotation: Array, sigmas: Array) -> Iterator[Row]:

@@ -178,6 +178,8 @@ class DriftingConfig(MountedConfig):
         doc="of the frame's rotation in `extrinsics`, which is estimated, as is its place; 0: both are known",
     )
     time_offset_sigma_s: float = quantity("s", 0.03, ge=0, le=1, doc="of `time_offset_s`, which is estimated; 0: known")
+    scale: float = quantity("1", 1.0, gt=0, le=1000, doc="by which the distances of its poses are multiplied")
+    scale_sigma: float = quantity("1", 0.1, ge=0, le=1, doc="of `scale` if it is wrong, which is estimated; 0: known")
     covariance: Literal["directions", "always", "never"] = Field(
         "directions",
         description="of a message: what it adds to the noise; `directions`: those that it says are not known",
@@ -208,6 +210,7 @@ class ScansConfig(DriftingConfig):
     """
 
     kind: Literal["scans"]
+    scale_sigma: float = quantity("1", 0.0, ge=0, le=1, doc="of `scale` if it is wrong; 0: a laser measures distances")
     method: Literal["small-gicp", "genz-icp", "kiss-icp"] = Field(
         "small-gicp", description="library that registers the scans; of the others only its poses are guided"
     )

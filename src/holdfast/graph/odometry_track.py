@@ -16,7 +16,7 @@ import numpy as np
 from holdfast.graph.smoother import FREE, Smoother
 from holdfast.messages import Array
 from holdfast.sensors.odometry import STILL_M_S, OdometryNoise, TrackPose, is_possible, with_excess
-from holdfast.sensors.odometry_calibration import NOMINAL, OdometryCalibration, joined
+from holdfast.sensors.odometry_calibration import OdometryCalibration
 from holdfast.sensors.sensor import State
 from holdfast.state import Outcome
 
@@ -26,9 +26,8 @@ Mode = Literal["anchored", "relative", "frozen"]
 
 
 def believed_calibration(smoother: Smoother, odometry: str, calibration: OdometryCalibration) -> Array:
-    """Return what is believed of how and where an odometry is mounted, and of its clock (7,)."""
-    beliefs = [smoother.parameters.belief(one.name(odometry), one)[0] for one in calibration.parameters]
-    return joined(*beliefs) if beliefs else NOMINAL
+    """Return what is believed (8,) of how and where an odometry is mounted, of its scale and its clock."""
+    return calibration.joined(smoother.parameters.belief(one.name(odometry), one)[0] for one in calibration.parameters)
 
 
 class Joined(NamedTuple):
@@ -149,9 +148,10 @@ class OdometryTrack:
 
     def _calibration(self, smoother: Smoother, pose: TrackPose) -> tuple[tuple[int, ...], float]:
         """Return the keys of what is estimated of the odometry, none if nothing is, and the offset of its clock [s]."""
-        parameters = self._noise.calibration.parameters
-        found = [smoother.parameter(one.name(pose.sensor), one, pose.stamp_ns) for one in parameters]
-        return tuple(key for key, _, _ in found), float(found[0][1][-1]) if found else 0.0
+        calibration = self._noise.calibration
+        found = [smoother.parameter(one.name(pose.sensor), one, pose.stamp_ns) for one in calibration.parameters]
+        belief = calibration.joined(value for _, value, _ in found)
+        return tuple(key for key, _, _ in found), float(belief[-1])
 
     def _begin_epoch(self, smoother: Smoother, before: _Epoch | None, pose: TrackPose) -> _Epoch:
         here = smoother.nav(pose.stamp_ns).pose()

@@ -1,7 +1,7 @@
 """What is otherwise than configured, mountings, clocks, the gyroscope, as the graph has found: told once it is sure."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from math import degrees
+from math import degrees, exp
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +13,7 @@ from holdfast.messages import Array
 from holdfast.sensors.constants import length_and_sigma
 from holdfast.sensors.lever_arm import ARM
 from holdfast.sensors.odometry import OdometryModel
+from holdfast.sensors.scale import SCALE
 from holdfast.sensors.sensor import Parameter, Sensor
 from holdfast.state import EventKind
 
@@ -98,6 +99,11 @@ def _findings(sensor: Sensor, prior: Parameter, value: Array, sigmas: Array) -> 
             f"moved by {x:.2f}, {y:.2f}, {z:.2f} m along {'its own axes' if is_odometry else 'the axes of the IMU'}"
         )
         yield Finding("lever arm", off_m, sigma_m, SLACK_M), text
+    elif prior.part == SCALE:
+        off, sigma = float(value[0]), float(sigmas[0])
+        short_or_long = "short" if off > 0.0 else "long"
+        text = f"its distances are too {short_or_long}: multiply `scale` by {exp(off):.4f}, sigma {100.0 * sigma:.2f} %"
+        yield Finding("scale", abs(off), sigma, SLACK_RATIO), text
     elif is_odometry:
         off_rad, sigma_rad = length_and_sigma(value[:3], sigmas[:3])
         x, y, z = np.degrees(value[:3])

@@ -103,7 +103,7 @@ class DriftMonitor:
     ) -> Contradiction | None:
         """Take in where a pose that is due was optimised to, and compare it with what was observed before.
 
-        `covariance` (9, 9) is that of its node, `calibration` (7,) what is believed of the odometry.
+        `covariance` (9, 9) is that of its node, `calibration` (8,) what is believed of the odometry.
         """
         self._calibration = calibration
         last = self._observations[-1] if self._observations else None

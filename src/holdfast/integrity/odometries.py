@@ -23,6 +23,7 @@ from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.constants import length_and_sigma
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
+from holdfast.sensors.scale import CHANGE as SCALE_CHANGE
 from holdfast.sensors.sensor import Parameter
 from holdfast.state import EventKind, Outcome
 
@@ -268,18 +269,16 @@ class Odometries:
                         self._log.recount(name, Outcome.USED, Outcome.CONTRADICTED)
                         self._log.record(one.stamp_ns, name, Outcome.CONTRADICTED)
             graph.begin_tracks_anew(smoother, name)
-        self._forget_arm(graph, name)
+        self._forget_shape(graph, name)
         self._log.report(EventKind.SENSOR_LOST, now_ns, name, reason)
 
-    def _forget_arm(self, graph: DualGraph, name: str) -> None:
-        """Forget where an odometry is if that was not known yet: its lies may have looked like it."""
-        arm = self._odometries[name].model.calibration.arm_prior
-        known = None if arm is None else graph.main.parameters.estimate(arm.name(name))
-        if arm is None or known is None:
-            return
-        _, sigma_m = length_and_sigma(*known)
-        if sigma_m > AGREES_M:
-            graph.begin_parameter_anew(arm.name(name), arm)
+    def _forget_shape(self, graph: DualGraph, name: str) -> None:
+        """Forget place and scale of an odometry if they were not known yet: its lies may have looked like them."""
+        calibration = self._odometries[name].model.calibration
+        for prior, enough in ((calibration.arm_prior, AGREES_M), (calibration.scale_prior, SCALE_CHANGE)):
+            known = None if prior is None else graph.main.parameters.estimate(prior.name(name))
+            if prior is not None and known is not None and length_and_sigma(*known)[1] > enough:
+                graph.begin_parameter_anew(prior.name(name), prior)
 
     def review(self, now_ns: int) -> None:
         """Lose the odometries that are silent."""
@@ -366,5 +365,5 @@ class Odometries:
                 yield name, pose
 
     def _calibration(self, graph: DualGraph, odometry: str) -> Array:
-        """Return what the main graph estimates of an odometry (7,): its mounting, its lever arm and its clock."""
+        """Return what the main graph estimates of an odometry (8,): its mounting, lever arm, scale and clock."""
         return believed_calibration(graph.main, odometry, self._odometries[odometry].model.calibration)

@@ -159,7 +159,7 @@ class OdometryLearning:
     ) -> None:
         """Compare where GNSS has led the estimate at a pose with where the odometry has carried it; once a second.
 
-        `covariance` (9, 9) is that of its node, `calibration` (7,) what is believed of the odometry.
+        `covariance` (9, 9) is that of its node, `calibration` (8,) what is believed of the odometry.
         """
         before, self._before = self._before, (pose, T_W_I.rotation())
         variance = float(covariance[3:6, 3:6].trace()) / 3.0

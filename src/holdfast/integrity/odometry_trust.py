@@ -105,7 +105,7 @@ class OdometryTrust:
         Args:
             pose: to be watched from now on.
             seen: what the estimate says of the one before; None if it says nothing any more.
-            calibration: (7,) what is believed of the odometry.
+            calibration: (8,) what is believed of the odometry.
             is_led: fixes lead the estimate: where it knows little now, it will soon know more.
 
         Returns:

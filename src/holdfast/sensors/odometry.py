@@ -74,6 +74,7 @@ class OdometryModel:
         T_L0_L = pose_of(message)
         if isinstance(T_L0_L, Outcome):
             return T_L0_L
+        T_L0_L = gtsam.Pose3(T_L0_L.rotation(), self.config.scale * T_L0_L.translation())
         T_I0_I, stamp_ns = self._T_I_L * T_L0_L * self._T_L_I, message.stamp_ns + self.offset_ns
         excess, begins_anew = self._excess(message, T_L0_L), _is_unmeasured(message.covariance)
         return TrackPose(stamp_ns, self.name, T_I0_I, excess, begins_anew)

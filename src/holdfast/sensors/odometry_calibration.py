@@ -1,12 +1,13 @@
-"""What the graph estimates of an odometry beside its drift: how and where it is mounted, and the offset of its clock.
+"""What the graph estimates of an odometry beside its drift: how and where it is mounted, its clock, and its scale.
 
 One parameter (4,) is the rotation vector delta [rad] by which L is mounted otherwise than `extrinsics` says, in its own
 axes, and tau [s], by which its poses are younger than their stamps; another (3,) the lever arm d [m] by which L is
-elsewhere, in its axes, too: (52) in docs/math.md. What is believed of all (7,) is delta, d and tau.
+elsewhere, in its axes, too; a third (1,) is lambda, the logarithm of how many times too short its distances are, as
+those of wheels and cameras may be: (52) in docs/math.md. What is believed of all (8,) is delta, d, lambda and tau.
 """
 
-from collections.abc import Sequence
-from math import radians
+from collections.abc import Iterable, Sequence
+from math import exp, radians
 
 import gtsam
 import numpy as np
@@ -15,22 +16,30 @@ from holdfast.config.sensors import DriftingConfig
 from holdfast.messages import Array
 from holdfast.sensors.clock import IF_RIGHT_S
 from holdfast.sensors.lever_arm import measured_arm
+from holdfast.sensors.scale import measured_scale
 from holdfast.sensors.sensor import CHANGE_RAD, STEADY, Parameter
 
 KNOWN = 1e-7  # sigma [rad, s] of what is known
 FOUND_RAD = radians(3.0)  # so well motions must tell how a sensor is mounted; sigma of what they told
 TURNED = 5.0  # sigmas of a prior, by which an estimate of the mount is none
-SIZE = 4
-NO_ARM: Array = np.zeros(3)
-NOMINAL: Array = np.zeros(SIZE + 3)  # as configured: mounting, lever arm, clock
+AT_MOUNT_AND_CLOCK, AT_ARM, AT_SCALE = [0, 1, 2, 7], [3, 4, 5], [6]  # elements of what is believed, by parameter
+SIZE = 8
+NOMINAL: Array = np.zeros(SIZE)  # as configured
 
 
 class OdometryCalibration:
-    """The parameter of one odometry, and the factors on it.
+    """The parameters of one odometry, and the factors on them.
 
     Args:
         config: of the odometry.
         T_I_L: the pose of its sensor in I, as configured.
+
+    Attributes:
+        lever_arm: (3,) of L as configured [m].
+        prior: of the mounting's rotation and the clock; None if both are known.
+        arm_prior: of the lever arm; None if it is known.
+        scale_prior: of the scale; None if it is known.
+        parameters: all that is estimated of the odometry.
     """
 
     def __init__(self, config: DriftingConfig, T_I_L: gtsam.Pose3) -> None:
@@ -40,14 +49,20 @@ class OdometryCalibration:
         sigmas = np.array([*np.repeat(np.radians(config.mounting_sigma_deg), 3), config.time_offset_sigma_s])
         if_right = np.array([*np.full(3, np.inf), IF_RIGHT_S])
         change = np.array([CHANGE_RAD, CHANGE_RAD, CHANGE_RAD, IF_RIGHT_S])
-        prior = Parameter(np.zeros(SIZE), np.maximum(sigmas, KNOWN), if_right, change=change, has_clock=True)
+        prior = Parameter(np.zeros(4), np.maximum(sigmas, KNOWN), if_right, change=change, has_clock=True)
         self.prior = prior if sigmas.any() else None
         self.arm_prior = measured_arm() if self.is_mount_estimated else None
+        self.scale_prior = measured_scale(config.scale_sigma) if config.scale_sigma > 0.0 else None
+        parts = (self.prior, AT_MOUNT_AND_CLOCK), (self.arm_prior, AT_ARM), (self.scale_prior, AT_SCALE)
+        self.parameters = tuple(one for one, _ in parts if one is not None)
+        self._elements = [elements for one, elements in parts if one is not None]
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """What is estimated of the odometry."""
-        return tuple(one for one in (self.prior, self.arm_prior) if one is not None)
+    def joined(self, vectors: Iterable[Array]) -> Array:
+        """Return what is believed of the odometry (8,), of the vectors of its parameters."""
+        belief = NOMINAL.copy()
+        for elements, vector in zip(self._elements, vectors, strict=True):
+            belief[elements] = vector
+        return belief
 
     @property
     def is_mount_estimated(self) -> bool:
@@ -61,7 +76,7 @@ class OdometryCalibration:
         return self.prior._replace(mean=np.concatenate([delta, self.prior.mean[3:]]), sigmas=sigmas)
 
     def is_turned(self, prior: Parameter, belief: Array) -> bool:
-        """Whether what is believed (7,) has left a prior, or the configured one, further than the mount is doubted.
+        """Whether what is believed (8,) has left a prior, or the configured one, further than the mount is doubted.
 
         Small turns are what it is linear in. A sensor that is turned far moves otherwise from the first metre, and
         turns the estimate with it, degree by degree.
@@ -75,9 +90,10 @@ class OdometryCalibration:
         return self._T_L_I.compose(motion).compose(self._T_I_L)
 
     def motion(self, motion: gtsam.Pose3, belief: Array) -> gtsam.Pose3:
-        """Return a motion of I with another mounting: C motion C^-1, C = T_I_L (Exp(delta), d) T_L_I."""
-        correction = self._T_I_L.compose(mounted(belief)).compose(self._T_L_I)
-        return correction.compose(motion).compose(correction.inverse())
+        """Return a motion of I as it is believed, of one as it is configured: of L, whose distances are scaled."""
+        measured, T_I_L = self.of_sensor(motion), self._T_I_L.compose(mounted(belief))
+        of_sensor = gtsam.Pose3(measured.rotation(), exp(belief[6]) * measured.translation())
+        return T_I_L.compose(of_sensor).compose(T_I_L.inverse())
 
     def after(self, nav: gtsam.NavState, angular_velocity: Array, belief: Array, beyond: Array = STEADY) -> gtsam.Pose3:
         """Return the pose of I at the time when a pose of the odometry with the stamp of a state was measured.
@@ -93,39 +109,35 @@ class OdometryCalibration:
         """Return the factor on a frame, a node and the parameter: the node's pose after tau is `motion` from the frame.
 
         Args:
-            keys: of the frame, the node, the parameter and the lever arm if that is estimated, too.
+            keys: of the frame, the node and the parameters.
             motion: of I from the frame to the pose, as the configured mounting has it.
             rate: (3,) angular velocity of I at the node [rad/s].
             beyond: (6,) by how much the mean twist over tau differs from that at the node.
             noise: of the error (6,), rotation first.
         """
-        frame_key, node_key, parameter_key, *arm_keys = keys
+        frame_key, node_key, *parameter_keys = keys
+        measured = self.of_sensor(motion)
 
         def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
             frame, node = values.atNavState(frame_key).pose(), values.atNavState(node_key)
-            parameter = values.atVector(parameter_key)
-            belief = joined(parameter, *map(values.atVector, arm_keys))
+            belief = self.joined(map(values.atVector, parameter_keys))
             twist = np.concatenate([rate, node.bodyVelocity()]) + beyond
             by_twist = np.zeros((6, 6), order="F")
-            shift = gtsam.Pose3.Expmap(twist * parameter[3], by_twist)
-            expected = self.motion(motion, belief)
+            shift = gtsam.Pose3.Expmap(twist * belief[-1], by_twist)
             moved = frame.between(node.pose()).compose(shift)
-            off = expected.between(moved)
+            residual, by_moved, by_belief = self._compared(measured, moved, belief)
             if jacobians is None:
-                return gtsam.Pose3.Logmap(off)
-            by_off = np.zeros((6, 6), order="F")
-            residual: Array = gtsam.Pose3.Logmap(off, by_off)
+                return residual
             jacobians[0] = np.zeros((6, 9))
-            jacobians[0][:, :6] = -by_off @ moved.inverse().AdjointMap()
+            jacobians[0][:, :6] = -by_moved @ moved.inverse().AdjointMap()
             jacobians[1] = np.zeros((6, 9))
-            jacobians[1][:, :6] = by_off @ shift.inverse().AdjointMap()
-            by_velocity = by_off @ by_twist[:, 3:] * parameter[3]
+            jacobians[1][:, :6] = by_moved @ shift.inverse().AdjointMap()
+            by_velocity = by_moved @ by_twist[:, 3:] * belief[-1]
             jacobians[1][:, :3] += by_velocity @ gtsam.SO3.Hat(node.bodyVelocity())
             jacobians[1][:, 6:] = by_velocity
-            by_mounting, by_arm = np.hsplit(by_off @ self._by_mounting(expected, off, belief), 2)
-            jacobians[2] = np.column_stack([by_mounting, by_off @ twist])
-            if arm_keys:
-                jacobians[3] = by_arm
+            by_belief[:, -1] = by_moved @ twist
+            for k, elements in enumerate(self._elements):
+                jacobians[2 + k] = by_belief[:, elements]
             return residual
 
         return gtsam.CustomFactor(noise, list(keys), error)
@@ -136,53 +148,58 @@ class OdometryCalibration:
         """Return the factor on two frames and the parameter: the second is `motion` from the first, and does not move.
 
         Args:
-            keys: of the frames, the parameter and the lever arm if that is estimated, too.
+            keys: of the frames and the parameters.
             motion: of I from the first to the second, as the configured mounting has it.
             noise: of the error (9,): rotation, translation, velocity of the second frame.
         """
-        before_key, key, parameter_key, *arm_keys = keys
+        before_key, key, *parameter_keys = keys
+        measured = self.of_sensor(motion)
 
         def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
             before, here = values.atNavState(before_key).pose(), values.atNavState(key)
-            belief = joined(values.atVector(parameter_key), *map(values.atVector, arm_keys))
-            expected = self.motion(motion, belief)
+            belief = self.joined(map(values.atVector, parameter_keys))
             moved = before.between(here.pose())
-            off = expected.between(moved)
-            by_off = np.zeros((6, 6), order="F")
-            residual = np.concatenate([gtsam.Pose3.Logmap(off, by_off), here.bodyVelocity()])
+            residual, by_moved, by_belief = self._compared(measured, moved, belief)
             if jacobians is not None:
                 jacobians[0] = np.zeros((9, 9))
-                jacobians[0][:6, :6] = -by_off @ moved.inverse().AdjointMap()
+                jacobians[0][:6, :6] = -by_moved @ moved.inverse().AdjointMap()
                 jacobians[1] = np.eye(9)
-                jacobians[1][:6, :6] = by_off
+                jacobians[1][:6, :6] = by_moved
                 jacobians[1][6:, :3] = gtsam.SO3.Hat(here.bodyVelocity())
-                by_mounting, by_arm = np.hsplit(by_off @ self._by_mounting(expected, off, belief), 2)
-                jacobians[2] = np.zeros((9, SIZE))
-                jacobians[2][:6, :3] = by_mounting
-                if arm_keys:
-                    jacobians[3] = np.vstack([by_arm, np.zeros((3, 3))])
-            return residual
+                for k, elements in enumerate(self._elements):
+                    jacobians[2 + k] = np.vstack([by_belief[:, elements], np.zeros((3, len(elements)))])
+            return np.concatenate([residual, here.bodyVelocity()])
 
         return gtsam.CustomFactor(noise, list(keys), error)
 
-    def _by_mounting(self, expected: gtsam.Pose3, off: gtsam.Pose3, belief: Array) -> Array:
-        """Return the derivative (6, 6) of the tangent of `off` = expected^-1 moved by delta and d."""
-        by_turned = np.eye(6)
-        by_turned[:3, :3] = gtsam.Rot3.ExpmapDerivative(-belief[:3])
-        by_turned[3:, :3] = gtsam.SO3.Hat(belief[3:6]) @ by_turned[:3, :3]
-        by_correction = (expected.inverse().AdjointMap() - np.eye(6)) @ self._adjoint
-        result: Array = -off.inverse().AdjointMap() @ by_correction @ by_turned
-        return result
+    def _compared(self, measured: gtsam.Pose3, moved: gtsam.Pose3, belief: Array) -> tuple[Array, Array, Array]:
+        """Return by how much I moved otherwise than L has measured, and derivatives by its motion and what is believed.
+
+        The motion is brought to L, and scaled there: a scale on what was measured would shrink its noise, too.
+
+        Returns:
+            residual: (6,) in the tangent of I.
+            by_moved: (6, 6) by the tangent of the motion of I.
+            by_belief: (6, 8); zero by the clock, of which the motion knows.
+        """
+        T_I_L, shrunk = self._T_I_L.compose(mounted(belief)), exp(-belief[6])
+        of_sensor = T_I_L.inverse().compose(moved).compose(T_I_L)
+        seen = gtsam.Pose3(of_sensor.rotation(), shrunk * of_sensor.translation())
+        by_off = np.zeros((6, 6), order="F")
+        residual = self._adjoint @ gtsam.Pose3.Logmap(measured.between(seen), by_off)
+        by_sensor = self._adjoint @ by_off
+        by_sensor[:, 3:] *= shrunk
+        by_mount, by_belief = np.zeros((6, 6)), np.zeros((6, SIZE))
+        by_mount[:3, :3] = gtsam.Rot3.ExpmapDerivative(belief[:3])
+        by_mount[3:, 3:] = gtsam.Rot3.Expmap(-belief[:3]).matrix()
+        by_belief[:, :6] = by_sensor @ (np.eye(6) - of_sensor.inverse().AdjointMap()) @ by_mount
+        by_belief[:, 6] = -by_sensor[:, 3:] @ of_sensor.rotation().unrotate(of_sensor.translation())
+        return residual, by_sensor @ T_I_L.inverse().AdjointMap(), by_belief
 
 
 def mounted(belief: Array) -> gtsam.Pose3:
     """Return the pose of L as it is in L as it is configured."""
     return gtsam.Pose3(gtsam.Rot3.Expmap(belief[:3]), belief[3:6])
-
-
-def joined(parameter: Array, arm: Array = NO_ARM) -> Array:
-    """Return what is believed of an odometry (7,), of its parameter (4,) and its lever arm (3,)."""
-    return np.concatenate([parameter[:3], arm, parameter[3:]])
 
 
 def apart_rad(a: Array, b: Array) -> float:

@@ -39,7 +39,7 @@ class Stretch:
     Attributes:
         covariances: at the nodes; closures join them.
         after_ns: only closures whose later end is after it are wanted; the others are known.
-        calibrations: (7,) of odometries: rotation of their mounting [rad], lever arm [m] and offset of their clock [s].
+        calibrations: (8,) of odometries: what is believed of mounting, scale and clock, as in `OdometryCalibration`.
     """
 
     track: Track
