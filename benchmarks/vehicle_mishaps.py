@@ -8,6 +8,7 @@ import argparse
 from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
+from drive_mishaps import happen
 from further_mishaps import FURTHER, clock_step, rare_samples
 from mishaps import MISHAPS, any_mount
 from motions import VEHICLES
@@ -25,13 +26,10 @@ def spoilt(seed: int) -> tuple[Recording, list[Message], str, str]:
     name, kind = str(rng.choice(list(VEHICLES))), str(rng.choice(list(RECEIVERS)))
     has_odometry = bool(rng.integers(2))
     recording = record(name, RECEIVERS[kind], seed, Odometry() if has_odometry else None)
-    messages, happened = recording.messages, list[str]()
     pools = [(ODOMETRY, 1), (OF_ALL, 2)] if has_odometry else [(OF_ALL, 3)]
-    for pool, number in pools:
-        for k in rng.choice(len(pool), number, replace=False):
-            messages, what = pool[k](rng, messages)
-            happened.append(what)
-    return recording, messages, ", ".join(happened), f"{name} | {kind}"
+    chosen = [pool[k] for pool, number in pools for k in rng.choice(len(pool), number, replace=False)]
+    messages, happened = happen(rng, recording.config, [], recording.messages, chosen)
+    return recording, messages, happened, f"{name} | {kind}"
 
 
 def run(seed: int) -> str:

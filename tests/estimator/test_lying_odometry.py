@@ -24,6 +24,7 @@ from motion import (
 from holdfast.state import EventKind
 
 ROAD = Drive(start_s=4.0, ramp_s=4.0, radius_m=20.0, speed=0.3, tilt=0.0, heave_m=0.0)  # 6 m/s
+SWINGING = StopAndGo(start_s=4.0, radius_m=20.0, speed=0.3)  # 2 to 10 m/s
 RTK = (0.01, 0.01, 0.02)
 END_S, LIES_S, RIGHT_S = 48.0, 20.0, 34.0
 
@@ -126,46 +127,64 @@ def test_one_that_would_turn_its_mount_degree_by_degree_is_lost_and_found_so(ang
     assert max(errors_m(outputs, 10.0)) < 0.2
 
 
-@pytest.mark.parametrize("arm", [(3.0, 0.0, 0.0), (0.0, -2.0, 0.0)])
-def test_one_that_is_elsewhere_on_the_machine_is_found_so(arm):
-    """A sign of its lever arm is wrong in the file. On a circle scale and mount may be blamed as well as the arm.
+def elsewhere(poses, arm):
+    """Poses of a sensor that is moved by an arm (3,) along its own axes."""
 
-    On a road with other curves it is the arm: `benchmarks/wrong_mounts.py`.
-    """
-    sent, moved, outage_s = streams(), np.array(arm), 36.0
-    sent["lidar"] = [
-        replace(
-            one, position=one.position + gtsam.Rot3.Quaternion(one.quaternion[3], *one.quaternion[:3]).rotate(moved)
-        )
-        for one in sent["lidar"]
-    ]
+    def moved(one):
+        turned = gtsam.Rot3.Quaternion(one.quaternion[3], *one.quaternion[:3])
+        return replace(one, position=one.position + turned.rotate(np.array(arm)))
+
+    return [moved(one) for one in poses]
+
+
+def followed(change):
+    """What follows changed poses on a circle at a speed that swings, the last twelve seconds without GNSS."""
+    rng, until_s = np.random.default_rng(1), END_S + 12.0
+    poses = scans(SWINGING, 0.0, until_s, 5.0, np.random.default_rng(3), (0.001, 0.01), phase_s=0.0071)
+    sent = imu(SWINGING, 0.0, until_s, 100.0, rng), fixes(SWINGING, 0.0, END_S, 5.0, rng, RTK, phase_s=0.0137)
+    return run(machine(heading_deg=HEADING_DEG), in_order(*sent, change(poses)))
+
+
+ARMS = (3.0, 0.0, 0.0), (0.0, -2.0, 0.0)
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_one_that_is_elsewhere_on_the_machine_is_found_there(arm):
+    """A sign of its lever arm is wrong in the file."""
+    estimator, outputs = followed(lambda poses: elsewhere(poses, arm))
+    (told, *_) = [event for event in estimator.events if "beside where it is configured" in event.reason]
+    assert (told.kind, told.sensor) == (EventKind.CALIBRATION, "lidar")
+    constants = estimator.learnt().constants
+    constant = constants["lidar arm"]
+    assert constant.is_off and (np.abs(constant.mean - np.array(arm)) < 3.0 * np.array(constant.sigmas)).all()
+    assert max(constant.sigmas[:2]) < 0.5
+    assert not constants["lidar scale"].is_off
+    assert max(errors_m(outputs, 12.0, SWINGING)) < 0.5  # twelve seconds of it without GNSS
+    assert not of_lidar(estimator, EventKind.SENSOR_LOST)
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_where_a_circle_at_one_speed_tells_no_arm_from_a_scale_either_serves(arm):
+    sent, outage_s = streams(), 36.0
+    sent["lidar"] = elsewhere(sent["lidar"], arm)
     sent["gnss"] = [one for one in sent["gnss"] if one.stamp_ns < ns(outage_s)]
     estimator, outputs = run(machine(heading_deg=HEADING_DEG), in_order(*sent.values()))
     told = {event.sensor for event in estimator.events if event.kind is EventKind.CALIBRATION}
-    constants = estimator.learnt().constants
     assert "lidar" in told
-    assert constants["lidar arm"].is_off or constants["lidar scale"].is_off
     assert max(errors_m(outputs, 12.0)) < 0.5  # twelve seconds of it without GNSS, at 6 m/s
     assert not of_lidar(estimator, EventKind.SENSOR_LOST)
 
 
 @pytest.mark.parametrize("scale", [0.96, pytest.param(1.05, marks=pytest.mark.slow)])
 def test_one_whose_distances_are_wrong_is_found_so(scale):
-    """Wheels of another size; twelve seconds of them without GNSS."""
-    road, rng, outage_s = StopAndGo(start_s=4.0, radius_m=8.0, speed=0.35), np.random.default_rng(1), 48.0
-    poses = scans(road, 0.0, outage_s + 12.0, 5.0, np.random.default_rng(3), (0.001, 0.01), phase_s=0.0071)
-    sent = in_order(
-        imu(road, 0.0, outage_s + 12.0, 100.0, rng),
-        fixes(road, 0.0, outage_s, 5.0, rng, RTK, phase_s=0.0137),
-        [replace(one, position=scale * one.position) for one in poses],
-    )
-    estimator, outputs = run(machine(heading_deg=HEADING_DEG), sent)
+    """Wheels of another size."""
+    estimator, outputs = followed(lambda poses: [replace(one, position=scale * one.position) for one in poses])
     constant = estimator.learnt().constants["lidar scale"]
     (log_scale,), (sigma,) = constant.mean, constant.sigmas
     assert constant.is_off and abs(log_scale + np.log(scale)) < 3.0 * sigma and sigma < 0.01
     told = [event.reason for event in estimator.events if event.kind is EventKind.CALIBRATION]
     assert any("multiply `scale` by" in reason for reason in told)
-    assert max(errors_m(outputs, 12.0, road)) < 0.3
+    assert max(errors_m(outputs, 12.0, SWINGING)) < 0.3
     assert not of_lidar(estimator, EventKind.SENSOR_LOST)
 
 
