@@ -88,6 +88,20 @@ def test_the_heading_is_known_as_well_as_residuals_show_whatever_is_claimed(clai
         assert abs(turned.rpy()[2]) < 3.0 * found.heading_sigma_rad
 
 
+def test_the_sigma_of_the_heading_is_that_of_its_errors_where_claims_are_ten_times_too_large():
+    """What decides whether to start may be modest; what is told then is neither."""
+    drive, times, found = Drive(start_s=-10.0), np.arange(0.1, 20.0, 0.5), []
+    for seed in range(24):
+        errors = np.random.default_rng(seed).normal(0.0, 0.05, (len(times), 3))
+        told = aligned(drive, times, offset=dict(zip(times, errors, strict=True)).get, claim_m=0.5)
+        R_W_I = told.state.nav.attitude()
+        off_rad = gtsam.Rot3.Logmap(R_W_I.compose(drive.nav(times[-1]).attitude().inverse()))[2]
+        found.append((off_rad / told.heading_sigma_rad) ** 2)
+        P_W = R_W_I.matrix() @ told.state.covariance[:3, :3] @ R_W_I.matrix().T
+        assert np.sqrt(P_W[2, 2]) == pytest.approx(told.heading_sigma_rad, rel=0.01)
+    assert 0.3 < np.mean(found) < 2.0
+
+
 def test_a_claim_that_is_too_large_still_bounds_the_position():
     """What all fixes are off by, no residual shows."""
     found = aligned(Drive(start_s=-10.0), np.arange(0.1, 20.0, 0.5), claim_m=1.0)

@@ -15,6 +15,7 @@ import numpy as np
 from holdfast.graph.alignment_problem import (
     CLAIMED_DEGREES,
     MAX_EXCESS,
+    Belief,
     BiasPrior,
     Evidence,
     Noise,
@@ -37,6 +38,8 @@ BEYOND, WIDENED = 3.0, 10.0  # sigmas by which a bias departs from what was know
 COARSE = 3  # nodes: the time of a jump is looked for in such steps, then from node to node
 FITS = 4.0  # squared residuals over what is claimed
 REWEIGHTED = 2  # times: how residuals fall to positions and velocities depends on what they weigh
+TO_DECIDE = Belief(CLAIMED_DEGREES, 0.01)  # whether the heading is known: a start that is wrong costs more than a wait
+TO_TELL = Belief(4.0, 1e-3)  # how well: a claim that is right within a factor of three or so
 Solution = tuple[float, gtsam.Values]  # half the sum of squares that is left, and where
 
 
@@ -131,14 +134,24 @@ class BatchAligner:
         spells, deltas, problem, solutions, jump = self._explained(evidence, prior, jump_sigmas)
         noise = Noise()
         for _ in range(REWEIGHTED if solutions else 0):
-            noise = problem.noise(solutions[0][1], noise, evidence.freedom)
+            noise = problem.noise(solutions[0][1], noise, evidence.freedom, TO_DECIDE)
             problem = self._problems.problem(evidence, deltas, spells, noise)
             solutions = _solved(problem.graph, [values for _, values in solutions])
         if not solutions:
             return Alignment(None, "the batch of GNSS and IMU has no solution")
         if len(spells) > 1:
             max_heading_sigma_rad = max(max_heading_sigma_rad, VAGUE_RAD)
-        return replace(self._judge(problem, evidence, solutions, noise, max_heading_sigma_rad), jump=jump)
+        decided = self._judge(problem, evidence, solutions, noise, max_heading_sigma_rad)
+        if decided.state is not None:
+            noise = problem.noise(solutions[0][1], noise, evidence.freedom, TO_TELL)
+            problem = self._problems.problem(evidence, deltas, spells, noise)
+            for solution in _solved(problem.graph, [solutions[0][1]]):
+                told = self._judge(problem, evidence, [solution], noise, inf)
+                if told.state is not None:
+                    state = _with_heading(decided.state, told.state)
+                    sigma = told.heading_sigma_rad
+                    decided = replace(decided, state=state, reason=told.reason, heading_sigma_rad=sigma)
+        return replace(decided, jump=jump)
 
     def _explained(self, evidence: Evidence, prior: BiasPrior, jump_sigmas: Array | None) -> Explained:
         """Solve for biases that are constant, that have jumped if they may, or that were not what was known of them."""
@@ -260,6 +273,20 @@ class BatchAligner:
         reason, misfit = f"heading from motion, {np.degrees(sigma):.1f} deg", max(excess, *noise)
         clock_s = next((_as_clock_s(best, len(stamps), shift) for shift, _ in arms.values()), 0.0)
         return Alignment(state, reason, sigma, excess, misfit, arms=arms, clock_s=clock_s)
+
+
+def _with_heading(state: OptimisedState, told: OptimisedState) -> OptimisedState:
+    """Return a state that has the heading of another and is as sure of it, with what that says of all the rest."""
+    R, P = state.nav.attitude(), state.covariance
+    H = np.r_[R.unrotate(np.array([0.0, 0.0, 1.0])), np.zeros(12)]
+    before, after = float(H @ P @ H), float(H[:3] @ told.covariance[:3, :3] @ H[:3])
+    if after >= before:
+        return state
+    along = P @ H / before
+    turned = float(gtsam.Rot3.Logmap(told.nav.attitude().compose(R.inverse()))[2])
+    nav = state.nav.retract(along[:9] * turned)
+    bias = state.bias + gtsam.imuBias.ConstantBias(*(along[9:] * turned).reshape(2, 3))
+    return replace(state, nav=nav, bias=bias, covariance=P - (before - after) * np.outer(along, along))
 
 
 def _is_beyond(solution: Solution, prior: BiasPrior) -> bool:

@@ -19,7 +19,6 @@ from holdfast.sensors.preintegration import ImuNoise, preintegrate
 from holdfast.sensors.sensor import Position, PositionSensor, Velocity, VelocitySensor
 
 MAX_EXCESS = 400.0  # of the squared residuals over their expectation: claims that are twenty times too small
-LEAST_NOISE = 0.01  # of the variance that is claimed, where residuals show less
 CLAIMED_DEGREES = 30.0  # of freedom, that residuals must have to count as much as a claim: neighbours err alike
 BUCKET_NS = 1_000_000_000  # of each sensor one measurement in so long: errors of neighbours are alike
 FAR_RAD_S = 0.02  # over a second what is linear about a bias is right to 2e-4 rad
@@ -76,6 +75,18 @@ class Noise(NamedTuple):
     of_velocities: float = 1.0
 
 
+class Belief(NamedTuple):
+    """How far a claim is believed where residuals show less noise.
+
+    Attributes:
+        degrees: of freedom, that residuals must have to count as much.
+        least: of the variance that is claimed, whatever they show.
+    """
+
+    degrees: float
+    least: float
+
+
 class Problem(NamedTuple):
     """The graph of a batch, which factors are those of positions and velocities, and the key of the newest bias."""
 
@@ -84,7 +95,7 @@ class Problem(NamedTuple):
     velocities: range
     last_bias: int
 
-    def noise(self, values: gtsam.Values, used: Noise, freedom: int) -> Noise:
+    def noise(self, values: gtsam.Values, used: Noise, freedom: int, claims: Belief) -> Noise:
         """Return what residuals say of the noise, given that with which the values were found: (71) in docs/math.md."""
         measured = max(len(self.positions) + len(self.velocities), 1)
         share = max(freedom, 1) / (3 * measured)  # of the residuals, what is not used up by unknowns
@@ -95,8 +106,8 @@ class Problem(NamedTuple):
             degrees = max(3 * len(indices) * share, 1.0)
             found = before * sum(2.0 * self.graph.at(k).error(values) for k in indices) / degrees
             if found < 1.0:
-                found **= degrees / (degrees + CLAIMED_DEGREES)
-            return float(np.clip(found, LEAST_NOISE, MAX_EXCESS))
+                found **= degrees / (degrees + claims.degrees)
+            return float(np.clip(found, claims.least, MAX_EXCESS))
 
         return Noise(factor(self.positions, used.of_positions), factor(self.velocities, used.of_velocities))
 
