@@ -96,7 +96,10 @@ class GateConfig(Section):
 
 
 class MotionModelConfig(Section):
-    """Constant twist, used only where the IMU is silent: how far a machine departs from it, as white noise."""
+    """Constant twist, used only where the IMU is silent: how far a machine departs from it, as white noise.
+
+    How it turns there its gyroscope shows, and soon counts for more.
+    """
 
     acceleration_density: float = quantity("m/s^2/sqrt(Hz)", 1.5, gt=0, doc="acceleration of the machine")
     angular_rate_density: float = quantity("rad/s/sqrt(Hz)", 0.2, gt=0, doc="turning of the machine")

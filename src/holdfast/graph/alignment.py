@@ -29,6 +29,7 @@ from holdfast.state import OptimisedState
 
 HEADINGS = 3  # the first guess, and others evenly beside it
 ITERATIONS = 15
+SAME_RAD = 1e-2  # of two solutions, which are then one
 DISTINCT = 9.0  # difference of the objective (half a chi-square) by which the best heading must win
 JUMPED = 20.0  # evidence: chance leaves twelve or so
 VAGUE_RAD = radians(30.0)  # to which a heading is better than none, or than one that is in doubt
@@ -132,11 +133,11 @@ class BatchAligner:
             jump_sigmas: (6,) as in `BiasPrior`, by how much the biases may have jumped within the window; None: not.
         """
         spells, deltas, problem, solutions, jump = self._explained(evidence, prior, jump_sigmas)
-        noise = Noise()
+        noise, last = Noise(), gtsam.symbol("x", len(evidence.stamps) - 1)
         for _ in range(REWEIGHTED if solutions else 0):
             noise = problem.noise(solutions[0][1], noise, evidence.freedom, TO_DECIDE)
             problem = self._problems.problem(evidence, deltas, spells, noise)
-            solutions = _solved(problem.graph, [values for _, values in solutions])
+            solutions = _solved(problem.graph, [values for _, values in _distinct(solutions, last)])
         if not solutions:
             return Alignment(None, "the batch of GNSS and IMU has no solution")
         if len(spells) > 1:
@@ -273,6 +274,17 @@ class BatchAligner:
         reason, misfit = f"heading from motion, {np.degrees(sigma):.1f} deg", max(excess, *noise)
         clock_s = next((_as_clock_s(best, len(stamps), shift) for shift, _ in arms.values()), 0.0)
         return Alignment(state, reason, sigma, excess, misfit, arms=arms, clock_s=clock_s)
+
+
+def _distinct(solutions: Sequence[Solution], last: int) -> list[Solution]:
+    """Return solutions, the best first, without those that are one with a better one: by the attitude at the last."""
+    found: list[Solution] = []
+    for one in solutions:
+        R = one[1].atNavState(last).attitude()
+        angles = [float(np.linalg.norm(gtsam.Rot3.Logmap(R.between(o[1].atNavState(last).attitude())))) for o in found]
+        if all(angle > SAME_RAD for angle in angles):
+            found.append(one)
+    return found
 
 
 def _with_heading(state: OptimisedState, told: OptimisedState) -> OptimisedState:

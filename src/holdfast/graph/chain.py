@@ -211,9 +211,9 @@ class Chain:
         """Link two existing neighbours; `nav` is the state at the first. Return what leads from one to the other."""
         imu, turning = self._motion.imu, NOT_TURNED
         if is_gap:
-            rate = self.angular_velocity(start_ns, nav)
-            pim = self._motion.model.preintegrate((end_ns - start_ns) * 1e-9, nav, rate, self._bias)
+            pim = self._crossed(start_ns, end_ns, nav)
         else:
+            imu.forecast.learn(imu, end_ns, self._bias.gyroscope())
             steps, seen = imu.steps(start_ns, end_ns), imu.density(start_ns, end_ns)
             pim = preintegrate(steps, self._motion.noise, nav.attitude(), self._first_bias, seen)
             turning = imu.turning(start_ns, end_ns)
@@ -222,6 +222,17 @@ class Chain:
         link = self._links[start_ns] = Link(start_ns, end_ns, bias_key, is_gap, self._solver.add(factor), turning)
         self._biases.keep(self._solver, bias_key, end_ns)
         return pim, link
+
+    def _crossed(self, start_ns: int, end_ns: int, nav: gtsam.NavState) -> gtsam.PreintegratedImuMeasurements:
+        """Return what stands in for the IMU between two neighbours, of the first of which the state is known."""
+        model, silent_ns = self._motion.model, start_ns
+        while silent_ns > self.oldest_ns and self._links[before := self._nodes.before(silent_ns)].is_gap:
+            silent_ns = before
+        rate, duration_s = self.angular_velocity(start_ns, nav), (end_ns - start_ns) * 1e-9
+        turning = self._motion.imu.forecast.over(
+            duration_s, (start_ns - silent_ns) * 1e-9, rate, model.angular_rate_density
+        )
+        return model.preintegrate(duration_s, nav, turning.rate, self._bias, turning.density)
 
     def _insert(self, key: int, stamp_ns: int, predicted: gtsam.NavState) -> None:
         nav = self._motion.known(stamp_ns) or predicted

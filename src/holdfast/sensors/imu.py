@@ -28,6 +28,7 @@ from holdfast.kernel.samples import (
 )
 from holdfast.messages import Array, ImuSample
 from holdfast.sensors.preintegration import Density, Step
+from holdfast.sensors.rate_forecast import RateForecast
 from holdfast.state import Outcome
 
 CLOCK_JUMP_NS = 250_000_000  # a stamp that differs from its arrival by this much more than those before is suspect
@@ -119,6 +120,7 @@ class ImuBuffer:
         self._note_rows()
         self._suspect_ns = self._suspect_arrival_ns = self._suspect_delay_ns = self._suspects = 0
         self._repeats = self._repeats_since_ns = 0
+        self.forecast = RateForecast()
 
     def _note_rows(self) -> None:
         """Write down where the rows lie."""
@@ -240,6 +242,7 @@ class ImuBuffer:
             self._one[name] = 0
         self.blocks["number"] = 0
         self._suspects = self._repeats = 0
+        self.forecast.begin_anew()
 
     def add(self, sample: ImuSample) -> Added:
         """Append a checked sample."""

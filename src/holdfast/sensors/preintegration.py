@@ -151,21 +151,44 @@ def preintegrate_with(
 class MotionModel:
     """Constant twist in place of a silent IMU, as a preintegrated pseudo-measurement with loose noise.
 
-    Body velocity and angular rate stay what they were; the departure from that is white acceleration and white angular
+    Body velocity and angular rate stay what they are; the departure from that is white acceleration and white angular
     rate: (12) in docs/math.md. It has the form of an IMU factor, so that position and velocity stay correlated.
+
+    Args:
+        config: densities of both.
+        gravity: magnitude [m/s^2].
+
+    Attributes:
+        angular_rate_density: as configured [rad/s/sqrt(Hz)].
     """
 
     def __init__(self, config: MotionModelConfig, gravity: float) -> None:
-        self._gravity = gravity
-        self._params = preintegration_params(
-            config.acceleration_density, config.angular_rate_density, MOTION_INTEGRATION_SIGMA, gravity
-        )
+        self._config, self._gravity = config, gravity
+        self.angular_rate_density = config.angular_rate_density
 
     def preintegrate(
-        self, duration_s: float, nav: gtsam.NavState, rate: Array, bias: gtsam.imuBias.ConstantBias
+        self,
+        duration_s: float,
+        nav: gtsam.NavState,
+        rate: Array,
+        bias: gtsam.imuBias.ConstantBias,
+        turning: Array | None = None,
     ) -> gtsam.PreintegratedImuMeasurements:
-        """Return the pseudo-measurement from state `nav` on, with angular velocity `rate` (3,) [rad/s] of I."""
-        pim = gtsam.PreintegratedImuMeasurements(self._params, bias)
+        """Return the pseudo-measurement from state `nav` on.
+
+        Args:
+            duration_s: how long it lasts.
+            nav: at its start.
+            rate: (3,) angular velocity of I [rad/s].
+            bias: of the IMU.
+            turning: (3, 3) density of the departure from that rate [rad^2/s]; None: as configured.
+        """
+        params = preintegration_params(
+            self._config.acceleration_density, self.angular_rate_density, MOTION_INTEGRATION_SIGMA, self._gravity
+        )
+        if turning is not None:
+            params.setGyroscopeCovariance(turning)
+        pim = gtsam.PreintegratedImuMeasurements(params, bias)
         n = min(max(1, round(duration_s / MOTION_STEP_S)), MAX_MOTION_STEPS)
         dt_s = duration_s / n
         centripetal = np.cross(rate, nav.bodyVelocity())
