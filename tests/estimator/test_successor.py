@@ -4,6 +4,7 @@ from time import process_time
 
 import gtsam
 import numpy as np
+import pytest
 from motion import ARM, Drive, G, imu, jumped_gyroscope, machine, ns
 from rig import NO_BIAS, buffered, position
 
@@ -30,10 +31,10 @@ def drive(successor, start_s=0.1, end_s=END_S, motion=ROAD):
     return successor
 
 
-def astray(t=END_S, motion=ROAD, yaw_rad=0.0, off_m=300.0):
+def astray(t=END_S, motion=ROAD, yaw_rad=0.0, off_m=300.0, roll_rad=0.0):
     """An estimate that is 300 m off, 30 m/s too fast and sure of it."""
     nav = motion.nav(t)
-    turned = gtsam.Rot3.Yaw(yaw_rad) * nav.attitude()
+    turned = gtsam.Rot3.Yaw(yaw_rad) * gtsam.Rot3.Roll(roll_rad) * nav.attitude()
     nav = gtsam.NavState(turned, nav.position() + off_m, nav.velocity() + 30.0)
     return OptimisedState(ns(t), nav, NO_BIAS, np.eye(15) * 1e-6, motion.readings(t)[1])
 
@@ -73,6 +74,22 @@ def test_a_heading_that_was_wrong_by_60_deg_is_explained_by_the_doubt():
     R = beginning.state.nav.attitude().matrix()
     sigma = np.sqrt((R @ beginning.state.covariance[:3, :3] @ R.T)[2, 2])
     assert sigma > np.radians(30.0)
+
+
+@pytest.mark.parametrize("roll_deg", [-80.0, 100.0, 179.0])
+def test_an_estimate_that_has_overturned_is_turned_upright_as_the_accelerometer_feels(roll_deg):
+    """After half a minute without the IMU it lay on its side, and fell by 8 m/s^2, again each time it began anew."""
+    beginning = drive(begun(), END_S - 1.0).begin(astray(roll_rad=np.radians(roll_deg)), ns(0.0))
+    state = beginning.state
+    tilt = state.nav.attitude().unrotate(np.array([0.0, 0.0, 1.0])) - ROAD.nav(END_S).attitude().matrix()[2]
+    assert np.degrees(np.linalg.norm(tilt)) < 15.0  # it turns: the accelerometer feels that, too
+    assert np.linalg.norm(state.nav.velocity() - ROAD.nav(END_S).velocity()) < 1.2
+
+
+def test_a_tilt_that_a_machine_may_have_while_it_accelerates_is_kept():
+    given = astray(roll_rad=np.radians(40.0))
+    kept = drive(begun(), END_S - 1.0).begin(given, ns(0.0)).state.nav.attitude()
+    np.testing.assert_allclose(kept.matrix(), given.nav.attitude().matrix())
 
 
 def test_what_was_measured_before_the_contradiction_is_forgotten():

@@ -289,6 +289,11 @@ class Initialising:
         arm = self._points[positions[-1].sensor].p_I_P if positions else np.zeros(3)
         return course_of(positions, velocities, stamp_ns, arm)
 
+    def specific_force(self, start_ns: int, end_ns: int) -> Array | None:
+        """Return the mean specific force (3,) in a time [m/s^2], or None where the IMU was silent in it."""
+        held = self._buffer.window(start_ns, end_ns)
+        return None if held is None else np.asarray(held[0].mean(axis=0))
+
     def _of_first_receiver(self, since_ns: int = NEVER_NS) -> list[Position]:
         """Return the positions of the first receiver that has any."""
         for name in self._points:

@@ -5,7 +5,7 @@ the estimate for long: position, velocity, heading and biases then begin anew, f
 the heading, else at the attitude as it is, held in doubt.
 """
 
-from math import inf, radians
+from math import acos, cos, inf, radians
 from typing import NamedTuple
 
 import gtsam
@@ -25,6 +25,8 @@ TRIED_NS = 500_000_000  # whether the biases have jumped is looked at this often
 GROWN = 10.0  # a jump is believed if it is found again with so much more evidence
 DOUBT_RAD = radians(60.0)  # of a heading that is kept
 TILT_DOUBT_RAD = radians(15.0)
+OVERTURNED_RAD = radians(60.0)  # of what the accelerometer feels from the vertical: no machine accelerates so
+FELT_NS, FELT_M_S2 = 500_000_000, (5.0, 15.0)  # over which it is asked, and what may be gravity
 
 
 class Beginning(NamedTuple):
@@ -164,7 +166,8 @@ class Successor:
         course = self.start.course(current.stamp_ns)
         if course is None:
             return None
-        nav, R = current.nav, current.nav.attitude().matrix()
+        attitude = self._upright(current)
+        R = attitude.matrix()
         covariance = np.zeros((15, 15))
         bias, covariance[9:, 9:] = current.bias, current.covariance[9:, 9:]
         if doubt_biases:
@@ -174,5 +177,18 @@ class Successor:
         across = gtsam.SO3.Hat(course.p_I_P)
         covariance[3:6, 3:6] = R.T @ course.of_position @ R + across @ covariance[:3, :3] @ across.T
         covariance[6:9, 6:9] = R.T @ course.of_velocity @ R
-        moved = gtsam.NavState(nav.attitude(), course.p_W_P - R @ course.p_I_P, course.v_W_P)
+        moved = gtsam.NavState(attitude, course.p_W_P - R @ course.p_I_P, course.v_W_P)
         return OptimisedState(current.stamp_ns, moved, bias, covariance, current.angular_velocity)
+
+    def _upright(self, current: OptimisedState) -> gtsam.Rot3:
+        """Return the attitude of an estimate, turned upright where the accelerometer feels that it has overturned."""
+        attitude = current.nav.attitude()
+        felt = self.start.specific_force(current.stamp_ns - FELT_NS, current.stamp_ns)
+        if felt is None or not FELT_M_S2[0] < np.linalg.norm(felt) < FELT_M_S2[1]:
+            return attitude
+        up_W = attitude.rotate(felt / np.linalg.norm(felt))
+        if up_W[2] > cos(OVERTURNED_RAD):
+            return attitude
+        axis = np.array([up_W[1], -up_W[0], 0.0]) if np.hypot(*up_W[:2]) > 0.0 else np.array([1.0, 0.0, 0.0])
+        angle_rad = acos(max(-1.0, float(up_W[2])))
+        return gtsam.Rot3.Expmap(angle_rad * axis / np.linalg.norm(axis)).compose(attitude)

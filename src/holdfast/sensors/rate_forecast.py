@@ -19,7 +19,7 @@ STEP_NS = 500_000_000  # from one example to the next
 MEMORY_S = 600.0
 CONFIGURED, RATE_RAD_S = 20.0, 0.05  # what is configured counts as so many examples, of about this rate
 STANDS_RAD_S = 0.01  # a machine that turns less stands, or drives straight on: how it turns, it does not tell
-LEAST = 1e-8  # density [rad^2/s]
+LEAST, MOST = 1e-8, 1.0  # density [rad^2/s]: after seconds at the most nothing is known
 
 
 class Forecast(NamedTuple):
@@ -97,7 +97,7 @@ class RateForecast:
         known = [one.joined(_Moments.configured(density, span_s)).regression() for one, span_s in pairs]
         grown = _angle(known, silent_s + duration_s) - _angle(known, silent_s)
         values, axes = np.linalg.eigh(grown / duration_s)
-        return Forecast(_gain(known, duration_s) @ rate, (axes * np.maximum(values, LEAST)) @ axes.T)
+        return Forecast(_gain(known, duration_s) @ rate, (axes * np.clip(values, LEAST, MOST)) @ axes.T)
 
 
 def _gain(known: list[tuple[Array, Array]], over_s: float) -> Array:
