@@ -5,7 +5,7 @@ the estimate for long: position, velocity, heading and biases then begin anew, f
 the heading, else at the attitude as it is, held in doubt.
 """
 
-from math import acos, cos, inf, radians
+from math import cos, inf, radians
 from typing import NamedTuple
 
 import gtsam
@@ -13,6 +13,7 @@ import numpy as np
 
 from holdfast.estimator.initialisation import Initialising
 from holdfast.graph.alignment import FITS, VAGUE_RAD, Jump
+from holdfast.graph.first_guess import level_attitude
 from holdfast.measured_fields import NEVER_NS
 from holdfast.sensors.sensor import Measurement
 from holdfast.state import OptimisedState
@@ -189,6 +190,4 @@ class Successor:
         up_W = attitude.rotate(felt / np.linalg.norm(felt))
         if up_W[2] > cos(OVERTURNED_RAD):
             return attitude
-        axis = np.array([up_W[1], -up_W[0], 0.0]) if np.hypot(*up_W[:2]) > 0.0 else np.array([1.0, 0.0, 0.0])
-        angle_rad = acos(max(-1.0, float(up_W[2])))
-        return gtsam.Rot3.Expmap(angle_rad * axis / np.linalg.norm(axis)).compose(attitude)
+        return level_attitude(up_W).compose(attitude)

@@ -99,9 +99,10 @@ class Explained(NamedTuple):
     Attributes:
         spells: of biases, as they were known.
         deltas: what the IMU measured between the nodes.
-        problem: made of them, with the noise that is claimed.
+        problem: made of them.
         solutions: its own, the best first.
         jump: that was looked for.
+        noise: on what is claimed.
     """
 
     spells: list[Spell]
@@ -109,6 +110,7 @@ class Explained(NamedTuple):
     problem: Problem
     solutions: list[Solution]
     jump: Jump | None
+    noise: Noise = Noise()
 
 
 class BatchAligner:
@@ -132,27 +134,36 @@ class BatchAligner:
             max_heading_sigma_rad: what is wanted.
             jump_sigmas: (6,) as in `BiasPrior`, by how much the biases may have jumped within the window; None: not.
         """
-        spells, deltas, problem, solutions, jump = self._explained(evidence, prior, jump_sigmas)
-        noise, last = Noise(), gtsam.symbol("x", len(evidence.stamps) - 1)
-        for _ in range(REWEIGHTED if solutions else 0):
-            noise = problem.noise(solutions[0][1], noise, evidence.freedom, TO_DECIDE)
-            problem = self._problems.problem(evidence, deltas, spells, noise)
-            solutions = _solved(problem.graph, [values for _, values in _distinct(solutions, last)])
-        if not solutions:
+        found = self._explained(evidence, prior, jump_sigmas)
+        for _ in range(REWEIGHTED):
+            found = self._reweighted(found, evidence, TO_DECIDE)
+        if not found.solutions:
             return Alignment(None, "the batch of GNSS and IMU has no solution")
-        if len(spells) > 1:
+        if len(found.spells) > 1:
             max_heading_sigma_rad = max(max_heading_sigma_rad, VAGUE_RAD)
-        decided = self._judge(problem, evidence, solutions, noise, max_heading_sigma_rad)
-        if decided.state is not None:
-            noise = problem.noise(solutions[0][1], noise, evidence.freedom, TO_TELL)
-            problem = self._problems.problem(evidence, deltas, spells, noise)
-            for solution in _solved(problem.graph, [solutions[0][1]]):
-                told = self._judge(problem, evidence, [solution], noise, inf)
-                if told.state is not None:
-                    state = _with_heading(decided.state, told.state)
-                    sigma = told.heading_sigma_rad
-                    decided = replace(decided, state=state, reason=told.reason, heading_sigma_rad=sigma)
-        return replace(decided, jump=jump)
+        decided = self._judge(found, evidence, max_heading_sigma_rad)
+        told = decided if decided.state is None else self._told(decided, found, evidence)
+        return replace(told, jump=found.jump)
+
+    def _reweighted(self, found: Explained, evidence: Evidence, claims: Belief) -> Explained:
+        """Solve once more, with the noise that residuals show, from each solution that there is, if there is any."""
+        if not found.solutions:
+            return found
+        noise = found.problem.noise(found.solutions[0][1], found.noise, evidence.freedom, claims)
+        problem = self._problems.problem(evidence, found.deltas, found.spells, noise)
+        starts = _distinct(found.solutions, gtsam.symbol("x", len(evidence.stamps) - 1))
+        return found._replace(
+            problem=problem, noise=noise, solutions=_solved(problem.graph, [values for _, values in starts])
+        )
+
+    def _told(self, decided: Alignment, found: Explained, evidence: Evidence) -> Alignment:
+        """Return what was decided with the heading that residuals tell, if they tell more of it than claims do."""
+        best = self._reweighted(found._replace(solutions=found.solutions[:1]), evidence, TO_TELL)
+        told = self._judge(best, evidence, inf) if best.solutions else decided
+        if decided.state is None or told.state is None:
+            return decided
+        state = _with_heading(decided.state, told.state)
+        return replace(decided, state=state, reason=told.reason, heading_sigma_rad=told.heading_sigma_rad)
 
     def _explained(self, evidence: Evidence, prior: BiasPrior, jump_sigmas: Array | None) -> Explained:
         """Solve for biases that are constant, that have jumped if they may, or that were not what was known of them."""
@@ -226,15 +237,8 @@ class BatchAligner:
                 values.insert(key, self._problems.positions[name].p_I_P)
             yield values
 
-    def _judge(
-        self,
-        problem: Problem,
-        evidence: Evidence,
-        solutions: Sequence[Solution],
-        noise: Noise,
-        max_heading_sigma_rad: float,
-    ) -> Alignment:
-        stamps = evidence.stamps
+    def _judge(self, found: Explained, evidence: Evidence, max_heading_sigma_rad: float) -> Alignment:
+        problem, solutions, noise, stamps = found.problem, found.solutions, found.noise, evidence.stamps
         last, of_bias = gtsam.symbol("x", len(stamps) - 1), problem.last_bias
         error, best = solutions[0]
         nav = best.atNavState(last)
@@ -281,8 +285,7 @@ def _distinct(solutions: Sequence[Solution], last: int) -> list[Solution]:
     found: list[Solution] = []
     for one in solutions:
         R = one[1].atNavState(last).attitude()
-        angles = [float(np.linalg.norm(gtsam.Rot3.Logmap(R.between(o[1].atNavState(last).attitude())))) for o in found]
-        if all(angle > SAME_RAD for angle in angles):
+        if all(np.linalg.norm(R.logmap(better.atNavState(last).attitude())) > SAME_RAD for _, better in found):
             found.append(one)
     return found
 

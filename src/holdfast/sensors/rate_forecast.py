@@ -29,40 +29,31 @@ class Forecast(NamedTuple):
     density: Array
 
 
-class _Moments(NamedTuple):
-    """Sums over examples of x x^T, y x^T, y y^T (3, 3) and 1: x is the rate before a span, y the mean rate in it."""
-
-    xx: Array
-    yx: Array
-    yy: Array
-    number: float
-
-    def joined(self, other: "_Moments") -> "_Moments":
-        return _Moments(self.xx + other.xx, self.yx + other.yx, self.yy + other.yy, self.number + other.number)
-
-    def faded(self, factor: float) -> "_Moments":
-        return _Moments(factor * self.xx, factor * self.yx, factor * self.yy, factor * self.number)
-
-    @classmethod
-    def configured(cls, density: float, span_s: float) -> "_Moments":
-        """Return those of a machine that turns on as it did, but for white noise."""
-        variance, eye = RATE_RAD_S**2, CONFIGURED * np.eye(3)
-        return cls(variance * eye, variance * eye, (variance + density**2 / span_s) * eye, CONFIGURED)
-
-    def regression(self) -> tuple[Array, Array]:
-        """Return the gain (3, 3), and the covariance of what it leaves (3, 3) [rad^2/s^2]."""
-        gain = np.asarray(np.linalg.solve(self.xx, self.yx.T).T, dtype=np.float64)
-        return gain, (self.yy - gain @ self.yx.T) / self.number
+def _configured(density: float, span_s: float) -> Array:
+    """Return the sums of examples of a machine that turns on as it did, but for white noise."""
+    x, same, y = RATE_RAD_S**2, RATE_RAD_S**2, RATE_RAD_S**2 + density**2 / span_s
+    sums = np.zeros((7, 7))
+    sums[:6, :6] = np.kron([[x, same], [same, y]], np.eye(3))
+    sums[6, 6] = 1.0
+    return CONFIGURED * sums
 
 
-NONE = _Moments(np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)), 0.0)
+def _regression(sums: Array) -> tuple[Array, Array]:
+    """Return the gain (3, 3), and the covariance of what it leaves (3, 3) [rad^2/s^2]."""
+    of_y_and_x = sums[3:6, :3]
+    gain = np.asarray(np.linalg.solve(sums[:3, :3], of_y_and_x.T).T, dtype=np.float64)
+    return gain, (sums[3:6, 3:6] - gain @ of_y_and_x.T) / sums[6, 6]
 
 
 class RateForecast:
-    """What the samples of an IMU say of how its machine goes on turning."""
+    """What the samples of an IMU say of how its machine goes on turning.
+
+    For each span it holds the sums over examples of z z^T (7, 7), z = (x, y, 1): x is the rate before it, y the mean
+    rate in it, both (3,) in I.
+    """
 
     def __init__(self) -> None:
-        self._moments = [NONE for _ in SPANS_S]
+        self._sums = np.zeros((len(SPANS_S), 7, 7))
         self._next_ns = 0
 
     def begin_anew(self) -> None:
@@ -81,8 +72,8 @@ class RateForecast:
             R = imu.motion(start_ns, until_ns, np.r_[np.zeros(3), bias]).R
             x, y = imu.angular_velocity(start_ns) - bias, gtsam.Rot3.Logmap(gtsam.Rot3(R)) / span_s
             if np.linalg.norm(y) >= STANDS_RAD_S:
-                example = _Moments(np.outer(x, x), np.outer(y, x), np.outer(y, y), 1.0)
-                self._moments[k] = self._moments[k].faded(1.0 - STEP_NS * 1e-9 / MEMORY_S).joined(example)
+                example = np.r_[x, y, 1.0]
+                self._sums[k] = (1.0 - STEP_NS * 1e-9 / MEMORY_S) * self._sums[k] + np.outer(example, example)
 
     def over(self, duration_s: float, silent_s: float, rate: Array, density: float) -> Forecast:
         """Return how the machine turns in a part of a gap.
@@ -93,8 +84,8 @@ class RateForecast:
             rate: (3,) at its start [rad/s].
             density: of the white noise of the turning, as configured [rad/s/sqrt(Hz)].
         """
-        pairs = zip(self._moments, SPANS_S, strict=True)
-        known = [one.joined(_Moments.configured(density, span_s)).regression() for one, span_s in pairs]
+        pairs = zip(self._sums, SPANS_S, strict=True)
+        known = [_regression(sums + _configured(density, span_s)) for sums, span_s in pairs]
         grown = _angle(known, silent_s + duration_s) - _angle(known, silent_s)
         values, axes = np.linalg.eigh(grown / duration_s)
         return Forecast(_gain(known, duration_s) @ rate, (axes * np.clip(values, LEAST, MOST)) @ axes.T)
@@ -102,21 +93,16 @@ class RateForecast:
 
 def _gain(known: list[tuple[Array, Array]], over_s: float) -> Array:
     """Return the gain of the mean rate over a time, between those of the spans; at once the rate is what it was."""
-    gains = np.array([np.eye(3), *(gain for gain, _ in known)])
-    return _between(gains, over_s)
+    return _between([np.eye(3), *(gain for gain, _ in known)], over_s)
 
 
 def _angle(known: list[tuple[Array, Array]], after_s: float) -> Array:
     """Return the covariance (3, 3) of the angle by which the machine has departed from the forecast [rad^2]."""
-    angles = [np.zeros((3, 3)), *(left * span_s**2 for (_, left), span_s in zip(known, SPANS_S, strict=True))]
-    return _between(np.array(angles), after_s) * max(1.0, after_s / SPANS_S[-1]) ** 2
+    grown = [left * span_s**2 for (_, left), span_s in zip(known, SPANS_S, strict=True)]
+    return _between([np.zeros((3, 3)), *grown], after_s) * max(1.0, after_s / SPANS_S[-1]) ** 2
 
 
-def _between(matrices: Array, at_s: float) -> Array:
-    """Return what is at a time between matrices (4, 3, 3) at zero and at the spans; at most the last."""
-    knots = np.array([0.0, *SPANS_S])
-    at_s = min(at_s, SPANS_S[-1])
-    k = int(np.searchsorted(knots[1:-1], at_s))
-    share = (at_s - knots[k]) / (knots[k + 1] - knots[k])
-    between: Array = (1.0 - share) * matrices[k] + share * matrices[k + 1]
-    return between
+def _between(matrices: list[Array], at_s: float) -> Array:
+    """Return what is at a time between matrices (3, 3) at zero and at the spans; at most the last."""
+    elements = np.array(matrices).reshape(-1, 9).T
+    return np.array([np.interp(at_s, [0.0, *SPANS_S], element) for element in elements]).reshape(3, 3)
