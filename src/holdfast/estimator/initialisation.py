@@ -23,16 +23,17 @@ from holdfast.estimator.fixes_in_motion import fixes_in_motion, turn
 from holdfast.estimator.known_biases import KnownBiases
 from holdfast.estimator.odometry_tracks import OdometryTracks
 from holdfast.estimator.pose_as_point import PoseAsPoint, as_position
+from holdfast.estimator.spacing import Spacing
 from holdfast.estimator.velocity_check import Company, VelocityCheck
 from holdfast.graph.alignment import Jump
 from holdfast.graph.alignment_problem import Evidence, thin
 from holdfast.graph.first_guess import level_attitude
-from holdfast.integrity.consensus import BEFORE_NS, Departure
+from holdfast.integrity.consensus import BEFORE_NS, LEAST, Departure
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array, Message
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lever_arm import is_in_doubt
-from holdfast.sensors.odometry import TrackPose
+from holdfast.sensors.odometry import OdometryNoise, TrackPose
 from holdfast.sensors.preintegration import ImuNoise
 from holdfast.sensors.sensor import Measurement, Parameter, Position, Role, Sensor, Velocity, is_gnss, of_role
 from holdfast.sensors.standstill import (
@@ -47,6 +48,7 @@ from holdfast.state import OptimisedState, Outcome
 PLAUSIBLE_FORCE_M_S2 = (7.0, 13.0)  # mean specific force of a machine on the ground
 TIMES_NEARER = 8.0  # to positions, an odometry is than the estimate that leaves them
 RETRY_NS = 1_000_000_000
+FEW, MOST_NS = 8, 120_000_000_000  # positions, where they are rare, but no longer
 STANDING_S = 5.0, 15.0  # over which positions tell whether the machine stands, longer ones if the first cannot
 COURSE_S = 8.0, 3.0  # over which positions and velocities are averaged: two positions, or all of the shorter time
 Point = TypeVar("Point", Position, Velocity)
@@ -102,6 +104,7 @@ class Initialising:
         self._velocity_check = VelocityCheck(self._points, of_role(sensors, Role.VELOCITY))
         self._last_try_ns = self._newest_ns = NEVER_NS
         self._window_ns = round(config.initialisation.window_s * 1e9)
+        self._spacings = {name: Spacing() for name in self._points}
         noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
         self._batches = FittingBatches(buffer, noise, self._points, of_role(sensors, Role.VELOCITY), self._odometries)
         if shift is not None:
@@ -122,6 +125,7 @@ class Initialising:
         if role is Role.POSITION and isinstance(measurement, Position):
             self._positions.append(measurement)
             self._all_positions.append(measurement)
+            self._spacings[measurement.sensor].add(measurement.stamp_ns)
         elif role is Role.VELOCITY and isinstance(measurement, Velocity):
             self._velocities.append(measurement)
         elif role is Role.ODOMETRY and isinstance(measurement, TrackPose):
@@ -131,7 +135,7 @@ class Initialising:
         if role is Role.POSE and measurement.sensor in self._points:
             self._positions.append(as_position(measurement))
         self._newest_ns = max(self._newest_ns, measurement.stamp_ns)
-        horizon_ns = self._newest_ns - self._window_ns
+        horizon_ns = self._newest_ns - self._longest_ns
         self._forget_before(horizon_ns)
         while self._all_positions and self._all_positions[0].stamp_ns < horizon_ns:
             self._all_positions.popleft()
@@ -140,7 +144,13 @@ class Initialising:
     @property
     def oldest_ns(self) -> int:
         """Samples of the IMU before this time are of no use."""
-        return max(self._newest_ns, self._buffer.latest_ns - self._window_ns) - self._window_ns
+        return max(self._newest_ns, self._buffer.latest_ns - self._longest_ns) - self._longest_ns
+
+    @property
+    def _longest_ns(self) -> int:
+        """The longest stretch that is used: as configured, or longer where few positions come in it."""
+        spacing_ns = min((one.spacing_ns for one in self._spacings.values()), default=0)
+        return max(self._window_ns, min(FEW * spacing_ns, MOST_NS))
 
     def check_velocities(self) -> None:
         """Leave out sensors of velocity from now on that lead elsewhere than the positions."""
@@ -172,14 +182,17 @@ class Initialising:
         arm = self._points[departure.positions[-1].sensor].p_I_P
         return self._odometries.move_as(departure.positions, arm, departure.by_m / TIMES_NEARER)
 
-    def fixes_vouch_for(self, odometry: str, since_ns: int) -> bool:
-        """Whether an odometry has moved in the shape of positions from before a time until now, two of them since."""
+    def fixes_vouch_for(self, odometry: str, since_ns: int) -> bool | None:
+        """Whether an odometry has moved in the shape of positions from before a time until now; None: too few since."""
+        said = []
         for name, point in self._points.items():
-            mine = [one for one in self._positions if one.sensor == name]
-            positions = _between(mine, since_ns - BEFORE_NS, self._newest_ns)
-            if self._odometries.vouched(odometry, positions, point.p_I_P, since_ns):
-                return True
-        return False
+            mine = _between((one for one in self._positions if one.sensor == name), NEVER_NS, self._newest_ns)
+            before = sum(one.stamp_ns <= since_ns - BEFORE_NS for one in mine)
+            positions = mine[max(min(before, len(mine) - LEAST), 0) :]
+            said.append(self._odometries.vouched(odometry, positions, point.p_I_P, since_ns))
+        if any(said):
+            return True
+        return None if all(one is None for one in said) else False
 
     @property
     def has_witness(self) -> bool:
@@ -205,6 +218,10 @@ class Initialising:
     def forget_odometry(self, name: str) -> None:
         """Forget what an odometry has said, which is not trusted any more."""
         self._odometries.forget(name)
+
+    def weigh_odometries(self, noises: Mapping[str, OdometryNoise]) -> None:
+        """Weigh the motions of odometries from now on by noises that learn, by name."""
+        self._odometries.weigh_by(noises)
 
     def believe_jump(self, jump: Jump, bias: gtsam.imuBias.ConstantBias) -> None:
         """Know the biases after they have jumped: what was measured before is forgotten."""

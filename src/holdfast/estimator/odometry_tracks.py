@@ -9,12 +9,11 @@ import gtsam
 import numpy as np
 
 from holdfast.estimator.course import travel_m
-from holdfast.integrity.consensus import SIGMA
+from holdfast.integrity.consensus import LEAST, SIGMA
 from holdfast.messages import Array
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
 from holdfast.sensors.sensor import Position
 
-LEAST = 4  # positions have a shape
 SHARE = 0.05  # of the way, by which an odometry may differ from positions that vouch for it
 TELLING = 0.25  # of the way: positions that are noisier do not tell
 
@@ -27,7 +26,7 @@ class OdometryTracks:
     """
 
     def __init__(self, models: Mapping[str, OdometryModel]) -> None:
-        self._models = models
+        self._noises: Mapping[str, OdometryNoise] = {name: OdometryNoise(model) for name, model in models.items()}
         self._tracks: dict[str, deque[TrackPose]] = {}
 
     @property
@@ -39,6 +38,10 @@ class OdometryTracks:
     def names(self) -> list[str]:
         """The odometries that have measured."""
         return list(self._tracks)
+
+    def weigh_by(self, noises: Mapping[str, OdometryNoise]) -> None:
+        """Weigh the motions of odometries from now on by noises that learn."""
+        self._noises = noises
 
     def add(self, pose: TrackPose) -> None:
         """Take in a pose."""
@@ -54,11 +57,11 @@ class OdometryTracks:
         for name, track in self._tracks.items():
             if name in without:
                 continue
-            noise, poses = OdometryNoise(self._models[name]), [_pose_at(track, stamp) for stamp in stamps]
+            noise, poses = self._noises[name], [_pose_at(track, stamp) for stamp in stamps]
             for k, (before, after) in enumerate(pairwise(poses)):
                 if before is not None and after is not None:
                     keys = gtsam.symbol("x", k), gtsam.symbol("x", k + 1)
-                    factors.append(noise.relative_factor(*keys, before.between(after)))
+                    factors.append(noise.learnt_factor(*keys, before.between(after)))
         return factors
 
     def move_as(self, positions: Sequence[Position], p_I_P: Array, tolerance_m: float) -> bool:
@@ -71,13 +74,15 @@ class OdometryTracks:
         """
         return any(_moves_as(track, positions, p_I_P, tolerance_m) for track in self._tracks.values())
 
-    def vouched(self, name: str, positions: Sequence[Position], p_I_P: Array, since_ns: int) -> bool:
-        """Whether an odometry has moved in the shape of positions, from before a time on, two of which came since.
+    def vouched(self, name: str, positions: Sequence[Position], p_I_P: Array, since_ns: int) -> bool | None:
+        """Whether an odometry has moved in the shape of positions, from before a time on; None until two came since.
 
         `positions` and `p_I_P` as in `move_as`; positions whose noise is too large a share of the way do not tell.
         """
         since = [one for one in positions if one.stamp_ns >= since_ns]
-        if name not in self._tracks or len(since) < 2:
+        if len(since) < 2:
+            return None
+        if name not in self._tracks:
             return False
         noise_m, way_m = SIGMA * float(np.sqrt(since[-1].covariance.trace())), travel_m(since)
         tolerance_m = max(noise_m, SHARE * way_m)

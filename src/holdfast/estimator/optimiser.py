@@ -380,9 +380,7 @@ class Optimiser:
             if name not in mistaken:
                 self._report(REGAINED, name, reason)
         tracking = self._start(state, successor)
-        tracking.queue = before.queue
-        tracking.distrust(distrusted)
-        tracking.remount(before.mounts)
+        tracking.go_on_from(before)
         self._leave_out(tracking, doubtful - distrusted)
         self.monitor.recovered(now_ns)
 

@@ -35,7 +35,7 @@ from holdfast.sensors.constants import Constant, priors_of_machine
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lever_arm import GNSS_ARM
 from holdfast.sensors.noise import Colour
-from holdfast.sensors.sensor import ConstraintSensor, Measurement, Parameter, Role, Sensor, of_role
+from holdfast.sensors.sensor import ConstraintSensor, Measurement, Role, Sensor, of_role
 from holdfast.state import EventKind, OptimisedState, Outcome
 
 Channel = Callable[[DualGraph, Any, int], Outcome]
@@ -120,6 +120,7 @@ class Tracking:
             fixes=successor.start.fixes_vouch_for,
             carried=carried.odometries,
         )
+        successor.start.weigh_odometries(self._odometries.noises)
         self._states = States(of_role(sensors, Role.STATE, Role.VELOCITY, Role.POSE), scales, joint_at, log)
         self._recovery = Recovery(config.gate, self._positions, self._headings, self._odometries, log)
         self._channels: dict[Role, Channel] = {
@@ -215,14 +216,12 @@ class Tracking:
         self._positions.distrust(name for name in names if self._roles.get(name) is Role.POSITION)
         self._odometries.distrust(name for name in names if self._roles.get(name) is Role.ODOMETRY)
 
-    @property
-    def mounts(self) -> Mapping[str, Parameter]:
-        """Priors of odometries that are mounted otherwise than configured."""
-        return self._odometries.mounts
-
-    def remount(self, mounts: Mapping[str, Parameter]) -> None:
-        """Begin with what was known of mounts before the estimate began anew."""
-        self._odometries.remount(self.graph, mounts)
+    def go_on_from(self, before: "Tracking") -> None:
+        """Begin with what was found wrong of sensors before the estimate began anew."""
+        self.queue = before.queue
+        self.distrust(before.distrusted)
+        self._odometries.trust_less_by(before._odometries.distrust_factors)
+        self._odometries.remount(self.graph, before._odometries.mounts)
 
     def refuse(self, sensor: str, outcome: Outcome) -> None:
         """Note a message that could not be converted."""

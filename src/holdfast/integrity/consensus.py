@@ -24,6 +24,7 @@ WALK_M_S = 0.3  # fixes hardly walk so fast
 DEPARTING_NS = 12_000_000_000  # nor for so long
 LEAST_NS = 1_000_000_000  # by fewer positions no shape is told
 BEFORE_NS = 8_000_000_000  # positions that were right tell of what shape the way is
+LEAST = 4  # positions have a shape
 
 
 class Departure(NamedTuple):
@@ -145,8 +146,8 @@ class Consensus:
         noise_m = SIGMA * sqrt(float(np.trace(first.position.covariance + last.position.covariance)))
         if by_m <= WALK_M_S * lasts_ns * 1e-9 + noise_m:
             return None
-        before_ns = refused[0].stamp_ns - BEFORE_NS
-        return Departure([one.position for one in run if one.stamp_ns >= before_ns], by_m)
+        before = sum(one.stamp_ns < refused[0].stamp_ns - BEFORE_NS for one in run)
+        return Departure([one.position for one in run[max(min(before, len(run) - LEAST), 0) :]], by_m)
 
     @property
     def is_unexpected(self) -> bool:

@@ -35,8 +35,8 @@ ERRS_NS = 5_000_000_000  # for so long a gyroscope is doubted
 JUMPS, JUMPS_NS = 4, 20_000_000_000  # so many jumps in this time are no jumps but noise
 
 
-FixWitness = Callable[[str, int], bool]
-"""Tells whether an odometry has moved as the fixes since a time [ns]."""
+FixWitness = Callable[[str, int], bool | None]
+"""Tells whether an odometry has moved as the fixes since a time [ns]; None while too few have come."""
 
 
 class Walk(NamedTuple):
@@ -141,6 +141,11 @@ class Odometries:
     def __len__(self) -> int:
         return len(self._odometries)
 
+    @property
+    def noises(self) -> dict[str, OdometryNoise]:
+        """What the motion of each weighs, by name."""
+        return {name: one.noise for name, one in self._odometries.items()}
+
     def noise(self, odometry: str) -> OdometryNoise:
         """Return what the motion of an odometry weighs."""
         return self._odometries[odometry].noise
@@ -240,6 +245,16 @@ class Odometries:
         for name, prior in mounts.items():
             self._mount(graph, name, prior)
 
+    @property
+    def distrust_factors(self) -> dict[str, float]:
+        """How many times larger the noise of each is than configured, for it has jumped too often."""
+        return {name: one.noise.scale for name, one in self._odometries.items()}
+
+    def trust_less_by(self, factors: Mapping[str, float]) -> None:
+        """Begin with how much larger noises were found to be than configured before the estimate began anew."""
+        for name, factor in factors.items():
+            self._odometries[name].learning.trust_less(factor)
+
     def _watch(self, graph: DualGraph, odometry: _Odometry, pose: TrackPose, now_ns: int) -> Outcome:
         """Compare how an odometry that is not trusted moves with how the estimate does, with fixes if there are any."""
         odometry.hear(now_ns)
@@ -303,13 +318,16 @@ class Odometries:
             if found is None:
                 continue
             others = [one.monitor for other, one in self._odometries.items() if other != name]
+            parts_from_gyroscope = self._odometries[name].learning.parts_from_gyroscope
             if not found.is_slip and not any(one.vouches(found.since_ns, now_ns) for one in others):
-                if self._odometries[name].learning.parts_from_gyroscope:
+                if parts_from_gyroscope:
                     continue  # fixes that walk turn nothing
                 return Walk(name, pose, found)
-            if self._fixes(name, found.since_ns):
+            moves_as_fixes = self._fixes(name, found.since_ns)
+            if moves_as_fixes:
                 self._odometries[name].contradicts_ns = now_ns
-                continue
+            if moves_as_fixes or (moves_as_fixes is None and parts_from_gyroscope):
+                continue  # which of the two is wrong, the next fixes say
             self._odometries[name].forget_frame()
             beside = f"{found.distance_m:.2f} m beside GNSS"
             self._log.report(EventKind.ODOMETRY_SLIP, now_ns, name, beside)

@@ -142,7 +142,7 @@ class OdometryNoise:
         sigmas: Array = np.linalg.solve(np.linalg.cholesky(self.covariance(motion, excess)), residual)
         return sigmas if float(sigmas @ sigmas) > self._config.jump_sigma**2 else None
 
-    def covariance(self, motion: gtsam.Pose3, excess: Array | None = None) -> Array:
+    def covariance(self, motion: gtsam.Pose3, excess: Array | None = None, learnt: LearntNoise = CONFIGURED) -> Array:
         """Return the covariance (6, 6) of the IMU's motion between two poses, rotation [rad] then translation [m].
 
         The odometry's own noise, that of both poses and the drift between them, is carried over the lever arm to the
@@ -150,7 +150,8 @@ class OdometryNoise:
         """
         rotation_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation())))
         drift = self._drift(self._distance_m(motion), rotation_rad)
-        return with_excess(excess, self._at_imu(self._sigmas() ** 2 + drift**2))
+        drift *= np.repeat([max(learnt.tilt_drift, learnt.yaw_drift), learnt.translation_drift], 3)
+        return with_excess(excess, self._at_imu(self._sigmas(learnt) ** 2 + drift**2))
 
     def pose_variances(self) -> tuple[float, float]:
         """Return the variances of one pose per axis, half of that of a motion: rotation [rad^2], translation [m^2]."""
@@ -175,11 +176,15 @@ class OdometryNoise:
     def relative_factor(
         self, key_i: int, key_j: int, motion: gtsam.Pose3, excess: Array | None = None
     ) -> gtsam.NonlinearFactor:
-        """Return the factor between two nodes for the IMU's motion T_Ii_Ij (paper, IV-A.4a).
+        """Return the factor between two nodes for the IMU's motion T_Ii_Ij, as configured (paper, IV-A.4a).
 
         It is a factor between two `NavState`s whose velocity part is free.
         """
         return self._between(key_i, key_j, motion, self.covariance(motion, excess))
+
+    def learnt_factor(self, key_i: int, key_j: int, motion: gtsam.Pose3) -> gtsam.NonlinearFactor:
+        """Return the factor between two nodes for the IMU's motion T_Ii_Ij, by what was learnt of the noise."""
+        return self._between(key_i, key_j, motion, self.covariance(motion, learnt=self.learnt))
 
     def anchored_factor(
         self,
@@ -197,7 +202,7 @@ class OdometryNoise:
         it is on that, too; then it needs the `angular_velocity` (3,) of I [rad/s], and by how much the mean twist over
         the offset of the clock is `beyond` (6,) that of the node.
         """
-        covariance = self._at_imu(0.5 * self._learnt_sigmas() ** 2)
+        covariance = self._at_imu(0.5 * self._sigmas(self.learnt) ** 2)
         if not calibration_keys:
             return self._between(frame_key, key, motion, covariance)
         noise = noise_model(covariance, self._config.robust_loss)
@@ -207,7 +212,7 @@ class OdometryNoise:
     def pseudo_global_factor(self, key: int, T_W_I: gtsam.Pose3, excess: Array | None = None) -> gtsam.NonlinearFactor:
         """Return the pose factor in W of the paper's fallback graph (IV-A.4b): roll and pitch are left to the IMU."""
         covariance = np.eye(9) * FREE_VARIANCE
-        covariance[:6, :6] = with_excess(excess, self._at_imu(0.5 * self._learnt_sigmas() ** 2))
+        covariance[:6, :6] = with_excess(excess, self._at_imu(0.5 * self._sigmas(self.learnt) ** 2))
         R = T_W_I.rotation().matrix()
         covariance[:3, :3] += R.T @ np.diag([LOOSE_TILT_RAD**2, LOOSE_TILT_RAD**2, 0.0]) @ R
         model = noise_model(covariance, self._config.robust_loss)
@@ -252,12 +257,10 @@ class OdometryNoise:
         sigmas: Array = self.scale * np.repeat([rotation, config.drift_m_per_sqrt_m * np.sqrt(distance_m)], 3)
         return sigmas
 
-    def _sigmas(self) -> Array:
-        sigmas: Array = self.scale * np.repeat([self._config.rotation_sigma_rad, self._config.translation_sigma_m], 3)
-        return sigmas
-
-    def _learnt_sigmas(self) -> Array:
-        sigmas: Array = self._sigmas() * np.repeat([self.learnt.rotation_noise, self.learnt.translation_noise], 3)
+    def _sigmas(self, learnt: LearntNoise = CONFIGURED) -> Array:
+        rotation_rad = learnt.rotation_noise * self._config.rotation_sigma_rad
+        translation_m = learnt.translation_noise * self._config.translation_sigma_m
+        sigmas: Array = self.scale * np.repeat([rotation_rad, translation_m], 3)
         return sigmas
 
     def _at_imu(self, variances: Array) -> Array:
