@@ -106,6 +106,8 @@ class FittingBatches:
                 return moved
         for names in self._doubtful(whole, alignment):
             fewer = self._without(whole, names)
+            if len({one.stamp_ns for one in fewer.positions}) < FEWEST:
+                continue
             other = solved(fewer)
             is_better = len(fewer.positions) == len(whole.positions) or other.misfit <= FITS
             if is_better and other.excess <= (DOUBTFUL if fewer.motions else FITS):
