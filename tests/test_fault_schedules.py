@@ -59,6 +59,12 @@ def test_a_schedule_that_broke_the_estimator_once_does_so_no_more(seed):
 
 
 @pytest.mark.slow
+def test_a_batch_whose_positions_came_at_one_time_but_for_a_prism_that_lies_is_left():
+    """The hostile schedule 247, after a step of clocks."""
+    assert complaints(247, hostile=True) == []
+
+
+@pytest.mark.slow
 def test_antennas_that_were_swapped_leave_no_speed_that_leaves_the_earth():
     """The hostile schedule 474: the window diverged to 7500 km/s, and its covariance was lost in rounding."""
     assert complaints(474, hostile=True) == []

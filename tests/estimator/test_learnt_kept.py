@@ -112,6 +112,13 @@ def test_an_estimate_that_was_wrong_keeps_noise_but_no_constants():
     assert now.noise == before.noise
 
 
+def test_an_estimate_that_begins_anew_trusts_an_odometry_no_more_than_before():
+    optimiser, _, _ = optimised(machine(), messages(6.0))
+    optimiser.tracking._odometries._odometries["lidar"].learning.trust_less(3.0)
+    optimiser._begin_anew(optimiser.tracking, optimiser.tracking.graph.published.newest, optimiser._without_heading())
+    assert optimiser.tracking._odometries.noises["lidar"].scale == 3.0
+
+
 # --- constants --------------------------------------------------------------------------------------------------------
 
 

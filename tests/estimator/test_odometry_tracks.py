@@ -9,16 +9,17 @@ from rig import position
 from holdfast.config.sensors import OdometryConfig
 from holdfast.estimator.initialisation import TIMES_NEARER
 from holdfast.estimator.odometry_tracks import OdometryTracks
-from holdfast.sensors.odometry import OdometryModel, TrackPose
+from holdfast.sensors.odometry import LearntNoise, OdometryModel, OdometryNoise, TrackPose
 
 DRIVE = Drive(start_s=-5.0, radius_m=30.0, speed=0.1)  # 3 m/s
 ELSEWHERE = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.3, -0.2, 2.0), np.array([700.0, -80.0, 20.0]))
 
 
+MODEL = OdometryModel("lidar", OdometryConfig(kind="odometry", topic="/l"), at([0, 0, 0]))
+
+
 def tracks(scale=1.0, until_s=20.0):
-    found = OdometryTracks(
-        {"lidar": OdometryModel("lidar", OdometryConfig(kind="odometry", topic="/l"), at([0, 0, 0]))}
-    )
+    found = OdometryTracks({"lidar": MODEL})
     for t in np.arange(0.0, until_s, 0.1):
         pose = DRIVE.pose(t)
         found.add(TrackPose(ns(t), "lidar", ELSEWHERE * gtsam.Pose3(pose.rotation(), scale * pose.translation())))
@@ -52,6 +53,31 @@ def test_one_whose_distances_are_wrong_is_no_witness():
 def test_few_positions_have_no_shape_nor_those_beside_which_it_did_not_measure():
     assert not tracks().move_as(fixes(from_s=2.0, until_s=5.0), ARM, 0.5)
     assert not tracks(until_s=5.0).move_as(fixes(), ARM, 0.5)
+
+
+def test_motions_weigh_by_what_was_learnt_of_their_noise():
+    def errors():
+        moved = gtsam.Values()
+        for k, t in enumerate((3.0, 6.0)):
+            pose = DRIVE.pose(t).compose(gtsam.Pose3(gtsam.Rot3(), [0.1 * k, 0.0, 0.0]))
+            moved.insert(gtsam.symbol("x", k), gtsam.NavState(pose, np.zeros(3)))
+        return one.factors([ns(3.0), ns(6.0)])[0].error(moved)
+
+    one, noise = tracks(), OdometryNoise(MODEL)
+    as_configured = errors()
+    noise.learnt = LearntNoise(10.0, 10.0, 10.0, 10.0, 10.0)
+    one.weigh_by({"lidar": noise})
+    assert errors() == pytest.approx(as_configured / 100.0, rel=1e-3)
+
+
+def test_fixes_that_are_too_few_say_nothing_of_an_odometry():
+    def walking(t):
+        return np.array([0.0, max(0.0, 2.0 * (t - 5.0)), 0.0])
+
+    one = tracks()
+    assert one.vouched("lidar", fixes(until_s=10.0), ARM, ns(5.0)) is True
+    assert one.vouched("lidar", fixes(walking, until_s=10.0), ARM, ns(5.0)) is False
+    assert one.vouched("lidar", fixes(until_s=10.0), ARM, ns(8.5)) is None
 
 
 def test_what_is_forgotten_says_nothing():

@@ -175,6 +175,18 @@ def test_what_was_long_before_tells_nothing_of_the_shape_of_the_way_and_of_how_f
     assert found.by_m == pytest.approx(6.0)
 
 
+def test_rare_positions_that_are_left_have_a_shape_all_the_same():
+    run = begun(duration_s=30.0)
+    for t in np.arange(0.0, 60.0, 10.0):
+        run.add(
+            at(t, 5.0 * t),
+            REFUSED if t >= 40.0 else Outcome.USED,
+            np.array([0.0, max(0.0, t - 30.0), 0.0]),
+            is_expected=t < 40.0,
+        )
+    assert [one.stamp_ns for one in run.departure().positions] == [ns(t) for t in (20.0, 30.0, 40.0, 50.0)]
+
+
 @pytest.mark.parametrize(
     ("off_m", "more"),
     [

@@ -152,6 +152,22 @@ def test_an_odometry_that_loses_its_hold_has_slipped_and_gnss_is_not_accused():
     assert (EventKind.ODOMETRY_SLIP, "lidar") in rig.events()
 
 
+@pytest.mark.parametrize(("fixes_say", "has_slipped"), [(None, False), (False, True)])
+def test_whether_it_has_turned_or_the_gyroscope_lies_only_fixes_tell(fixes_say, has_slipped):
+    rig = begun(END_S + 0.1, **LOOSE)
+    rig.odometries._fixes = lambda *_: fixes_say
+    turned = gtsam.Pose3(gtsam.Rot3.Yaw(0.3), np.array([0.0, 0.0, 2.0]))
+    for t in np.arange(0.2, END_S, 0.2):
+        fix, main, seen = position(DRIVE, t, ARM, np.zeros(3)), rig.graph.main, pose(t)
+        if t > QUIET_S:
+            seen = replace(seen, T_I0_I=turned * seen.T_I0_I)
+        main.enter(fix, rig.sensors["gnss"].factor([main.node(fix.stamp_ns)], fix, 1.0))
+        rig.odometries.add(rig.graph, seen, ns(t))
+        rig.update()
+        rig.odometries.find_walk(rig.graph, ns(t))
+    assert ((EventKind.ODOMETRY_SLIP, "lidar") in rig.events()) == has_slipped
+
+
 def test_where_another_odometry_agrees_with_gnss_it_is_the_odometry_that_slipped():
     """As slow as fixes walk: one odometry alone could not tell. The other must be known for almost a minute."""
     rig = begun(75.1, CAMERA, **LOOSE)

@@ -38,7 +38,7 @@ def poses(noise, drift, seed=3, worse_from_s=np.inf, end_s=END_S):
 
 def known(rig):
     """What is known of the lidar."""
-    noise = rig.odometries.noise("lidar")
+    noise = rig.odometries.noises["lidar"]
     return LearntNoise(*(noise.scale * one for one in noise.learnt))
 
 
@@ -96,8 +96,8 @@ def kept(rig):
 def test_what_is_carried_over_a_restart_holds_from_the_first_pose(noise, drift):
     before = driven_once(noise, drift)
     at_once = learnt(noise, drift, end_s=0.0, carried=kept(before))
-    scale = before.odometries.noise("lidar").scale
-    for was, now in zip(before.odometries.noise("lidar").learnt, at_once, strict=True):
+    scale = before.odometries.noises["lidar"].scale
+    for was, now in zip(before.odometries.noises["lidar"].learnt, at_once, strict=True):
         assert now == pytest.approx(scale * was, rel=0.3)
     assert learnt(noise, drift, end_s=0.0).translation_noise == 1.0  # of itself it would not know
 
@@ -114,7 +114,7 @@ def test_an_odometry_that_has_changed_overnight_is_learnt_within_minutes(before,
 def test_an_odometry_whose_noise_is_trebled_keeps_what_was_learnt_before():
     before = driven_once(4.0, 4.0)
     rig = Rig(DRIVE, machine(), 1.0, carried=kept(before))
-    noise, one = rig.odometries.noise("lidar"), rig.odometries._odometries["lidar"]
+    noise, one = rig.odometries.noises["lidar"], rig.odometries._odometries["lidar"]
     known = [noise.scale * value for value in noise.learnt]
     one.learning.trust_less(3.0)
     assert noise.scale == 3.0
@@ -162,7 +162,7 @@ def test_without_fixes_nothing_is_learnt_of_distances():
     for t, pose in poses(0.5, 0.25):
         if t < 30.0:
             rig.odometries.add(rig.graph, pose, ns(t))
-    found = rig.odometries.noise("lidar").learnt
+    found = rig.odometries.noises["lidar"].learnt
     assert found.translation_drift == pytest.approx(1.0, rel=0.01) and found.translation_noise < 0.8
 
 
@@ -200,7 +200,7 @@ def yaw_learnt(
             rig.update()
             due_s += 1.0
     gyroscope = rig.graph.main.imu_noise.yaw_scale * wrong_file[0] / gyroscope_wrong
-    return gyroscope, rig.odometries.noise("lidar").learnt.yaw_drift * wrong_file[1] / odometry_wrong
+    return gyroscope, rig.odometries.noises["lidar"].learnt.yaw_drift * wrong_file[1] / odometry_wrong
 
 
 @pytest.mark.parametrize("wrong_file", [(10.0, 1.0), (1.0, 0.1), (1.0, 10.0)])

@@ -146,10 +146,6 @@ class Odometries:
         """What the motion of each weighs, by name."""
         return {name: one.noise for name, one in self._odometries.items()}
 
-    def noise(self, odometry: str) -> OdometryNoise:
-        """Return what the motion of an odometry weighs."""
-        return self._odometries[odometry].noise
-
     def learnt(self) -> dict[str, LearntOdometry]:
         """Return what was learnt of each."""
         return {name: one.learning.learnt() for name, one in self._odometries.items()}
