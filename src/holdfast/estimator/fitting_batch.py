@@ -1,17 +1,17 @@
 """The batch of a start in motion, without what is at odds with the rest.
 
-What does not fit is looked for where it is likely: an antenna that is elsewhere than configured, a receiver that is
-none of GNSS, whose station somebody has typed in, and an odometry that is mounted otherwise, or lies. GNSS and IMU are
-what is left.
+What does not fit is looked for where it is likely: an antenna that is elsewhere than configured, a clock that is off,
+a receiver that is none of GNSS, whose station somebody has typed in, and an odometry that is mounted otherwise, or
+lies. GNSS and IMU are what is left.
 """
 
 from collections.abc import Collection, Mapping
-from dataclasses import replace
-from math import log
+from math import inf, log
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from holdfast.estimator.batch_clock import FEWEST, Offset, offset_of, restamped
 from holdfast.estimator.odometry_tracks import OdometryTracks
 from holdfast.graph.alignment import FITS, JUMPED, Alignment, BatchAligner
 from holdfast.graph.alignment_problem import CLAIMED_DEGREES, MAX_EXCESS, BiasPrior, Evidence, Problems
@@ -24,7 +24,8 @@ from holdfast.sensors.sensor import Parameter, VelocitySensor, is_gnss
 
 DOUBTFUL = 2.0  # squared residuals over what is claimed, where an odometry is among them
 FREED_M = 10.0  # sigma of an arm in doubt: nothing shall hold it
-MOST_LATE_S, FEWEST = 1.0, 3  # of clocks, and positions that make a batch
+MOST_LATE_S = 1.0  # of clocks
+CLEARLY = 10.0  # evidence, by which one explanation is better than another
 TOLD_M, MOVED = 0.5, 5.0  # sigma to which motions must tell an element of an arm, and sigmas by which it is off
 
 
@@ -36,12 +37,14 @@ class FittingBatch(NamedTuple):
         evidence: of which it was made.
         left_out: who is not in it.
         shift: of the lever arms of antennas that are elsewhere than configured, as a prior of a graph, else None.
+        clock: of GNSS, by which the evidence was stamped otherwise, else None.
     """
 
     alignment: Alignment
     evidence: Evidence
     left_out: frozenset[str] = frozenset()
     shift: Parameter | None = None
+    clock: Offset | None = None
 
 
 class FittingBatches:
@@ -69,6 +72,9 @@ class FittingBatches:
         self._points, self._odometries = points, odometries
         self._freed = {name: _freed(one) if is_measured(one) else one for name, one in points.items()}
         self.may_be_moved = any(is_measured(one) for one in points.values())
+        receivers = {name for name, one in points.items() if is_gnss(one)}
+        is_known = any(points[name].offset_sigma_s == 0.0 for name in receivers)
+        self._by_gnss_clock = frozenset() if is_known or not receivers else receivers | velocities.keys()
         self._aligner = BatchAligner(Problems(buffer, noise, points, velocities))
         self._of_freed = BatchAligner(Problems(buffer, noise, self._freed, velocities))
 
@@ -100,7 +106,13 @@ class FittingBatches:
 
         whole = self._with_motions(evidence)
         alignment = solved(whole)
-        if alignment.excess > DOUBTFUL or alignment.misfit > FITS:
+        has_jumped = alignment.jump is not None and alignment.jump.is_believed
+        is_at_odds = alignment.excess > DOUBTFUL or alignment.misfit > FITS
+        if has_jumped or is_at_odds:
+            clocked = self._with_clock(evidence, prior, max_heading_sigma_rad, alignment)
+            if clocked is not None:
+                return clocked
+        if is_at_odds:
             moved = self.with_moved_antennas(evidence, prior, max_heading_sigma_rad, jump_sigmas)
             if moved is not None:
                 return moved
@@ -113,6 +125,37 @@ class FittingBatches:
             if is_better and other.excess <= (DOUBTFUL if fewer.motions else FITS):
                 return FittingBatch(other, fewer, names)
         return FittingBatch(alignment, whole)
+
+    def _with_clock(
+        self, evidence: Evidence, prior: BiasPrior, max_heading_sigma_rad: float, alignment: Alignment
+    ) -> FittingBatch | None:
+        """Return the batch with GNSS by another clock, if nothing else makes it fit; as it is where nobody can tell.
+
+        `alignment` is that of the whole, in which biases may have jumped.
+        """
+        if not self._by_gnss_clock:
+            return None
+        solved: dict[float, FittingBatch] = {}
+
+        def misfit(by_s: float) -> float:
+            moved = restamped(evidence, self._by_gnss_clock, by_s)
+            if moved is None:
+                return inf
+            whole = self._with_motions(moved)
+            solved[by_s] = FittingBatch(self._aligner.solve(whole, prior, max_heading_sigma_rad), whole)
+            return _misfit(solved[by_s].alignment)
+
+        offset = offset_of(misfit, evidence.freedom)
+        if offset is None or not offset.is_off:
+            return None
+        clocked, as_stamped = solved[offset.by_s], solved[0.0]
+        if _evidence(as_stamped.alignment, clocked.alignment, clocked.evidence) < JUMPED:
+            return None
+        has_jumped = alignment.jump is not None and alignment.jump.is_believed
+        better = _evidence(alignment, clocked.alignment, clocked.evidence) if has_jumped else JUMPED
+        if better < -CLEARLY:
+            return None
+        return clocked._replace(clock=offset) if better > CLEARLY else as_stamped
 
     def with_moved_antennas(
         self, evidence: Evidence, prior: BiasPrior, max_heading_sigma_rad: float, jump_sigmas: Array | None
@@ -188,11 +231,8 @@ def _shift(freed: Alignment) -> Parameter | None:
 
 def _younger(evidence: Evidence, by_s: float) -> Evidence:
     """Return the evidence with positions that are younger, as far as a clock can be off, within the same time."""
-    by_ns = round(float(np.clip(by_s, -MOST_LATE_S, MOST_LATE_S)) * 1e9)
-    first_ns, last_ns = evidence.positions[0].stamp_ns, evidence.positions[-1].stamp_ns
-    moved = [replace(one, stamp_ns=one.stamp_ns + by_ns) for one in evidence.positions]
-    inside = [one for one in moved if first_ns <= one.stamp_ns <= last_ns]
-    return evidence._replace(positions=inside if len(inside) >= FEWEST else evidence.positions)
+    receivers = {one.sensor for one in evidence.positions}
+    return restamped(evidence, receivers, float(np.clip(by_s, -MOST_LATE_S, MOST_LATE_S))) or evidence
 
 
 def _evidence(before: Alignment, after: Alignment, evidence: Evidence) -> float:

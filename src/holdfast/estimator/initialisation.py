@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import inf, radians
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import gtsam
@@ -16,6 +17,7 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig
+from holdfast.estimator.batch_clock import Offset
 from holdfast.estimator.course import Course, course_of
 from holdfast.estimator.first_heading import Antennas, baseline_heading, pose_heading
 from holdfast.estimator.fitting_batch import FittingBatch, FittingBatches
@@ -31,8 +33,9 @@ from holdfast.graph.first_guess import level_attitude
 from holdfast.integrity.consensus import BEFORE_NS, LEAST, Departure
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array, Message
+from holdfast.sensors.clock import GNSS_CLOCK, with_estimated_clock
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.sensors.lever_arm import is_in_doubt
+from holdfast.sensors.lever_arm import GNSS_ARM, is_in_doubt
 from holdfast.sensors.odometry import OdometryNoise, TrackPose
 from holdfast.sensors.preintegration import ImuNoise
 from holdfast.sensors.sensor import Measurement, Parameter, Position, Role, Sensor, Velocity, is_gnss, of_role
@@ -65,7 +68,12 @@ class Initialising:
         buffer: of the IMU's samples.
         sensors: all models, by name.
         gravity: [m/s^2].
-        shift: of antennas that are known to be elsewhere than configured.
+        found: constants of sensors that are known to be far from what is configured: where antennas are, and the clock
+            of GNSS.
+
+    Attributes:
+        found: the same, and what was found since.
+        clock_ns: by how much stamps of GNSS are early; velocities come with that added, positions without.
     """
 
     def __init__(
@@ -74,7 +82,7 @@ class Initialising:
         buffer: ImuBuffer,
         sensors: Mapping[str, Sensor],
         gravity: float,
-        shift: Parameter | None = None,
+        found: Mapping[str, Parameter] = MappingProxyType({}),
     ) -> None:
         imu = config.imu
         self._config, self._buffer, self._gravity = config, buffer, gravity
@@ -99,16 +107,19 @@ class Initialising:
         self.biases = KnownBiases(imu, config.initialisation.standstill_s)
         self.misfit = inf  # of the last attempt: squared residuals over what is claimed
         self.doubtful: frozenset[str] = frozenset()  # odometries and receivers that the last attempt has left out
-        self.shift: Parameter | None = None  # of antennas that were found elsewhere than configured
+        self.found: dict[str, Parameter] = {}
         self._limit_rad = radians(config.initialisation.max_heading_sigma_deg)
         self._velocity_check = VelocityCheck(self._points, of_role(sensors, Role.VELOCITY))
         self._last_try_ns = self._newest_ns = NEVER_NS
+        self.clock_ns = 0
         self._window_ns = round(config.initialisation.window_s * 1e9)
         self._spacings = {name: Spacing() for name in self._points}
         noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
         self._batches = FittingBatches(buffer, noise, self._points, of_role(sensors, Role.VELOCITY), self._odometries)
-        if shift is not None:
+        if (shift := found.get(GNSS_ARM)) is not None:
             self._move_antennas(shift)
+        if (clock := found.get(GNSS_CLOCK)) is not None:
+            self._know_clock(clock)
         has_messages = any(one.message is not None for one in sensors.values())
         self.reason = NO_POSITION if self._points else NO_OTHER if has_messages else NO_SENSOR
 
@@ -123,6 +134,7 @@ class Initialising:
         """Take in a checked measurement; say whether it is one with which a start can be attempted."""
         role = self._sensors[measurement.sensor].role
         if role is Role.POSITION and isinstance(measurement, Position):
+            measurement = self._restamped(measurement, self.clock_ns)
             self._positions.append(measurement)
             self._all_positions.append(measurement)
             self._spacings[measurement.sensor].add(measurement.stamp_ns)
@@ -180,7 +192,8 @@ class Initialising:
     def odometry_vouches(self, departure: Departure) -> bool:
         """Whether an odometry has moved in the shape of positions that an estimate leaves."""
         arm = self._points[departure.positions[-1].sensor].p_I_P
-        return self._odometries.move_as(departure.positions, arm, departure.by_m / TIMES_NEARER)
+        positions = [self._restamped(one, self.clock_ns) for one in departure.positions]
+        return self._odometries.move_as(positions, arm, departure.by_m / TIMES_NEARER)
 
     def fixes_vouch_for(self, odometry: str, since_ns: int) -> bool | None:
         """Whether an odometry has moved in the shape of positions from before a time until now; None: too few since."""
@@ -212,8 +225,22 @@ class Initialising:
     def _move_antennas(self, shift: Parameter) -> None:
         """Know that antennas are elsewhere than they were believed to be."""
         self._batches.move_antennas(shift)
-        before = 0.0 if self.shift is None else self.shift.mean
-        self.shift = shift._replace(mean=before + shift.mean)
+        before = self.found[GNSS_ARM].mean if GNSS_ARM in self.found else 0.0
+        self.found[GNSS_ARM] = shift._replace(mean=before + shift.mean)
+
+    def _know_clock(self, clock: Parameter) -> None:
+        """Know by how much stamps of GNSS are early, in what has come, too."""
+        by_ns = round(float(clock.mean[0]) * 1e9)
+        later_ns = by_ns - self.clock_ns
+        self._positions = deque(self._restamped(one, later_ns) for one in self._positions)
+        self._all_positions = deque(self._restamped(one, later_ns) for one in self._all_positions)
+        self._velocities = deque(replace(one, stamp_ns=one.stamp_ns + later_ns) for one in self._velocities)
+        self.found[GNSS_CLOCK], self.clock_ns = clock, by_ns
+
+    def _restamped(self, one: Position, by_ns: int) -> Position:
+        """Return a position as one that was taken later, if it is one of GNSS."""
+        is_of_gnss = by_ns != 0 and is_gnss(self._sensors[one.sensor])
+        return replace(one, stamp_ns=one.stamp_ns + by_ns) if is_of_gnss else one
 
     def forget_odometry(self, name: str) -> None:
         """Forget what an odometry has said, which is not trusted any more."""
@@ -414,20 +441,30 @@ class Initialising:
 
     def _judged(self, batch: FittingBatch, lying: Collection[str], now_ns: int) -> OptimisedState | None:
         """Return the state that a batch tells, if it does."""
-        alignment, evidence, self.doubtful, shift = batch
+        alignment, evidence, self.doubtful, shift, offset = batch
+        if offset is not None:
+            self._know_clock(self._clock_found(offset))
         if shift is not None:
             self._move_antennas(shift)
         self.misfit, self.jump = alignment.misfit, alignment.jump
         left_out = [*lying, *sorted(self.doubtful)]
         without = f", without {', '.join(left_out)}, at odds with the positions" if left_out else ""
         elsewhere = "" if shift is None else "; the antennas are elsewhere than configured"
-        self.reason = f"{alignment.reason}{without}{elsewhere}"
+        late = "" if offset is None else f"; stamps of GNSS are {offset.by_s:.2f} s early"
+        self.reason = f"{alignment.reason}{without}{elsewhere}{late}"
         if alignment.state is None:
             return None
         if self.jump is not None and self.jump.is_believed:
             by_deg_s, ago_s = np.degrees(self.jump.by_rad_s), (now_ns - self.jump.stamp_ns) * 1e-9
             self.reason += f"; the bias of the gyroscope has jumped by {by_deg_s:.2g} deg/s {ago_s:.0f} s ago"
         return self._by_any_clock(alignment.state, evidence.positions[-1])
+
+    def _clock_found(self, offset: Offset) -> Parameter:
+        """Return the prior of the clock of GNSS after a batch has found it off by so much, from what was known."""
+        receiver = next(one for one in self._points.values() if is_gnss(one))
+        prior: Parameter = with_estimated_clock(receiver).parameters[-1]
+        by_s = self.clock_ns * 1e-9 + offset.by_s
+        return prior._replace(mean=np.array([by_s]), sigmas=np.hypot(prior.sigmas, offset.sigma_s), if_right=None)
 
     def _credible_velocities(self, fixes: Sequence[Position], end_ns: int) -> tuple[list[Velocity], list[str]]:
         """Return velocities since the first of some positions, and the sensors that are left out."""

@@ -25,11 +25,11 @@ class Listener(Protocol):
         """Take note of a checked measurement, in the order of arrival; `joint` is the turn joint at its time."""
 
     def start(
-        self, state: OptimisedState, sensors: Mapping[str, Sensor], gravity: float, shift: Parameter | None
+        self, state: OptimisedState, sensors: Mapping[str, Sensor], gravity: float, found: Mapping[str, Parameter]
     ) -> None:
         """Take note of a first state, or one to begin anew from, with the models from now on and gravity [m/s^2].
 
-        `shift` says by how much antennas are elsewhere, if the state was found with that.
+        `found` are constants of sensors with which the state was found, if they are far from what is configured.
         """
 
     def stop(self) -> None:

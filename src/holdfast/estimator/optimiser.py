@@ -6,6 +6,7 @@ the sensors, unless someone asked for the restart.
 
 from collections import Counter
 from collections.abc import Collection, Iterable
+from dataclasses import replace
 from math import isfinite
 from typing import TYPE_CHECKING
 
@@ -22,7 +23,7 @@ from holdfast.estimator.tracking import Tracking, Update
 from holdfast.event_log import EventLog
 from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, gravity
 from holdfast.geometry.world import World
-from holdfast.integrity.learnt_constants import learnt_shift
+from holdfast.integrity.learnt_constants import found_before
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.integrity.lever_arms import LeverArms
 from holdfast.integrity.noise_scale import NoiseScale
@@ -31,7 +32,7 @@ from holdfast.sensors.constants import Constant
 from holdfast.sensors.gnss import GnssModel
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.registry import inputs_of, sensors_of
-from holdfast.sensors.sensor import Joint, Measurement, Position, Role, StampFilter, of_role
+from holdfast.sensors.sensor import Joint, Measurement, Position, Role, StampFilter, Velocity, of_role
 from holdfast.state import EventKind, Health, OptimisedState, Outcome
 
 if TYPE_CHECKING:
@@ -106,8 +107,8 @@ class Optimiser:
 
     def _initialising(self, config: Config | None = None) -> Initialising:
         sensors = self._lever_arms.believed(self._sensors)
-        shift = learnt_shift(self._learnt.constants, sensors)
-        return Initialising(config or self._config, self._buffer, sensors, self.gravity, shift)
+        found = found_before(self._learnt.constants, sensors)
+        return Initialising(config or self._config, self._buffer, sensors, self.gravity, found)
 
     def _know(self, learnt: LearntSnapshot) -> None:
         """Know this of the sensors, and nothing else."""
@@ -117,6 +118,11 @@ class Optimiser:
     def learnt(self) -> LearntSnapshot:
         """Return what was learnt of the sensors until now, in this start or before it."""
         return self._learnt.updated(self._phase.learnt()) if isinstance(self._phase, Tracking) else self._learnt
+
+    @property
+    def _start_of_now(self) -> Initialising:
+        """What collects for the start, or for one to begin anew with."""
+        return self._phase.successor.start if isinstance(self._phase, Tracking) else self._phase
 
     @property
     def tracking(self) -> Tracking | None:
@@ -197,6 +203,8 @@ class Optimiser:
         measurement = self._sensors[name].convert(message, self.world)
         if self.world.frame is not frame:
             self._set_gravity()
+        if isinstance(measurement, Velocity):
+            measurement = replace(measurement, stamp_ns=measurement.stamp_ns + self._start_of_now.clock_ns)
         outcome = measurement if isinstance(measurement, Outcome) else self._check_stamp(measurement, message)
         if isinstance(measurement, Outcome) or outcome is not Outcome.USED:
             if isinstance(self._phase, Tracking):
@@ -321,7 +329,7 @@ class Optimiser:
     def _start(self, state: OptimisedState, successor: Successor) -> Tracking:
         sensors = self._lever_arms.believed(self._sensors)
         if self._listener is not None:
-            self._listener.start(state, sensors, self.gravity, successor.start.shift)
+            self._listener.start(state, sensors, self.gravity, successor.start.found)
         tracking = Tracking(
             self._config,
             self._buffer,

@@ -15,6 +15,7 @@ from holdfast.estimator.initialisation import Initialising
 from holdfast.graph.alignment import FITS, VAGUE_RAD, Jump
 from holdfast.graph.first_guess import level_attitude
 from holdfast.measured_fields import NEVER_NS
+from holdfast.sensors.lever_arm import GNSS_ARM
 from holdfast.sensors.sensor import Measurement
 from holdfast.state import OptimisedState
 
@@ -104,13 +105,17 @@ class Successor:
     def after_jump(self, now_ns: int, *, has_witness: bool) -> Beginning | None:
         """Return a state to begin from if the biases have jumped, and what came later says so of the same time.
 
+        Or if it is the clock of GNSS, which what came until now tells by itself.
+
         What an IMU without a fault leaves unexplained looks like a jump, too, but later like another one. And positions
         that wander do: so velocities that have proven right must say the same, or another witness.
         """
         if now_ns - self._tried_ns < TRIED_NS or not (has_witness or self.start.has_witness):
             return None
-        self._tried_ns = now_ns
+        self._tried_ns, clock_ns = now_ns, self.start.clock_ns
         state, jump, before = self.start.attempt(may_have_jumped=True), self.start.jump, self._suspected
+        if state is not None and self.start.clock_ns != clock_ns:
+            return self._begun(state)
         if jump is None or before is None or not jump.is_same(before):
             self._suspected = jump
             return None
@@ -126,7 +131,7 @@ class Successor:
 
         It is asked now and then, and more often where positions are refused.
         """
-        is_found = self.start.shift is not None
+        is_found = GNSS_ARM in self.start.found
         if now_ns - self._tried_arms_ns < (TRIED_NS if is_suspected else LOOKED_NS) or (is_found and not is_suspected):
             return None
         self._tried_arms_ns = now_ns

@@ -145,7 +145,6 @@ class Tracking:
         self._machine_constants = constants_of_machine(config, sensors, lever_arms.doubts())
         self.queue = MeasurementQueue()
         known = carried_priors(carried.constants, self._machine_constants)
-        shift = successor.start.shift
         self.graph = DualGraph(
             config,
             buffer,
@@ -153,7 +152,7 @@ class Tracking:
             self._odometries.new_tracks(),
             state,
             carried=known,
-            found={} if shift is None or GNSS_ARM not in self._priors else {GNSS_ARM: shift},
+            found={name: one for name, one in successor.start.found.items() if name in self._priors},
             arm=self._priors.get(GNSS_ARM),
         )
         self.graph.main.imu_noise.walk_scale = successor.walk_scale

@@ -5,6 +5,7 @@ from collections.abc import Collection, Mapping
 import numpy as np
 
 from holdfast.config.model import Config
+from holdfast.sensors.clock import GNSS_CLOCK, with_estimated_clock
 from holdfast.sensors.constants import Constant, LearntConstant, carried, priors_of, priors_of_machine
 from holdfast.sensors.lever_arm import GNSS_ARM, arm_of
 from holdfast.sensors.sensor import Parameter, Sensor
@@ -25,10 +26,14 @@ def constants_of_machine(
     return {name: one for name, one in priors.items() if one.change is not None and name not in in_doubt}
 
 
-def learnt_shift(learnt: Mapping[str, LearntConstant], sensors: Mapping[str, Sensor]) -> Parameter | None:
-    """Return where antennas were found to be before, as a shift from the models; None where they were not off."""
-    known, arm = learnt.get(GNSS_ARM), priors_of(sensors).get(GNSS_ARM)
-    return None if known is None or arm is None or not known.is_off else carried(arm, known)
+def found_before(learnt: Mapping[str, LearntConstant], sensors: Mapping[str, Sensor]) -> dict[str, Parameter]:
+    """Return where antennas were found to be before, as a shift from the models, and the clock of GNSS; if off."""
+    priors = priors_of({name: with_estimated_clock(one) for name, one in sensors.items()})
+    return {
+        name: carried(priors[name], learnt[name])
+        for name in (GNSS_ARM, GNSS_CLOCK)
+        if name in priors and name in learnt and learnt[name].is_off
+    }
 
 
 def learnt_constants(constants: Mapping[str, Constant]) -> dict[str, LearntConstant]:

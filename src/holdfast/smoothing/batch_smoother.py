@@ -69,7 +69,7 @@ class BatchSmoother:
         self._recorded = Recorded(config)
         self._segment: Segment | None = None
         # models, gravity and where antennas were known to be, since the last start
-        self._machine: tuple[Mapping[str, Sensor], float, Parameter | None] | None = None
+        self._machine: tuple[Mapping[str, Sensor], float, Mapping[str, Parameter]] | None = None
         self._dropped_ns = 0
         self._blocks: list[Block] = []
         self.failures: list[Failure] = []
@@ -90,16 +90,16 @@ class BatchSmoother:
         self._recorded.add(measurement, joint)
 
     def start(
-        self, state: OptimisedState, sensors: Mapping[str, Sensor], gravity: float, shift: Parameter | None
+        self, state: OptimisedState, sensors: Mapping[str, Sensor], gravity: float, found: Mapping[str, Parameter]
     ) -> None:
         """Take note of a first state, and end what was before."""
         self.stop()
-        self._machine = sensors, gravity, shift
+        self._machine = sensors, gravity, found
         self._begin(state)
 
     def _begin(self, state: OptimisedState) -> None:
         assert self._machine is not None
-        sensors, gravity, shift = self._machine
+        sensors, gravity, found = self._machine
         self._recorded.drop_before(state.stamp_ns)
         self._segment = Segment(
             self._config,
@@ -107,7 +107,7 @@ class BatchSmoother:
             state,
             sensors,
             gravity=gravity,
-            shift=shift,
+            found=found,
             overlap_s=self._overlap_s,
             closer=self._closer,
         )

@@ -47,7 +47,7 @@ class Segment:
         state: where it begins.
         sensors: the models, by name.
         gravity: [m/s^2].
-        shift: of antennas that are elsewhere than configured, if the state was found with that.
+        found: constants of sensors with which the state was found, if they are far from what is configured.
         overlap_s: of the window after its done part, which the future still tells about.
         closer: finds loop closures, if there are scans.
     """
@@ -60,7 +60,7 @@ class Segment:
         sensors: Mapping[str, Sensor],
         *,
         gravity: float,
-        shift: Parameter | None,
+        found: Mapping[str, Parameter],
         overlap_s: float,
         closer: Closer | None = None,
     ) -> None:
@@ -75,7 +75,7 @@ class Segment:
             state,
             new_solver=lambda: self._batch,
             known=recorded.nav,
-            found={} if shift is None or arm is None else {GNSS_ARM: shift},
+            found={name: one for name, one in found.items() if name != GNSS_ARM or arm is not None},
             arm=arm,
         )
         models: dict[str, OdometryModel] = of_role(sensors, Role.ODOMETRY)

@@ -1,0 +1,80 @@
+"""By how much the clock of GNSS is off, as a batch shows that fits much better where what it measured came later.
+
+An offset that is small beside what is configured the graph finds by itself, from a start that it hardly harms. A large
+one looks like biases that have jumped, or like an odometry that lies: (90) in docs/math.md.
+"""
+
+from collections.abc import Callable, Collection
+from dataclasses import replace
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from holdfast.graph.alignment_problem import Evidence
+
+STEP_S, STEPS = 0.15, 4  # in which offsets are looked for, and how many of them
+LEAST_S = 0.04  # that needs a batch to be found
+MOVED = 5.0  # sigmas, by which it is off
+REFINED = 2  # times
+FEWEST = 3  # positions that make a batch
+
+
+class Offset(NamedTuple):
+    """Of a clock [s]: positive where its stamps are early."""
+
+    by_s: float
+    sigma_s: float
+
+    @property
+    def is_off(self) -> bool:
+        """Whether it matters, and is no chance."""
+        return LEAST_S < abs(self.by_s) < STEPS * STEP_S and abs(self.by_s) > MOVED * self.sigma_s
+
+
+def restamped(evidence: Evidence, sensors: Collection[str], by_s: float) -> Evidence | None:
+    """Return the positions and velocities of some sensors as later ones, without motions, within the same time.
+
+    None where fewer than `FEWEST` positions are left.
+    """
+    by_ns = round(by_s * 1e9)
+    first_ns, last_ns = evidence.positions[0].stamp_ns, evidence.positions[-1].stamp_ns
+    positions = [replace(one, stamp_ns=one.stamp_ns + by_ns * (one.sensor in sensors)) for one in evidence.positions]
+    positions = [one for one in positions if first_ns <= one.stamp_ns <= last_ns]
+    velocities = [replace(one, stamp_ns=one.stamp_ns + by_ns * (one.sensor in sensors)) for one in evidence.velocities]
+    if len({one.stamp_ns for one in positions}) < FEWEST:
+        return None
+    since_ns, until_ns = positions[0].stamp_ns, positions[-1].stamp_ns
+    return Evidence(positions, [one for one in velocities if since_ns <= one.stamp_ns <= until_ns])
+
+
+def offset_of(misfit: Callable[[float], float], freedom: int) -> Offset | None:
+    """Return the offset at which what was measured fits best; None if there is none within reach.
+
+    Args:
+        misfit: squared residuals over their expectation, given an offset [s]; inf where nothing can be said.
+        freedom: how many residuals there are.
+    """
+    left = {0.0: misfit(0.0)}
+    for side in (STEP_S, -STEP_S):
+        before_s = 0.0
+        for steps in range(1, STEPS + 1):
+            by_s = steps * side
+            left[by_s] = misfit(by_s)
+            if left[by_s] >= left[before_s]:
+                break
+            before_s = by_s
+    curvature = 0.0
+    for _ in range(REFINED):
+        best = min(left, key=left.__getitem__)
+        near = sorted(left, key=lambda at: abs(at - best))[:3]
+        values = [left[at] for at in near]
+        if len(near) < 3 or not np.isfinite(values).all():
+            return None
+        curvature, slope, _ = np.polyfit(near, values, 2)
+        if curvature <= 0.0:
+            return None
+        lowest = -0.5 * slope / curvature
+        left.setdefault(lowest, misfit(lowest))
+    best = min(left, key=left.__getitem__)
+    return Offset(best, sqrt(max(left[best], 1.0) / (curvature * freedom)))
