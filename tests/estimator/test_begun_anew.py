@@ -237,3 +237,17 @@ def test_a_liar_that_walks_away_is_not_believed_beside_an_odometry_that_vouches(
     assert EventKind.RECEIVER_LOST in {event.kind for event in estimator.events}
     assert beginnings_s(estimator) == []
     assert max(errors_m(outputs, walk_s)) < 3.0
+
+
+def test_a_clock_of_gnss_that_is_far_off_is_found_and_kept():
+    """It looked like biases that had jumped, one after another; on a real drive the estimate began anew ten times."""
+    sent = streams(RTK, 5.0, True, 60.0)
+    for name in ("gnss", "doppler"):
+        sent[name] = [replace(one, stamp_ns=one.stamp_ns - 250_000_000) for one in sent[name]]
+    config = machine(lidar=False, more=DOPPLER, heading_deg=None)
+    estimator, outputs = run(config, in_order(*sent.values()))
+    (begun,) = [event for event in estimator.events if event.kind is EventKind.BEGUN_ANEW]
+    assert "stamps of GNSS are 0.2" in begun.reason and seconds(begun.stamp_ns) < 10.0
+    clock = estimator.learnt().constants["clock of GNSS"]
+    assert clock.is_off and clock.mean[0] == pytest.approx(0.25, abs=0.05)  # on a circle an arm looks like it
+    assert max(errors_m(outputs, 20.0)) < 0.5

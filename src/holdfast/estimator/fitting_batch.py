@@ -25,6 +25,7 @@ from holdfast.sensors.sensor import Parameter, VelocitySensor, is_gnss
 DOUBTFUL = 2.0  # squared residuals over what is claimed, where an odometry is among them
 FREED_M = 10.0  # sigma of an arm in doubt: nothing shall hold it
 MOST_LATE_S = 1.0  # of clocks
+TELLING = 8  # positions that may tell a clock
 CLEARLY = 10.0  # evidence, by which one explanation is better than another
 TOLD_M, MOVED = 0.5, 5.0  # sigma to which motions must tell an element of an arm, and sigmas by which it is off
 
@@ -107,8 +108,8 @@ class FittingBatches:
         whole = self._with_motions(evidence)
         alignment = solved(whole)
         has_jumped = alignment.jump is not None and alignment.jump.is_believed
-        is_at_odds = alignment.excess > DOUBTFUL or alignment.misfit > FITS
-        if has_jumped or is_at_odds:
+        is_at_odds = not _fits(alignment)
+        if jump_sigmas is not None and (has_jumped or is_at_odds):
             clocked = self._with_clock(evidence, prior, max_heading_sigma_rad, alignment)
             if clocked is not None:
                 return clocked
@@ -133,7 +134,7 @@ class FittingBatches:
 
         `alignment` is that of the whole, in which biases may have jumped.
         """
-        if not self._by_gnss_clock:
+        if not self._by_gnss_clock or len(evidence.positions) < TELLING:
             return None
         solved: dict[float, FittingBatch] = {}
 
@@ -149,7 +150,11 @@ class FittingBatches:
         if offset is None or not offset.is_off:
             return None
         clocked, as_stamped = solved[offset.by_s], solved[0.0]
-        if _evidence(as_stamped.alignment, clocked.alignment, clocked.evidence) < JUMPED:
+        if not _fits(clocked.alignment):
+            return None
+        without = self._with_motions(Evidence(evidence.positions, ()))
+        rivals = [as_stamped.alignment, self._aligner.solve(without, prior, max_heading_sigma_rad)]
+        if min(_evidence(one, clocked.alignment, clocked.evidence) for one in rivals) < JUMPED:
             return None
         has_jumped = alignment.jump is not None and alignment.jump.is_believed
         better = _evidence(alignment, clocked.alignment, clocked.evidence) if has_jumped else JUMPED
@@ -218,7 +223,7 @@ def _shift(freed: Alignment) -> Parameter | None:
 
     What motions do not tell stays where it is configured.
     """
-    if freed.state is None or freed.excess > DOUBTFUL or freed.misfit > FITS:
+    if freed.state is None or not _fits(freed):
         return None
     mean, covariance = freed.arms[GNSS_ARM]
     sigmas = np.sqrt(covariance.diagonal())
@@ -240,6 +245,11 @@ def _evidence(before: Alignment, after: Alignment, evidence: Evidence) -> float:
     n = evidence.freedom
     of_before, of_after = (min(_misfit(one), MAX_EXCESS) * n + CLAIMED_DEGREES for one in (before, after))
     return n * log(of_before / of_after)
+
+
+def _fits(alignment: Alignment) -> bool:
+    """Whether what was measured is as near to a solution as it claims, or nearly so."""
+    return alignment.excess <= DOUBTFUL and alignment.misfit <= FITS
 
 
 def _misfit(alignment: Alignment) -> float:
