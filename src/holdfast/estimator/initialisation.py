@@ -443,7 +443,7 @@ class Initialising:
         """Return the state that a batch tells, if it does."""
         alignment, evidence, self.doubtful, shift, offset = batch
         if offset is not None:
-            self._know_clock(self._clock_found(offset))
+            self.know_clock_off(offset)
         if shift is not None:
             self._move_antennas(shift)
         self.misfit, self.jump = alignment.misfit, alignment.jump
@@ -459,12 +459,13 @@ class Initialising:
             self.reason += f"; the bias of the gyroscope has jumped by {by_deg_s:.2g} deg/s {ago_s:.0f} s ago"
         return self._by_any_clock(alignment.state, evidence.positions[-1])
 
-    def _clock_found(self, offset: Offset) -> Parameter:
-        """Return the prior of the clock of GNSS after a batch has found it off by so much, from what was known."""
+    def know_clock_off(self, offset: Offset) -> None:
+        """Know that the clock of GNSS is off by so much from what was known."""
         receiver = next(one for one in self._points.values() if is_gnss(one))
         prior: Parameter = with_estimated_clock(receiver).parameters[-1]
         by_s = self.clock_ns * 1e-9 + offset.by_s
-        return prior._replace(mean=np.array([by_s]), sigmas=np.hypot(prior.sigmas, offset.sigma_s), if_right=None)
+        sigmas = np.hypot(prior.sigmas, offset.sigma_s)
+        self._know_clock(prior._replace(mean=np.array([by_s]), sigmas=sigmas, if_right=None))
 
     def _credible_velocities(self, fixes: Sequence[Position], end_ns: int) -> tuple[list[Velocity], list[str]]:
         """Return velocities since the first of some positions, and the sensors that are left out."""

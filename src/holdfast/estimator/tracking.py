@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import gtsam
 
 from holdfast.config.model import Config
+from holdfast.estimator.batch_clock import Offset
 from holdfast.estimator.clock import MAX_SILENCE_NS
 from holdfast.estimator.epochs import Epochs
 from holdfast.estimator.health import HealthMonitor
@@ -30,7 +31,7 @@ from holdfast.integrity.positions import Contradiction, Positions
 from holdfast.integrity.recovery import Recovery
 from holdfast.integrity.states import JointAt, States
 from holdfast.integrity.yaw_learning import Witness
-from holdfast.sensors.clock import with_estimated_clock
+from holdfast.sensors.clock import GNSS_CLOCK, with_estimated_clock
 from holdfast.sensors.constants import Constant, priors_of_machine
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lever_arm import GNSS_ARM
@@ -43,6 +44,7 @@ Channel = Callable[[DualGraph, Any, int], Outcome]
 
 
 MISTAKEN = "it is late, of another sign or in other axes, as the positions show"
+CLOCK_NS = 5_000_000_000  # what the graph knows of the clock of GNSS is looked at this often
 WITNESSES = Role.POSITION, Role.VELOCITY  # of motion, where the machine was believed to stand
 
 
@@ -137,6 +139,7 @@ class Tracking:
         self._node_interval_ns = round(config.graph.max_node_interval_s * 1e9)
         self._due_ns: int | None = None
         self._constrained_ns = state.stamp_ns
+        self._told_clock_ns = state.stamp_ns
         self._late: set[str] = set()  # sensors whose last measurement was too late
         self._epochs = Epochs()
         self._calibration = Calibration(sensors, config.imu_name, log)
@@ -294,6 +297,7 @@ class Tracking:
         self._hold_mistaken(now_ns)
         self._odometries.review(now_ns)
         self._calibration.review(self.graph.main, now_ns)
+        self._tell_clock(now_ns)
         self._noise_review.review(self._odometries, self._positions.learnt_accelerometer(), now_ns)
         self.successor.calm(now_ns)
         published = self.graph.published
@@ -320,6 +324,18 @@ class Tracking:
         if is_recovery:
             self._monitor.recovered(now_ns)
         return Update(published.newest, published.settled(), is_recovery, standing=standing)
+
+    def _tell_clock(self, now_ns: int) -> None:
+        """Let what would begin anew know the clock of GNSS that the graph has found, while positions are expected."""
+        prior, start = self._priors.get(GNSS_CLOCK), self.successor.start
+        if prior is None or now_ns - self._told_clock_ns < CLOCK_NS or self._positions.suspects():
+            return
+        self._told_clock_ns = now_ns
+        clock = self.graph.main.parameters.constant(GNSS_CLOCK, prior)
+        if clock is not None and clock.is_off:
+            offset = Offset(float(clock.value[0]) - start.clock_ns * 1e-9, float(clock.sigmas[0]))
+            if offset.is_off:
+                start.know_clock_off(offset)
 
     def _with_moved_antennas(self, now_ns: int) -> Beginning | None:
         """Return a state to begin from if antennas that are elsewhere explain what was measured better."""
