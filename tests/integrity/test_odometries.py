@@ -168,6 +168,16 @@ def test_whether_it_has_turned_or_the_gyroscope_lies_only_fixes_tell(fixes_say, 
     assert ((EventKind.ODOMETRY_SLIP, "lidar") in rig.events()) == has_slipped
 
 
+@pytest.mark.parametrize(("fixes_say", "is_lost"), [(None, False), (True, False), (False, True)])
+def test_whether_it_stands_or_the_imu_runs_away_only_fixes_tell(fixes_say, is_lost):
+    rig, asked_s = begun(), set()
+    rig.odometries._fixes = lambda _, since_ns: (asked_s.add(since_ns), fixes_say)[1]
+    for t in np.arange(0.1, 5.0, 0.2):
+        receive(rig, replace(pose(min(t, 2.0)), stamp_ns=ns(t)))
+    assert (rig.odometries.distrusted == {"lidar"}) == is_lost
+    assert len(asked_s) == 1  # since the first of the motions that the IMU contradicts
+
+
 def test_where_another_odometry_agrees_with_gnss_it_is_the_odometry_that_slipped():
     """As slow as fixes walk: one odometry alone could not tell. The other must be known for almost a minute."""
     rig = begun(75.1, CAMERA, **LOOSE)

@@ -205,7 +205,7 @@ class Initialising:
             said.append(self._odometries.vouched(odometry, positions, point.p_I_P, since_ns))
         if any(said):
             return True
-        return None if all(one is None for one in said) else False
+        return None if said and all(one is None for one in said) else False
 
     @property
     def has_witness(self) -> bool:

@@ -193,12 +193,9 @@ class Odometries:
             reason = "it begins a new map: the motion since the pose before is not measured"
             self._log.report(EventKind.ODOMETRY_JUMP, pose.stamp_ns, pose.sensor, reason)
             odometry.forget_frame()
-        lies_since_ns = odometry.trust.note_motion(pose.stamp_ns, jump)
-        jumps = Jumps.FEW
-        if lies_since_ns is not None and self._fixes(pose.sensor, lies_since_ns):
-            odometry.contradicts_ns, lies_since_ns = now_ns, None
-        elif jump is not None and lies_since_ns is None:
-            jumps = odometry.note_jump(pose.stamp_ns)
+        seems_since_ns = odometry.trust.note_motion(pose.stamp_ns, jump)
+        lies_since_ns = self._unless_fixes_agree(graph, odometry, pose, seems_since_ns, now_ns)
+        jumps = Jumps.FEW if jump is None or seems_since_ns is not None else odometry.note_jump(pose.stamp_ns)
         if jump is not None:
             trebled = "" if jumps is Jumps.FEW else "; too often: its noise is trebled"
             reason = f"the IMU did not measure this motion{trebled}"
@@ -223,6 +220,17 @@ class Odometries:
             graph.main.imu_noise.yaw_scale = min(scales)
         self._log.record(pose.stamp_ns, pose.sensor, outcome)
         return outcome
+
+    def _unless_fixes_agree(
+        self, graph: DualGraph, odometry: _Odometry, pose: TrackPose, since_ns: int | None, now_ns: int
+    ) -> int | None:
+        """Return since when an odometry lies, that the IMU contradicts since a time; None while fixes may yet tell."""
+        if since_ns is None:
+            return None
+        moves_as_fixes = self._fixes(pose.sensor, since_ns)
+        if moves_as_fixes:
+            odometry.contradicts_ns = now_ns
+        return None if moves_as_fixes or (moves_as_fixes is None and not graph.is_lost) else since_ns
 
     def _is_turned(self, graph: DualGraph, odometry: _Odometry, name: str) -> bool:
         calibration = odometry.model.calibration

@@ -58,6 +58,7 @@ class OdometryTrust:
         self.is_lost = False
         self._calibration = calibration
         self._jumps: list[tuple[int, Array]] = []  # in a row
+        self._lies_since_ns: int | None = None
         self._slipped_ns = NEVER_NS
         self.watched: TrackPose | None = None
         self._seen: deque[Watched] = deque(maxlen=REMEMBERED)  # all of which agree
@@ -71,11 +72,16 @@ class OdometryTrust:
         """
         if jump is None:
             self._jumps.clear()
+            self._lies_since_ns = None
             return None
         self._jumps = [*self._jumps[1 - JUMPS_IN_A_ROW :], (stamp_ns, jump)]
         sigmas = np.array([of_one for _, of_one in self._jumps])
         is_one_way = np.linalg.norm(sigmas.sum(axis=0)) > ONE_WAY * np.linalg.norm(sigmas, axis=1).sum()
-        return self._jumps[0][0] if len(self._jumps) == JUMPS_IN_A_ROW and is_one_way else None
+        if len(self._jumps) < JUMPS_IN_A_ROW or not is_one_way:
+            self._lies_since_ns = None
+        elif self._lies_since_ns is None:
+            self._lies_since_ns = self._jumps[0][0]
+        return self._lies_since_ns
 
     def note_slip(self, stamp_ns: int, distance_m: float, moved_m: float) -> bool:
         """Note a slip over a way; say whether it is not the first of late, so that the odometry lies.
@@ -91,6 +97,7 @@ class OdometryTrust:
         """Trust it no more."""
         self.is_lost, self.watched, self._slipped_ns = True, None, NEVER_NS
         self._jumps.clear()
+        self._lies_since_ns = None
         self._seen.clear()
         self._known.clear()
         self.mount = None
