@@ -134,7 +134,7 @@ class FittingBatches:
 
         `alignment` is that of the whole, in which biases may have jumped.
         """
-        if not self._by_gnss_clock or len(evidence.positions) < TELLING:
+        if not self._by_gnss_clock or len({one.stamp_ns for one in evidence.positions}) < TELLING:
             return None
         solved: dict[float, FittingBatch] = {}
 
@@ -154,7 +154,7 @@ class FittingBatches:
             return None
         without = self._with_motions(Evidence(evidence.positions, ()))
         rivals = [as_stamped.alignment, self._aligner.solve(without, prior, max_heading_sigma_rad)]
-        if min(_evidence(one, clocked.alignment, clocked.evidence) for one in rivals) < JUMPED:
+        if any(_is_vague(one) or _evidence(one, clocked.alignment, clocked.evidence) < JUMPED for one in rivals):
             return None
         has_jumped = alignment.jump is not None and alignment.jump.is_believed
         better = _evidence(alignment, clocked.alignment, clocked.evidence) if has_jumped else JUMPED
@@ -250,6 +250,11 @@ def _evidence(before: Alignment, after: Alignment, evidence: Evidence) -> float:
 def _fits(alignment: Alignment) -> bool:
     """Whether what was measured is as near to a solution as it claims, or nearly so."""
     return alignment.excess <= DOUBTFUL and alignment.misfit <= FITS
+
+
+def _is_vague(alignment: Alignment) -> bool:
+    """Whether what was measured may fit, but tells too little to say how well."""
+    return alignment.misfit == inf and alignment.excess < inf
 
 
 def _misfit(alignment: Alignment) -> float:
