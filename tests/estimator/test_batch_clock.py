@@ -35,6 +35,10 @@ def test_one_that_is_small_vague_or_beyond_reach_is_left(by_s, sigma_s):
     assert not Offset(by_s, sigma_s).is_off
 
 
+def test_it_is_told_in_words():
+    assert [str(Offset(by_s, 0.01)) for by_s in (0.25, -0.1)] == ["0.25 s early", "0.10 s late"]
+
+
 def test_what_comes_later_stays_within_the_time_of_the_batch():
     later = restamped(evidence(), {"gnss", "doppler"}, 0.25)
     assert [one.stamp_ns for one in later.positions] == [ns(t + 0.25) for t in range(9)]

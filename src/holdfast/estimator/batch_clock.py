@@ -26,6 +26,9 @@ class Offset(NamedTuple):
     by_s: float
     sigma_s: float
 
+    def __str__(self) -> str:
+        return f"{abs(self.by_s):.2f} s {'early' if self.by_s > 0.0 else 'late'}"
+
     @property
     def is_off(self) -> bool:
         """Whether it matters, and is no chance."""

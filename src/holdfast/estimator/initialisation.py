@@ -450,8 +450,8 @@ class Initialising:
         left_out = [*lying, *sorted(self.doubtful)]
         without = f", without {', '.join(left_out)}, at odds with the positions" if left_out else ""
         elsewhere = "" if shift is None else "; the antennas are elsewhere than configured"
-        late = "" if offset is None else f"; stamps of GNSS are {offset.by_s:.2f} s early"
-        self.reason = f"{alignment.reason}{without}{elsewhere}{late}"
+        clock = "" if offset is None else f"; stamps of GNSS are {offset}"
+        self.reason = f"{alignment.reason}{without}{elsewhere}{clock}"
         if alignment.state is None:
             return None
         if self.jump is not None and self.jump.is_believed:
