@@ -53,7 +53,9 @@ class InitialisationConfig(Section):
     max_heading_sigma_deg: float = quantity(
         "deg", 10.0, gt=0, le=45, doc="starting in motion: heading must be this sure"
     )
-    window_s: float = quantity("s", 30.0, gt=1, le=300, doc="starting in motion: the longest stretch that is used")
+    window_s: float = quantity(
+        "s", 30.0, gt=1, le=300, doc="starting in motion: the longest stretch that is used, or eight positions"
+    )
 
 
 class StandstillConfig(Section):
