@@ -52,13 +52,16 @@ EVERY = 50  # schedules that are done, a line says so
 KILLED_RATIO = 0.5  # of the runs in real time
 
 
-def complaints(seed: int, preset: str = "holdfast", *, hostile: bool = False, rate: float | None = None) -> list[str]:
+def complaints(
+    seed: int, preset: str = "holdfast", *, hostile: bool = False, starts: bool = False, rate: float | None = None
+) -> list[str]:
     """Return what the schedule of a seed broke, one line each.
 
     Args:
         seed: of the schedule.
         preset: of the configuration.
         hostile: with what broken software does, too.
+        starts: also that an estimate which was right began anew, where every stamp is true.
         rate: run the engine at so many times the pace of the recording, and kill its optimiser; else the estimator.
     """
     scenario = (hostile_schedule if hostile else random_schedule)(seed)
@@ -74,7 +77,7 @@ def complaints(seed: int, preset: str = "holdfast", *, hostile: bool = False, ra
                 recorder = estimate(Path(folder), config)
             else:
                 recorder, late = played(Path(folder), config, seed, rate)
-            false = [] if hostile else false_starts(simulation, recorder)
+            false = false_starts(simulation, recorder) if starts else []
             return [line for life in recorder.lives() for line in violations(life, START_NS)] + false + late
         except Exception as error:
             at = traceback.extract_tb(error.__traceback__)[-1]
@@ -171,7 +174,7 @@ def waited_for_processor_ns() -> int:
 def run(seeds: Sequence[int], jobs: int, options: argparse.Namespace) -> Iterator[tuple[int, list[str]]]:
     """Yield every seed with its complaints, in order."""
     rate = options.rate if options.realtime else None
-    found = partial(complaints, preset=options.preset, hostile=not options.mild, rate=rate)
+    found = partial(complaints, preset=options.preset, hostile=not options.mild, starts=options.mild, rate=rate)
     if jobs == 1:
         yield from ((seed, found(seed)) for seed in seeds)
         return
