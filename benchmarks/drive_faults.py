@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from drives import held_out_row, messages_of, names_of, recorded_in, run_system, starter_config
+from mishaps import changed
 
 from holdfast.config.model import Config
 from holdfast.estimator.estimator import Estimator
@@ -105,10 +106,8 @@ def moved(fix: GnssFix, by: np.ndarray) -> GnssFix:
 
 def early(messages: list[Message]) -> list[Message]:
     """All of the receiver is stamped before it was measured, and arrives when it did."""
-    return [
-        replace(one, stamp_ns=one.stamp_ns - EARLY_NS) if isinstance(one, GnssFix | GnssVelocity) else one
-        for one in messages
-    ]
+    of_receiver = GnssFix | GnssVelocity
+    return changed(of_receiver, messages, lambda one: replace(one, stamp_ns=one.stamp_ns - EARLY_NS))
 
 
 def drifts(messages: list[Message]) -> list[Message]:

@@ -151,7 +151,7 @@ def test_it_does_not_grow_while_no_position_comes():
     successor = Successor(start)
     for t in np.arange(0.0, 100.0, 0.1):
         successor.add(TrackPose(ns(t), "lidar", gtsam.Pose3()))
-    assert sum(len(series) for series in start._others.values()) < 100
+    assert sum(len(series) for series in start._collected.others.values()) < 100
 
 
 def test_an_attempt_over_half_a_minute_is_cheap():

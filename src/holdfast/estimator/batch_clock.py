@@ -4,20 +4,21 @@ An offset that is small beside what is configured the graph finds by itself, fro
 one looks like biases that have jumped, or like an odometry that lies: (90) in docs/math.md.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
 
-from holdfast.graph.alignment_problem import Evidence
+from holdfast.estimator.fixes_in_motion import MIN_POSITIONS
+from holdfast.graph.alignment_problem import Evidence, Point
+from holdfast.sensors.sensor import Position
 
 STEP_S, STEPS = 0.15, 4  # in which offsets are looked for, and how many of them
 LEAST_S = 0.04  # that needs a batch to be found
 MOVED = 5.0  # sigmas, by which it is off
 REFINED = 2  # times
-FEWEST = 3  # positions that make a batch
 
 
 class Offset(NamedTuple):
@@ -38,17 +39,18 @@ class Offset(NamedTuple):
 def restamped(evidence: Evidence, sensors: Collection[str], by_s: float) -> Evidence | None:
     """Return the positions and velocities of some sensors as later ones, without motions, within the same time.
 
-    None where fewer than `FEWEST` positions are left.
+    None where fewer than `MIN_POSITIONS` positions are left.
     """
     by_ns = round(by_s * 1e9)
-    first_ns, last_ns = evidence.positions[0].stamp_ns, evidence.positions[-1].stamp_ns
-    positions = [replace(one, stamp_ns=one.stamp_ns + by_ns * (one.sensor in sensors)) for one in evidence.positions]
-    positions = [one for one in positions if first_ns <= one.stamp_ns <= last_ns]
-    velocities = [replace(one, stamp_ns=one.stamp_ns + by_ns * (one.sensor in sensors)) for one in evidence.velocities]
-    if len({one.stamp_ns for one in positions}) < FEWEST:
+
+    def later(measured: Sequence[Point], within: Sequence[Position]) -> list[Point]:
+        moved = [replace(one, stamp_ns=one.stamp_ns + by_ns * (one.sensor in sensors)) for one in measured]
+        return [one for one in moved if within[0].stamp_ns <= one.stamp_ns <= within[-1].stamp_ns]
+
+    positions = later(evidence.positions, evidence.positions)
+    if len({one.stamp_ns for one in positions}) < MIN_POSITIONS:
         return None
-    since_ns, until_ns = positions[0].stamp_ns, positions[-1].stamp_ns
-    return Evidence(positions, [one for one in velocities if since_ns <= one.stamp_ns <= until_ns])
+    return Evidence(positions, later(evidence.velocities, positions))
 
 
 def offset_of(misfit: Callable[[float], float], freedom: int) -> Offset | None:

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from holdfast.estimator.batch_clock import FEWEST, Offset, offset_of, restamped
+from holdfast.estimator.batch_clock import Offset, offset_of, restamped
+from holdfast.estimator.fixes_in_motion import MIN_POSITIONS
 from holdfast.estimator.odometry_tracks import OdometryTracks
 from holdfast.graph.alignment import FITS, JUMPED, Alignment, BatchAligner
 from holdfast.graph.alignment_problem import CLAIMED_DEGREES, MAX_EXCESS, BiasPrior, Evidence, Problems
@@ -107,9 +108,8 @@ class FittingBatches:
 
         whole = self._with_motions(evidence)
         alignment = solved(whole)
-        has_jumped = alignment.jump is not None and alignment.jump.is_believed
         is_at_odds = not _fits(alignment)
-        if jump_sigmas is not None and (has_jumped or is_at_odds):
+        if jump_sigmas is not None and (alignment.has_jumped or is_at_odds):
             clocked = self._with_clock(evidence, prior, max_heading_sigma_rad, alignment)
             if clocked is not None:
                 return clocked
@@ -119,7 +119,7 @@ class FittingBatches:
                 return moved
         for names in self._doubtful(whole, alignment):
             fewer = self._without(whole, names)
-            if len({one.stamp_ns for one in fewer.positions}) < FEWEST:
+            if len({one.stamp_ns for one in fewer.positions}) < MIN_POSITIONS:
                 continue
             other = solved(fewer)
             is_better = len(fewer.positions) == len(whole.positions) or other.misfit <= FITS
@@ -156,8 +156,7 @@ class FittingBatches:
         rivals = [as_stamped.alignment, self._aligner.solve(without, prior, max_heading_sigma_rad)]
         if any(_is_vague(one) or _evidence(one, clocked.alignment, clocked.evidence) < JUMPED for one in rivals):
             return None
-        has_jumped = alignment.jump is not None and alignment.jump.is_believed
-        better = _evidence(alignment, clocked.alignment, clocked.evidence) if has_jumped else JUMPED
+        better = _evidence(alignment, clocked.alignment, clocked.evidence) if alignment.has_jumped else JUMPED
         if better < -CLEARLY:
             return None
         return clocked._replace(clock=offset) if better > CLEARLY else as_stamped

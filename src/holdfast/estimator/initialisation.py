@@ -5,12 +5,10 @@ position through the lever arm (paper, IV-A.5); heading comes from a heading mes
 the configuration. Without a heading the machine has to move: then a batch of positions, IMU and odometry.
 """
 
-from collections import deque
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from math import inf, radians
 from types import MappingProxyType
-from typing import Any, TypeVar
 
 import gtsam
 import numpy as np
@@ -18,25 +16,25 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig
 from holdfast.estimator.batch_clock import Offset
+from holdfast.estimator.collected import Collected, between
 from holdfast.estimator.course import Course, course_of
 from holdfast.estimator.first_heading import Antennas, baseline_heading, pose_heading
 from holdfast.estimator.fitting_batch import FittingBatch, FittingBatches
 from holdfast.estimator.fixes_in_motion import fixes_in_motion, turn
 from holdfast.estimator.known_biases import KnownBiases
 from holdfast.estimator.odometry_tracks import OdometryTracks
-from holdfast.estimator.pose_as_point import PoseAsPoint, as_position
-from holdfast.estimator.spacing import Spacing
+from holdfast.estimator.pose_as_point import PoseAsPoint
 from holdfast.estimator.velocity_check import Company, VelocityCheck
 from holdfast.graph.alignment import Jump
 from holdfast.graph.alignment_problem import Evidence, thin
 from holdfast.graph.first_guess import level_attitude
-from holdfast.integrity.consensus import BEFORE_NS, LEAST, Departure
+from holdfast.integrity.consensus import Departure, first_of_shape
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array, Message
 from holdfast.sensors.clock import GNSS_CLOCK, with_estimated_clock
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lever_arm import GNSS_ARM, is_in_doubt
-from holdfast.sensors.odometry import OdometryNoise, TrackPose
+from holdfast.sensors.odometry import OdometryNoise
 from holdfast.sensors.preintegration import ImuNoise
 from holdfast.sensors.sensor import Measurement, Parameter, Position, Role, Sensor, Velocity, is_gnss, of_role
 from holdfast.sensors.standstill import (
@@ -51,10 +49,8 @@ from holdfast.state import OptimisedState, Outcome
 PLAUSIBLE_FORCE_M_S2 = (7.0, 13.0)  # mean specific force of a machine on the ground
 TIMES_NEARER = 8.0  # to positions, an odometry is than the estimate that leaves them
 RETRY_NS = 1_000_000_000
-FEW, MOST_NS = 8, 120_000_000_000  # positions, where they are rare, but no longer
 STANDING_S = 5.0, 15.0  # over which positions tell whether the machine stands, longer ones if the first cannot
 COURSE_S = 8.0, 3.0  # over which positions and velocities are averaged: two positions, or all of the shorter time
-Point = TypeVar("Point", Position, Velocity)
 NO_POSITION, NO_IMU = "no usable position has come", "no usable IMU sample has come"
 NO_OTHER = "no usable measurement of a sensor other than the IMU has come"
 NO_SENSOR = "no sensor beside the IMU is configured that can start it (needed: positions, poses or an odometry)"
@@ -73,7 +69,6 @@ class Initialising:
 
     Attributes:
         found: the same, and what was found since.
-        clock_ns: by how much stamps of GNSS are early; velocities come with that added, positions without.
     """
 
     def __init__(
@@ -100,20 +95,15 @@ class Initialising:
         are_sure = len(antennas) == 2 and not any(is_in_doubt(one.parameters) for one in antennas)
         self._antennas: Antennas | None = (antennas[0], antennas[1]) if are_sure else None
         self._triggers = {one.role for one in of_role(sensors, Role.POSITION, Role.POSE).values()}
-        self._positions: deque[Position] = deque()
-        self._all_positions: deque[Position] = deque()  # those that were forgotten, too: an arm is a constant
-        self._velocities: deque[Velocity] = deque()
-        self._others: dict[str, deque[Any]] = {}  # headings and poses, by sensor
+        window_ns = round(config.initialisation.window_s * 1e9)
+        self._collected = Collected(sensors, self._points, self._odometries, window_ns)
         self.biases = KnownBiases(imu, config.initialisation.standstill_s)
         self.misfit = inf  # of the last attempt: squared residuals over what is claimed
         self.doubtful: frozenset[str] = frozenset()  # odometries and receivers that the last attempt has left out
         self.found: dict[str, Parameter] = {}
         self._limit_rad = radians(config.initialisation.max_heading_sigma_deg)
         self._velocity_check = VelocityCheck(self._points, of_role(sensors, Role.VELOCITY))
-        self._last_try_ns = self._newest_ns = NEVER_NS
-        self.clock_ns = 0
-        self._window_ns = round(config.initialisation.window_s * 1e9)
-        self._spacings = {name: Spacing() for name in self._points}
+        self._last_try_ns = NEVER_NS
         noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
         self._batches = FittingBatches(buffer, noise, self._points, of_role(sensors, Role.VELOCITY), self._odometries)
         if (shift := found.get(GNSS_ARM)) is not None:
@@ -132,41 +122,24 @@ class Initialising:
 
     def add(self, measurement: Measurement) -> bool:
         """Take in a checked measurement; say whether it is one with which a start can be attempted."""
+        self._collected.add(measurement)
         role = self._sensors[measurement.sensor].role
-        if role is Role.POSITION and isinstance(measurement, Position):
-            measurement = self._restamped(measurement, self.clock_ns)
-            self._positions.append(measurement)
-            self._all_positions.append(measurement)
-            self._spacings[measurement.sensor].add(measurement.stamp_ns)
-        elif role is Role.VELOCITY and isinstance(measurement, Velocity):
-            self._velocities.append(measurement)
-        elif role is Role.ODOMETRY and isinstance(measurement, TrackPose):
-            self._odometries.add(measurement)
-        elif role is not Role.STATE:
-            self._others.setdefault(measurement.sensor, deque()).append(measurement)
-        if role is Role.POSE and measurement.sensor in self._points:
-            self._positions.append(as_position(measurement))
-        self._newest_ns = max(self._newest_ns, measurement.stamp_ns)
-        horizon_ns = self._newest_ns - self._longest_ns
-        self._forget_before(horizon_ns)
-        while self._all_positions and self._all_positions[0].stamp_ns < horizon_ns:
-            self._all_positions.popleft()
         return role in self._triggers or not self._triggers
 
     @property
     def oldest_ns(self) -> int:
         """Samples of the IMU before this time are of no use."""
-        return max(self._newest_ns, self._buffer.latest_ns - self._longest_ns) - self._longest_ns
+        longest_ns = self._collected.longest_ns
+        return max(self._collected.newest_ns, self._buffer.latest_ns - longest_ns) - longest_ns
 
     @property
-    def _longest_ns(self) -> int:
-        """The longest stretch that is used: as configured, or longer where few positions come in it."""
-        spacing_ns = min((one.spacing_ns for one in self._spacings.values()), default=0)
-        return max(self._window_ns, min(FEW * spacing_ns, MOST_NS))
+    def clock_ns(self) -> int:
+        """By how much stamps of GNSS are early: velocities are to come with that added, positions without."""
+        return self._collected.clock_ns
 
     def check_velocities(self) -> None:
         """Leave out sensors of velocity from now on that lead elsewhere than the positions."""
-        self._velocity_check.look_back(self._velocities, self._positions)
+        self._velocity_check.look_back(self._collected.velocities, self._collected.positions)
 
     @property
     def lying(self) -> frozenset[str]:
@@ -175,33 +148,31 @@ class Initialising:
 
     def mistaken(self) -> Collection[str]:
         """Return the sensors of velocity that are late, of another sign or in other axes."""
-        self._velocity_check.review(self._velocities, self._positions, self._newest_ns)
+        self._velocity_check.review(self._collected.velocities, self._collected.positions, self._collected.newest_ns)
         return self._velocity_check.mistaken
 
     def is_confirmed(self, sensors: Collection[str], since_ns: int, estimate: gtsam.NavState) -> bool:
         """Whether velocities of some sensors lead from before a time to the newest position, not to an estimate."""
-        witnesses = [one for one in self._velocities if one.sensor in sensors]
-        return self._velocity_check.confirms(witnesses, self._positions, since_ns, estimate)
+        witnesses = self._collected.velocities_of(sensors)
+        return self._velocity_check.confirms(witnesses, self._collected.positions, since_ns, estimate)
 
     def company(self, sensors: Collection[str], receiver: str, since_ns: int) -> Company:
         """Return how a receiver's positions go beside velocities of some sensors, proven before, since a time."""
-        witnesses = [one for one in self._velocities if one.sensor in sensors]
-        positions = [one for one in self._positions if one.sensor == receiver]
+        witnesses, positions = self._collected.velocities_of(sensors), self._collected.of_receiver(receiver)
         return self._velocity_check.company(witnesses, positions, since_ns)
 
     def odometry_vouches(self, departure: Departure) -> bool:
         """Whether an odometry has moved in the shape of positions that an estimate leaves."""
         arm = self._points[departure.positions[-1].sensor].p_I_P
-        positions = [self._restamped(one, self.clock_ns) for one in departure.positions]
+        positions = [self._collected.restamped(one) for one in departure.positions]
         return self._odometries.move_as(positions, arm, departure.by_m / TIMES_NEARER)
 
     def fixes_vouch_for(self, odometry: str, since_ns: int) -> bool | None:
         """Whether an odometry has moved in the shape of positions from before a time until now; None: too few since."""
         said = []
         for name, point in self._points.items():
-            mine = _between((one for one in self._positions if one.sensor == name), NEVER_NS, self._newest_ns)
-            before = sum(one.stamp_ns <= since_ns - BEFORE_NS for one in mine)
-            positions = mine[max(min(before, len(mine) - LEAST), 0) :]
+            mine = sorted(self._collected.of_receiver(name), key=lambda one: one.stamp_ns)
+            positions = mine[first_of_shape([one.stamp_ns for one in mine], since_ns) :]
             said.append(self._odometries.vouched(odometry, positions, point.p_I_P, since_ns))
         if any(said):
             return True
@@ -210,12 +181,12 @@ class Initialising:
     @property
     def has_witness(self) -> bool:
         """Whether there are velocities that have proven right, and none of which nothing is known."""
-        sensors = {one.sensor for one in self._velocities}
-        return bool(sensors & self._velocity_check.proven) and self._velocity_check.are_explained(self._velocities)
+        velocities, check = self._collected.velocities, self._velocity_check
+        return bool({one.sensor for one in velocities} & check.proven) and check.are_explained(velocities)
 
     def forget_before(self, stamp_ns: int) -> None:
         """Forget what was measured before a time."""
-        self._forget_before(stamp_ns)
+        self._collected.forget_before(stamp_ns)
         self._last_try_ns = NEVER_NS
 
     def settle_arms(self) -> None:
@@ -229,18 +200,9 @@ class Initialising:
         self.found[GNSS_ARM] = shift._replace(mean=before + shift.mean)
 
     def _know_clock(self, clock: Parameter) -> None:
-        """Know by how much stamps of GNSS are early, in what has come, too."""
-        by_ns = round(float(clock.mean[0]) * 1e9)
-        later_ns = by_ns - self.clock_ns
-        self._positions = deque(self._restamped(one, later_ns) for one in self._positions)
-        self._all_positions = deque(self._restamped(one, later_ns) for one in self._all_positions)
-        self._velocities = deque(replace(one, stamp_ns=one.stamp_ns + later_ns) for one in self._velocities)
-        self.found[GNSS_CLOCK], self.clock_ns = clock, by_ns
-
-    def _restamped(self, one: Position, by_ns: int) -> Position:
-        """Return a position as one that was taken later, if it is one of GNSS."""
-        is_of_gnss = by_ns != 0 and is_gnss(self._sensors[one.sensor])
-        return replace(one, stamp_ns=one.stamp_ns + by_ns) if is_of_gnss else one
+        """Know by how much stamps of GNSS are early [s]."""
+        self.found[GNSS_CLOCK] = clock
+        self._collected.know_clock(round(float(clock.mean[0]) * 1e9))
 
     def forget_odometry(self, name: str) -> None:
         """Forget what an odometry has said, which is not trusted any more."""
@@ -257,22 +219,11 @@ class Initialising:
 
     def refuse(self, message: Message, outcome: Outcome) -> None:
         """Note a message that cannot be used: as long as no position could be, it is the reason."""
-        if message.sensor in self._points and not self._positions and self.reason.startswith(NO_POSITION):
+        if message.sensor in self._points and not self._collected.positions and self.reason.startswith(NO_POSITION):
             covariance = getattr(message, "covariance", None)
             variance = -1.0 if covariance is None else covariance.diagonal()[:2].max()
             claim = f", it claims {np.sqrt(variance):.3g} m" if variance >= 0.0 else ""
             self.reason = f"{NO_POSITION}; the last of {message.sensor} was refused: {outcome}{claim}"
-
-    def _forget_before(self, horizon_ns: int) -> None:
-        collected: list[deque[Any]] = [
-            self._positions,
-            self._velocities,
-            *self._others.values(),
-            *self._odometries.series,
-        ]
-        for series in collected:
-            while series and series[0].stamp_ns < horizon_ns:
-                series.popleft()
 
     def attempt(self, *, may_have_jumped: bool = False, limit_rad: float = 0.0) -> OptimisedState | None:
         """Return the first state, or None with `reason` set.
@@ -314,12 +265,12 @@ class Initialising:
     def stands(self, end_ns: int, duration_s: float) -> bool | None:
         """Whether velocities and positions say that the machine stood for so long; None while they cannot tell."""
         since_ns = end_ns - round(duration_s * 1e9)
-        by_velocity = velocities_stand(_between(self._velocities, since_ns, end_ns))
+        by_velocity = velocities_stand(between(self._collected.velocities, since_ns, end_ns))
         by_position = None
         for longer_s in STANDING_S:
             longer_ns = end_ns - round(max(longer_s, 2.0 * duration_s) * 1e9)
             if by_position is None:
-                fixes = self._of_first_receiver(longer_ns)
+                fixes = self._collected.of_first_receiver(longer_ns)
                 by_position = fixes_stand([one for one in fixes if one.stamp_ns <= end_ns])
         if by_velocity is None or by_position is None:
             return by_velocity if by_position is None else by_position
@@ -327,7 +278,7 @@ class Initialising:
 
     def course(self, stamp_ns: int) -> Course | None:
         """Return where the newest positions of the first receiver lead at a time; None if there were none of late."""
-        longest, shortest = (self._of_first_receiver(stamp_ns - round(s * 1e9)) for s in COURSE_S)
+        longest, shortest = (self._collected.of_first_receiver(stamp_ns - round(s * 1e9)) for s in COURSE_S)
         positions = sorted(longest, key=lambda one: one.stamp_ns)[-max(len(shortest), 2) :]
         velocities, _ = self._credible_velocities(positions, max(stamp_ns, self._buffer.latest_ns))
         arm = self._points[positions[-1].sensor].p_I_P if positions else np.zeros(3)
@@ -337,14 +288,6 @@ class Initialising:
         """Return the mean specific force (3,) in a time [m/s^2], or None where the IMU was silent in it."""
         held = self._buffer.window(start_ns, end_ns)
         return None if held is None else np.asarray(held[0].mean(axis=0))
-
-    def _of_first_receiver(self, since_ns: int = NEVER_NS) -> list[Position]:
-        """Return the positions of the first receiver that has any."""
-        for name in self._points:
-            found = [one for one in self._positions if one.sensor == name and one.stamp_ns >= since_ns]
-            if found:
-                return found
-        return []
 
     def _at_standstill(self, now_ns: int, force: Array, rate: Array) -> OptimisedState | None:
         imu, standstill_s = self._config.imu, self._config.initialisation.standstill_s
@@ -368,7 +311,7 @@ class Initialising:
     def _position(self, now_ns: int, R_W_I: gtsam.Rot3) -> tuple[Array, Array, Array]:
         """Return p_W_I, its covariance in W, and the lever arm through which it was found."""
         since = now_ns - round(self._config.initialisation.standstill_s * 1e9)
-        fixes = self._of_first_receiver(since) or self._of_first_receiver()[-1:]
+        fixes = self._collected.of_first_receiver(since) or self._collected.of_first_receiver()[-1:]
         if not fixes:
             return np.zeros(3), np.eye(3) * 1e-4, np.zeros(3)
         sensor = self._points[fixes[-1].sensor]
@@ -381,17 +324,17 @@ class Initialising:
     def _heading(self, now_ns: int, level: gtsam.Rot3) -> tuple[float, float] | None:
         """Return the heading of the IMU's x axis and its sigma [rad], from the first source that there is."""
         start = self._config.initialisation
-        for heading in self._newest_of(self._headings):
+        for heading in self._collected.newest_of(self._headings):
             found: tuple[float, float] | None = self._headings[heading.sensor].of_imu(heading, level)
             if found is not None:
                 return found
         if self._antennas is not None:
             since = now_ns - round(max(1.0, start.standstill_s) * 1e9)
-            baseline = baseline_heading(self._antennas, self._positions, since, level)
+            baseline = baseline_heading(self._antennas, self._collected.positions, since, level)
             if isinstance(baseline, tuple):
                 return baseline
             self.reason = baseline or self.reason
-        for pose in self._newest_of(self._poses):
+        for pose in self._collected.newest_of(self._poses):
             return pose_heading(pose.T_F_I.rotation(), level, float(np.sqrt(pose.covariance[:3, :3].max())))
         if start.heading_deg is not None:
             return radians(start.heading_deg), radians(start.heading_sigma_deg)
@@ -399,16 +342,10 @@ class Initialising:
             return 0.0, 1e-3  # W is where the machine starts: heading is zero by definition
         return None
 
-    def _newest_of(self, sensors: Collection[str]) -> Iterator[Any]:
-        """Yield the newest measurement of each of some sensors."""
-        for name, series in self._others.items():
-            if series and name in sensors:
-                yield series[-1]
-
     # --- in motion ---------------------------------------------------------------------------------------------------
 
     def _in_motion(self, now_ns: int, limit_rad: float, *, may_have_jumped: bool) -> OptimisedState | None:
-        fixes = fixes_in_motion(self._positions, self._points, self._buffer, now_ns)
+        fixes = fixes_in_motion(self._collected.positions, self._points, self._buffer, now_ns)
         if isinstance(fixes, str):
             self.reason = fixes
             return None
@@ -417,7 +354,7 @@ class Initialising:
                 return None
             self._last_try_ns = fixes[-1].stamp_ns
         evidence, lying = self._evidence(fixes, now_ns)
-        is_explained = may_have_jumped and self._velocity_check.are_explained(self._velocities, lying)
+        is_explained = may_have_jumped and self._velocity_check.are_explained(self._collected.velocities, lying)
         jump_sigmas = self.biases.doubted if is_explained else None
         batch = self._batches.solve(evidence, self.biases.prior, limit_rad, jump_sigmas)
         return self._judged(batch, lying, now_ns)
@@ -427,7 +364,7 @@ class Initialising:
         if not self._batches.may_be_moved:
             return None
         now_ns = self._buffer.latest_ns
-        fixes = fixes_in_motion(self._all_positions, self._points, self._buffer, now_ns)
+        fixes = fixes_in_motion(self._collected.all_positions, self._points, self._buffer, now_ns)
         if isinstance(fixes, str) or not turn(fixes):
             return None
         evidence, lying = self._evidence(fixes, now_ns)
@@ -454,7 +391,7 @@ class Initialising:
         self.reason = f"{alignment.reason}{without}{elsewhere}{clock}"
         if alignment.state is None:
             return None
-        if self.jump is not None and self.jump.is_believed:
+        if self.jump is not None and alignment.has_jumped:
             by_deg_s, ago_s = np.degrees(self.jump.by_rad_s), (now_ns - self.jump.stamp_ns) * 1e-9
             self.reason += f"; the bias of the gyroscope has jumped by {by_deg_s:.2g} deg/s {ago_s:.0f} s ago"
         return self._by_any_clock(alignment.state, evidence.positions[-1])
@@ -471,7 +408,7 @@ class Initialising:
         """Return velocities since the first of some positions, and the sensors that are left out."""
         if not fixes:
             return [], []
-        velocities = _between(self._velocities, fixes[0].stamp_ns, end_ns)
+        velocities = between(self._collected.velocities, fixes[0].stamp_ns, end_ns)
         erring = self._velocity_check.erring(velocities, fixes)
         return [one for one in velocities if one.sensor not in erring], erring
 
@@ -482,8 +419,3 @@ class Initialising:
         covariance = state.covariance.copy()
         covariance[:6, :6] += np.outer(moving, moving)
         return replace(state, covariance=covariance)
-
-
-def _between(measurements: Iterable[Point], start_ns: int, end_ns: int) -> list[Point]:
-    """Return measurements after a time, until another, by stamp."""
-    return sorted((one for one in measurements if start_ns < one.stamp_ns <= end_ns), key=lambda one: one.stamp_ns)

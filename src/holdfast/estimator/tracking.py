@@ -222,8 +222,7 @@ class Tracking:
         """Begin with what was found wrong of sensors before the estimate began anew."""
         self.queue = before.queue
         self.distrust(before.distrusted)
-        self._odometries.trust_less_by(before._odometries.distrust_factors)
-        self._odometries.remount(self.graph, before._odometries.mounts)
+        self._odometries.go_on_from(self.graph, before._odometries)
 
     def refuse(self, sensor: str, outcome: Outcome) -> None:
         """Note a message that could not be converted."""

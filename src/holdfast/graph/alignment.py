@@ -92,6 +92,11 @@ class Alignment:
     arms: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     clock_s: float = 0.0
 
+    @property
+    def has_jumped(self) -> bool:
+        """Whether the biases are believed to have jumped."""
+        return self.jump is not None and self.jump.is_believed
+
 
 class Explained(NamedTuple):
     """Biases with which a batch was solved.

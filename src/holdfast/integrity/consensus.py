@@ -5,6 +5,7 @@ from one to the next is no other than it can become.
 """
 
 from collections import deque
+from collections.abc import Sequence
 from itertools import dropwhile, takewhile
 from math import sqrt
 from typing import NamedTuple
@@ -25,6 +26,12 @@ DEPARTING_NS = 12_000_000_000  # nor for so long
 LEAST_NS = 1_000_000_000  # by fewer positions no shape is told
 BEFORE_NS = 8_000_000_000  # positions that were right tell of what shape the way is
 LEAST = 4  # positions have a shape
+
+
+def first_of_shape(stamps_ns: Sequence[int], since_ns: int) -> int:
+    """Return from which of positions on, sorted by stamp, they tell of what shape the way was about a time."""
+    before = sum(stamp_ns < since_ns - BEFORE_NS for stamp_ns in stamps_ns)
+    return max(min(before, len(stamps_ns) - LEAST), 0)
 
 
 class Departure(NamedTuple):
@@ -146,8 +153,8 @@ class Consensus:
         noise_m = SIGMA * sqrt(float(np.trace(first.position.covariance + last.position.covariance)))
         if by_m <= WALK_M_S * lasts_ns * 1e-9 + noise_m:
             return None
-        before = sum(one.stamp_ns < refused[0].stamp_ns - BEFORE_NS for one in run)
-        return Departure([one.position for one in run[max(min(before, len(run) - LEAST), 0) :]], by_m)
+        shape = run[first_of_shape([one.stamp_ns for one in run], refused[0].stamp_ns) :]
+        return Departure([one.position for one in shape], by_m)
 
     @property
     def is_unexpected(self) -> bool:

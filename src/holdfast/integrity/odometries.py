@@ -115,9 +115,6 @@ class Odometries:
         headings: what they say of the heading of an estimate.
         fixes: whether they say the same as an odometry.
         carried: what was learnt of odometries before, by name.
-
-    Attributes:
-        mounts: priors that stand in for the configured ones, of odometries that are mounted otherwise, by name.
     """
 
     def __init__(
@@ -136,7 +133,7 @@ class Odometries:
         self._log = log
         self._headings, self._fixes = headings, fixes
         self._has_turned = False
-        self.mounts: dict[str, Parameter] = {}
+        self._mounts: dict[str, Parameter] = {}  # priors of those that are mounted otherwise than configured
 
     def __len__(self) -> int:
         return len(self._odometries)
@@ -241,23 +238,15 @@ class Odometries:
 
     def _mount(self, graph: DualGraph, name: str, prior: Parameter) -> None:
         """Know no more of how an odometry is mounted from now on, and after the estimate has begun anew."""
-        self.mounts[name] = prior
+        self._mounts[name] = prior
         graph.begin_parameter_anew(name, prior)
 
-    def remount(self, graph: DualGraph, mounts: Mapping[str, Parameter]) -> None:
-        """Begin with what was known of mounts before the estimate began anew."""
-        for name, prior in mounts.items():
+    def go_on_from(self, graph: DualGraph, before: "Odometries") -> None:
+        """Begin with what was found of mounts, and of noise that is larger than configured, before all began anew."""
+        for name, one in before._odometries.items():
+            self._odometries[name].learning.trust_less(one.noise.scale)
+        for name, prior in before._mounts.items():
             self._mount(graph, name, prior)
-
-    @property
-    def distrust_factors(self) -> dict[str, float]:
-        """How many times larger the noise of each is than configured, for it has jumped too often."""
-        return {name: one.noise.scale for name, one in self._odometries.items()}
-
-    def trust_less_by(self, factors: Mapping[str, float]) -> None:
-        """Begin with how much larger noises were found to be than configured before the estimate began anew."""
-        for name, factor in factors.items():
-            self._odometries[name].learning.trust_less(factor)
 
     def _watch(self, graph: DualGraph, odometry: _Odometry, pose: TrackPose, now_ns: int) -> Outcome:
         """Compare how an odometry that is not trusted moves with how the estimate does, with fixes if there are any."""
