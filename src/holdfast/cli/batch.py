@@ -86,18 +86,26 @@ def _run(  # noqa: PLR0917
     jobs: int,
     scheduler: str | None,
 ) -> None:
-    """Run what is left to do, and keep the table up to date."""
+    """Run what is left to do, and keep the table up to date: also with what an interruption met at its end."""
+    from holdfast.fleet.run import kept_outcome
     from holdfast.fleet.schedulers import run_locally, run_on_cluster
     from holdfast.fleet.table import rows_of, write_table
 
     coming = run_locally(todo, output, jobs) if scheduler is None else run_on_cluster(todo, output, scheduler)
     write_table(rows_of(planned, outcomes), output)
-    with _table_on_screen(planned, outcomes), closing(coming):
-        for outcome in coming:
-            outcomes[outcome.name] = outcome
-            write_table(rows_of(planned, outcomes), output)
-            if not sys.stderr.isatty():
-                click.echo(f"{outcome.name}: {outcome.state} {outcome.reason}".rstrip(), err=True)
+    told: set[str] = set()
+    try:
+        with _table_on_screen(planned, outcomes), closing(coming):
+            for outcome in coming:
+                outcomes[outcome.name] = outcome
+                told.add(outcome.name)
+                write_table(rows_of(planned, outcomes), output)
+                if not sys.stderr.isatty():
+                    click.echo(f"{outcome.name}: {outcome.state} {outcome.reason}".rstrip(), err=True)
+    except KeyboardInterrupt:
+        outcomes.update((job.name, kept_outcome(job)) for job in todo if job.name not in told)
+        write_table(rows_of(planned, outcomes), output)
+        raise
 
 
 @contextmanager
