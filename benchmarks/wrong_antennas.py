@@ -1,7 +1,8 @@
 """Prints what antennas cost a machine that are not where the file says: `python benchmarks/wrong_antennas.py`.
 
 A scenario with two antennas is simulated and estimated with their lever arms as they are, then moved along x and y of
-the machine: both, as where the origin of the file is elsewhere, one of them, and one where the other is left out. The
+the machine: both, as where the origin of the file is elsewhere, one of them, and one where the other is left out; then
+the two are exchanged. The
 truth of the simulation judges while fixes come, from the start on.
 """
 
@@ -22,7 +23,7 @@ from holdfast.sim.scenario import load_scenario
 from holdfast.trial.run import write_simulation
 
 DISTANCES_M = (0.3, 1.0, 3.0)
-WHICH = ("both", "one", "alone")
+WHICH = ("both", "one", "alone", "exchanged")
 SHOWN = ("with GNSS", "heading", "outage")
 
 
@@ -38,7 +39,11 @@ def moved(data: dict[str, Any], which: str, by: Sequence[float], *, is_known: bo
         headings = [name for name, section in sensors.items() if section["kind"] == "heading"]
         for name in (*antennas[1:], *headings):
             del sensors[name]
-    for link in changed["extrinsics"]:
+    links = {link["child"]: link for link in changed["extrinsics"]}
+    if which == "exchanged":
+        one, other = (links[frame] for frame in frames[:2])
+        one["translation_m"], other["translation_m"] = other["translation_m"], one["translation_m"]
+    for link in links.values():
         if link["child"] in (frames if which == "both" else frames[:1]):
             link["translation_m"] = (np.array(link["translation_m"]) + by).tolist()
     return changed
@@ -55,7 +60,8 @@ def main() -> None:
     given = parser.parse_args()
     scenario = load_scenario(given.scenario)
     data = configuration_data(scenario, given.seed)
-    tried = [(which, axis, by) for which in given.which for by in (0.0, *given.m) for axis in "xy"[: 2 if by else 1]]
+    distances = {which: (0.0,) if which == "exchanged" else (0.0, *given.m) for which in given.which}
+    tried = [(which, axis, by) for which in given.which for by in distances[which] for axis in "xy"[: 2 if by else 1]]
     print("| antennas | axis | moved by [m] | horizontal RMS [m] | heading RMS [deg] | outages: horizontal RMS [m] |")
     print("|---|---|---:|---:|---:|---:|")
     with TemporaryDirectory() as folder, ProcessPoolExecutor(2) as pool:

@@ -30,7 +30,7 @@ from holdfast.messages import Array
 
 Kind = TypeVar("Kind", bound=SensorConfig)
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-BELIEVE_BESIDE_ODOMETRY_S, BELIEVE_ALONE_S = 30.0, 1.0
+BELIEVE_BESIDE_ODOMETRY_S, BELIEVE_AFTER_JUMP_S, BELIEVE_ALONE_S = 30.0, 5.0, 1.0
 RESERVED = ("standstill",)  # what counts and events name beside the sensors
 
 
@@ -89,12 +89,15 @@ class GateConfig(Section):
         gt=0,
         le=3600,
         doc="lost fixes that agree with each other for so long are right after all; by default 30 beside an "
-        "odometry, which may know better, else 1",
+        "odometry, which may know better, 5 where they have jumped, else 1",
     )
 
-    def patience_s(self, *, has_odometry: bool) -> float:
+    def patience_s(self, *, has_odometry: bool, have_jumped: bool = False) -> float:
         """Return for how long lost fixes must agree with each other to be right after all [s]."""
-        return self.believe_after_s or (BELIEVE_BESIDE_ODOMETRY_S if has_odometry else BELIEVE_ALONE_S)
+        if self.believe_after_s is not None:
+            return self.believe_after_s
+        alone_s = BELIEVE_AFTER_JUMP_S if have_jumped else BELIEVE_ALONE_S
+        return BELIEVE_BESIDE_ODOMETRY_S if has_odometry else alone_s
 
 
 class MotionModelConfig(Section):

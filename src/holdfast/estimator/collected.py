@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 from holdfast.estimator.odometry_tracks import OdometryTracks
 from holdfast.estimator.pose_as_point import as_position
 from holdfast.estimator.spacing import Spacing
+from holdfast.integrity.exchanges import Pair
 from holdfast.measured_fields import NEVER_NS
 from holdfast.sensors.odometry import TrackPose
 from holdfast.sensors.sensor import Measurement, Position, Role, Sensor, Velocity, is_gnss
@@ -86,6 +87,11 @@ class Collected:
         self.all_positions = deque(self._later(one, later_ns) for one in self.all_positions)
         self.velocities = deque(replace(one, stamp_ns=one.stamp_ns + later_ns) for one in self.velocities)
 
+    def exchange(self, pair: Pair, since_ns: int = NEVER_NS) -> None:
+        """Know that two antennas' positions have come by each other's name since a time."""
+        self.positions = deque(exchanged(self.positions, pair, since_ns))
+        self.all_positions = deque(exchanged(self.all_positions, pair, since_ns))
+
     def restamped(self, one: Position) -> Position:
         """Return a position as it was stamped by the IMU's clock."""
         return self._later(one, self.clock_ns)
@@ -116,6 +122,15 @@ class Collected:
 def between(measurements: Iterable[Point], start_ns: int, end_ns: int) -> list[Point]:
     """Return measurements after a time, until another, by stamp."""
     return sorted((one for one in measurements if start_ns < one.stamp_ns <= end_ns), key=lambda one: one.stamp_ns)
+
+
+def exchanged(positions: Iterable[Position], pair: Pair, since_ns: int = NEVER_NS) -> list[Position]:
+    """Return positions, those of two antennas since a time by each other's name."""
+    other = {pair[0]: pair[1], pair[1]: pair[0]}
+    return [
+        replace(one, sensor=other[one.sensor]) if one.sensor in other and one.stamp_ns >= since_ns else one
+        for one in positions
+    ]
 
 
 def _forget(series: deque[Any], horizon_ns: int) -> None:

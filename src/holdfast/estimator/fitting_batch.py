@@ -6,16 +6,19 @@ lies. GNSS and IMU are what is left.
 """
 
 from collections.abc import Collection, Mapping
+from itertools import combinations
 from math import inf, log
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from holdfast.estimator.batch_clock import Offset, offset_of, restamped
+from holdfast.estimator.collected import exchanged
 from holdfast.estimator.fixes_in_motion import MIN_POSITIONS
 from holdfast.estimator.odometry_tracks import OdometryTracks
 from holdfast.graph.alignment import FITS, JUMPED, Alignment, BatchAligner
 from holdfast.graph.alignment_problem import CLAIMED_DEGREES, MAX_EXCESS, BiasPrior, Evidence, Problems
+from holdfast.integrity.exchanges import Pair
 from holdfast.messages import Array
 from holdfast.sensors.gnss import GnssModel, is_measured
 from holdfast.sensors.imu import ImuBuffer
@@ -40,6 +43,7 @@ class FittingBatch(NamedTuple):
         left_out: who is not in it.
         shift: of the lever arms of antennas that are elsewhere than configured, as a prior of a graph, else None.
         clock: of GNSS, by which the evidence was stamped otherwise, else None.
+        exchanged: antennas whose positions it takes by each other's name.
     """
 
     alignment: Alignment
@@ -47,6 +51,7 @@ class FittingBatch(NamedTuple):
     left_out: frozenset[str] = frozenset()
     shift: Parameter | None = None
     clock: Offset | None = None
+    exchanged: Pair | None = None
 
 
 class FittingBatches:
@@ -114,6 +119,9 @@ class FittingBatches:
             if clocked is not None:
                 return clocked
         if is_at_odds:
+            renamed = self.with_exchanged_antennas(evidence, prior, max_heading_sigma_rad, alignment)
+            if renamed is not None:
+                return renamed
             moved = self.with_moved_antennas(evidence, prior, max_heading_sigma_rad, jump_sigmas)
             if moved is not None:
                 return moved
@@ -160,6 +168,26 @@ class FittingBatches:
         if better < -CLEARLY:
             return None
         return clocked._replace(clock=offset) if better > CLEARLY else as_stamped
+
+    def with_exchanged_antennas(
+        self, evidence: Evidence, prior: BiasPrior, max_heading_sigma_rad: float, alignment: Alignment | None = None
+    ) -> FittingBatch | None:
+        """Return the batch with two antennas' positions by each other's name, if nothing else makes it fit.
+
+        `alignment` is that of the whole, as it is named. Other arguments as of `solve`.
+        """
+        antennas = sorted({one.sensor for one in evidence.positions if is_gnss(self._points[one.sensor])})
+        for pair in combinations(antennas, 2):
+            whole = self._with_motions(evidence._replace(positions=exchanged(evidence.positions, pair)))
+            renamed = self._aligner.solve(whole, prior, max_heading_sigma_rad)
+            if not _fits(renamed):
+                continue
+            without = self._with_motions(Evidence(evidence.positions, ()))
+            rivals = [self._aligner.solve(without, prior, max_heading_sigma_rad)]
+            rivals.append(alignment or self._aligner.solve(self._with_motions(evidence), prior, max_heading_sigma_rad))
+            if not any(_is_vague(one) or _evidence(one, renamed, whole) < JUMPED for one in rivals):
+                return FittingBatch(renamed, whole, exchanged=pair)
+        return None
 
     def with_moved_antennas(
         self, evidence: Evidence, prior: BiasPrior, max_heading_sigma_rad: float, jump_sigmas: Array | None

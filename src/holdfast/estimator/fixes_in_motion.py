@@ -36,7 +36,8 @@ def fixes_in_motion(
     if len(fixes) < MIN_POSITIONS:
         return f"{len(fixes)} usable positions since the IMU measures without a gap; {MIN_POSITIONS} are needed"
     travel = max(travel_m([fix for fix in fixes if fix.sensor == name]) for name in receivers)
-    least_m = TURNED_TRAVEL_M if travel < MIN_TRAVEL_M and _has_turned(buffer, fixes) else MIN_TRAVEL_M
+    is_told = len({fix.sensor for fix in fixes}) > 1 or (travel < MIN_TRAVEL_M and _has_turned(buffer, fixes))
+    least_m = TURNED_TRAVEL_M if is_told else MIN_TRAVEL_M
     needed = max(least_m, MIN_TRAVEL_SIGMAS * float(np.sqrt(fixes[-1].covariance[:2, :2].max())))
     if travel < needed:
         return f"moved {travel:.1f} m; a heading from motion needs {needed:.1f} m"

@@ -29,6 +29,7 @@ from holdfast.graph.alignment import Jump
 from holdfast.graph.alignment_problem import Evidence, thin
 from holdfast.graph.first_guess import level_attitude
 from holdfast.integrity.consensus import Departure, first_of_shape
+from holdfast.integrity.exchanges import Exchange, Pair
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array, Message
 from holdfast.sensors.clock import GNSS_CLOCK, with_estimated_clock
@@ -80,6 +81,7 @@ class Initialising:
         found: Mapping[str, Parameter] = MappingProxyType({}),
     ) -> None:
         imu = config.imu
+        self._exchanges: list[Exchange] = []
         self._config, self._buffer, self._gravity = config, buffer, gravity
         self._sensors = sensors
         self.jump: Jump | None = None  # of the biases, as of the last attempt
@@ -360,15 +362,16 @@ class Initialising:
         return self._judged(batch, lying, now_ns)
 
     def attempt_with_moved_antennas(self) -> OptimisedState | None:
-        """Return a state if an antenna that is elsewhere than configured explains what was measured."""
-        if not self._batches.may_be_moved:
-            return None
+        """Return a state if antennas that are elsewhere than configured, or exchanged, explain what was measured."""
         now_ns = self._buffer.latest_ns
         fixes = fixes_in_motion(self._collected.all_positions, self._points, self._buffer, now_ns)
-        if isinstance(fixes, str) or not turn(fixes):
+        if isinstance(fixes, str):
             return None
         evidence, lying = self._evidence(fixes, now_ns)
-        batch = self._batches.with_moved_antennas(evidence, self.biases.prior, self._limit_rad, self.biases.doubted)
+        prior, limit_rad = self.biases.prior, self._limit_rad
+        batch = self._batches.with_exchanged_antennas(evidence, prior, limit_rad)
+        if batch is None and self._batches.may_be_moved and turn(fixes):
+            batch = self._batches.with_moved_antennas(evidence, prior, limit_rad, self.biases.doubted)
         return None if batch is None else self._judged(batch, lying, now_ns)
 
     def _evidence(self, fixes: Sequence[Position], now_ns: int) -> tuple[Evidence, list[str]]:
@@ -378,7 +381,9 @@ class Initialising:
 
     def _judged(self, batch: FittingBatch, lying: Collection[str], now_ns: int) -> OptimisedState | None:
         """Return the state that a batch tells, if it does."""
-        alignment, evidence, self.doubtful, shift, offset = batch
+        alignment, evidence, self.doubtful, shift, offset, pair = batch
+        if pair is not None:
+            self.exchange(pair, headings=self._opposite(pair, alignment.state))
         if offset is not None:
             self.know_clock_off(offset)
         if shift is not None:
@@ -387,14 +392,34 @@ class Initialising:
         left_out = [*lying, *sorted(self.doubtful)]
         without = f", without {', '.join(left_out)}, at odds with the positions" if left_out else ""
         elsewhere = "" if shift is None else "; the antennas are elsewhere than configured"
+        renamed = "" if pair is None else f"; {' and '.join(pair)} are exchanged"
         clock = "" if offset is None else f"; stamps of GNSS are {offset}"
-        self.reason = f"{alignment.reason}{without}{elsewhere}{clock}"
+        self.reason = f"{alignment.reason}{without}{elsewhere}{renamed}{clock}"
         if alignment.state is None:
             return None
         if self.jump is not None and alignment.has_jumped:
             by_deg_s, ago_s = np.degrees(self.jump.by_rad_s), (now_ns - self.jump.stamp_ns) * 1e-9
             self.reason += f"; the bias of the gyroscope has jumped by {by_deg_s:.2g} deg/s {ago_s:.0f} s ago"
         return self._by_any_clock(alignment.state, evidence.positions[-1])
+
+    def _opposite(self, pair: Pair, state: OptimisedState | None) -> frozenset[str]:
+        """Return the headings from one antenna of a pair to the other that are by half a circle beside a state."""
+        if state is None:
+            return frozenset()
+        between = {name: one for name, one in self._headings.items() if set(pair) == set(one.antennas)}
+        newest = self._collected.newest_of(between)
+        attitude = state.nav.attitude()
+        return frozenset(one.sensor for one in newest if between[one.sensor].is_opposite(one, attitude))
+
+    def exchange(self, pair: Pair, since_ns: int = NEVER_NS, headings: frozenset[str] = frozenset()) -> None:
+        """Know that two antennas' positions have come by each other's name since a time, and headings between them."""
+        self._collected.exchange(pair, since_ns)
+        self._exchanges.append(Exchange(pair, headings))
+
+    def newly_exchanged(self) -> list[Exchange]:
+        """Return the antennas that have been found to be exchanged since this was asked last."""
+        found, self._exchanges = self._exchanges, []
+        return found
 
     def know_clock_off(self, offset: Offset) -> None:
         """Know that the clock of GNSS is off by so much from what was known."""

@@ -23,6 +23,7 @@ from holdfast.estimator.tracking import Tracking, Update
 from holdfast.event_log import EventLog
 from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, gravity
 from holdfast.geometry.world import World
+from holdfast.integrity.exchanges import Exchanges
 from holdfast.integrity.learnt_constants import found_before
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.integrity.lever_arms import LeverArms
@@ -32,7 +33,7 @@ from holdfast.sensors.constants import Constant
 from holdfast.sensors.gnss import GnssModel
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.registry import inputs_of, sensors_of
-from holdfast.sensors.sensor import Joint, Measurement, Position, Role, StampFilter, Velocity, of_role
+from holdfast.sensors.sensor import Joint, Measurement, Position, Role, Sensor, StampFilter, Velocity, of_role
 from holdfast.state import EventKind, Health, OptimisedState, Outcome
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ class Optimiser:
         self.monitor = HealthMonitor(config)
         self.world = World()
         self.gravity = config.frames.gravity or STANDARD_GRAVITY_M_S2
-        self._lever_arms = LeverArms(self._sensors)
+        self._lever_arms, self._exchanges = LeverArms(self._sensors), Exchanges()
         self._phase: Initialising | Tracking = self._initialising()
         self._begin()
         datum = config.frames.datum
@@ -106,9 +107,13 @@ class Optimiser:
             self._log.record(measurement.stamp_ns, measurement.sensor, Outcome.UNREACHED, p_W_P=position)
 
     def _initialising(self, config: Config | None = None) -> Initialising:
-        sensors = self._lever_arms.believed(self._sensors)
+        sensors = self._believed()
         found = found_before(self._learnt.constants, sensors)
         return Initialising(config or self._config, self._buffer, sensors, self.gravity, found)
+
+    def _believed(self) -> dict[str, Sensor]:
+        """Return the models as they are believed to be."""
+        return self._exchanges.believed(self._lever_arms.believed(self._sensors))
 
     def _know(self, learnt: LearntSnapshot) -> None:
         """Know this of the sensors, and nothing else."""
@@ -200,7 +205,7 @@ class Optimiser:
                 self._joint.add(message)
             return None
         frame, name = self.world.frame, message.sensor
-        measurement = self._sensors[name].convert(message, self.world)
+        measurement = self._exchanges.named(self._sensors[name].convert(message, self.world))
         if self.world.frame is not frame:
             self._set_gravity()
         if isinstance(measurement, Velocity):
@@ -280,6 +285,7 @@ class Optimiser:
         what = "reset" if datum is None else f"datum {datum.latitude_deg:.8f} {datum.longitude_deg:.8f}"
         self._log.report(EventKind.RESET, self._buffer.latest_ns, "", f"{what}: starting over")
         if datum is None:
+            self._exchanges = Exchanges()
             self._begin()
             self._know(NOTHING_LEARNT)
             self._phase = self._initialising()
@@ -305,6 +311,7 @@ class Optimiser:
             return None
         before = phase.reason
         state = phase.attempt()
+        self._note_exchanges()
         if state is not None and not state.is_finite():
             reason = "the first state is not finite: starting over"
             self._log.report(EventKind.OPTIMISER_FAULT, self._buffer.latest_ns, "", reason)
@@ -327,7 +334,7 @@ class Optimiser:
         self.monitor.reset(self._buffer.latest_ns)
 
     def _start(self, state: OptimisedState, successor: Successor) -> Tracking:
-        sensors = self._lever_arms.believed(self._sensors)
+        sensors = self._believed()
         if self._listener is not None:
             self._listener.start(state, sensors, self.gravity, successor.start.found)
         tracking = Tracking(
@@ -357,6 +364,7 @@ class Optimiser:
         """Add every measurement whose time the IMU has reached, and optimise once; it must have started."""
         assert isinstance(self._phase, Tracking)
         update = self._phase.update()
+        self._note_exchanges()
         if self._listener is not None:
             self._listener.update(update, self._phase.view())
         if self._lever_arms.review(self._buffer.latest_ns, self._log):
@@ -369,6 +377,11 @@ class Optimiser:
             self._reported = health
             self._log.report(EventKind.HEALTH, self._buffer.latest_ns, "", health)
         return update
+
+    def _note_exchanges(self) -> None:
+        """Take positions from now on by the names of the antennas that they are of."""
+        for exchange in self._start_of_now.newly_exchanged():
+            self._exchanges.add(exchange, self._buffer.latest_ns, self._log)
 
     def _without_heading(self) -> Successor:
         """Return what would begin anew from the motion, by the lever arms as they are believed now."""

@@ -289,6 +289,8 @@ class Tracking:
             self._log.count(STANDSTILL, Outcome.USED, len(standing))
         for smoother in self.graph.smoothers():
             self._optimise(smoother)
+        for exchanged in self._positions.newly_exchanged():
+            self.successor.start.exchange(*exchanged)
         is_recovery = self._recovery.review(self.graph, now_ns)
         self._wandering.review(now_ns)
         for channel in self._headings, self._states:
@@ -363,7 +365,8 @@ class Tracking:
             start.forget_odometry(name)
         vouches = departure is not None and start.odometry_vouches(departure)
         has_odometry = self._odometries.has_trusted and not (vouches or is_turned)
-        self._positions.be_patient(self._gate.patience_s(has_odometry=has_odometry))
+        have_jumped = self._positions.have_jumped
+        self._positions.be_patient(self._gate.patience_s(has_odometry=has_odometry, have_jumped=have_jumped))
         return vouches
 
     def _contradiction(self, *, has_witness: bool) -> Contradiction | None:

@@ -16,6 +16,7 @@ from holdfast.integrity.arm_knowledge import is_arm_known, is_arm_proven
 from holdfast.integrity.baseline import BaselineTest
 from holdfast.integrity.consensus import Consensus, Departure
 from holdfast.integrity.departures import Departures
+from holdfast.integrity.exchanges import Exchanged, ExchangeTest
 from holdfast.integrity.force_learning import ForceLearning, least_scale
 from holdfast.integrity.innovation import in_words
 from holdfast.integrity.learnt_snapshot import LearntScale
@@ -73,6 +74,8 @@ class Positions:
         self._config = config
         self._sensors = sensors
         self._baseline = BaselineTest(lever_arms)
+        self._exchange_test = ExchangeTest()
+        self._exchanged: list[Exchanged] = []
         self._log = log
         self._reviewed_ns = NEVER_NS
         self.are_arms_proven = False  # whether those of antennas are as they were measured
@@ -88,6 +91,12 @@ class Positions:
     def is_trusted(self) -> bool:
         """Whether at least one receiver is trusted."""
         return any(gate.trust is Trust.TRUSTED for gate in self.gates.values())
+
+    @property
+    def have_jumped(self) -> bool:
+        """Whether each lost receiver was left by its fixes faster than a machine moves: then it is them that changed."""
+        lost = [gate for gate in self.gates.values() if gate.trust is Trust.LOST]
+        return bool(lost) and all(gate.reasons[Outcome.TOO_FAST] for gate in lost)
 
     def be_patient(self, believe_after_s: float) -> None:
         """From now on positions must agree among themselves for so long to be right against the estimate [s]."""
@@ -106,6 +115,11 @@ class Positions:
             self.gates[name].become(Trust.LOST, hold_s=self._config.regain_s)
             if of_gnss and name not in of_gnss:
                 self._misplaced.add(name)
+
+    def newly_exchanged(self) -> list[Exchanged]:
+        """Return which antennas have been found to be each where the other is expected, since this was asked last."""
+        found, self._exchanged = self._exchanged, []
+        return found
 
     @property
     def misplaced(self) -> frozenset[str]:
@@ -137,6 +151,8 @@ class Positions:
         found = self._compare(smoother, key, position)
         innovation, state = found.innovation, found.state
         prediction = predict(innovation, state)
+        if is_gnss(self._sensors[name]):
+            self._exchanged += self._exchange_test.note(position, prediction, gate.limit)
         worse = None
         if self._config.baseline:
             worse = self._baseline.contradicted(position, prediction.nis, state.nav.attitude())

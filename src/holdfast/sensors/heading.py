@@ -72,6 +72,17 @@ class HeadingModel(StateSensor):
         other.axis = None
         return other
 
+    def reversed(self) -> "HeadingModel":
+        """Return a model of the same sensor whose axis points the other way."""
+        other = copy(self)
+        other.axis = None if self.axis is None else -self.axis
+        return other
+
+    def is_opposite(self, measured: AxisYaw, attitude: gtsam.Rot3) -> bool:
+        """Whether the axis points the other way than an attitude says."""
+        axis_yaw = None if self.axis is None else yaw_of(attitude.rotate(self.axis))
+        return axis_yaw is not None and cos(measured.yaw_rad - axis_yaw) < 0.0
+
     def convert(self, heading: Heading, world: World) -> AxisYaw | Outcome:  # noqa: ARG002 (yaw is that of W already)
         """Return the heading with its noise, the claim above a floor or the default; or what is wrong with it."""
         claim = radians(self.settings.default_sigma_deg) if heading.sigma_rad is None else heading.sigma_rad
