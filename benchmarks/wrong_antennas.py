@@ -2,8 +2,7 @@
 
 A scenario with two antennas is simulated and estimated with their lever arms as they are, then moved along x and y of
 the machine: both, as where the origin of the file is elsewhere, one of them, and one where the other is left out; then
-the two are exchanged. The
-truth of the simulation judges while fixes come, from the start on.
+the two are exchanged. The truth of the simulation judges while fixes come, from the start on.
 """
 
 import argparse

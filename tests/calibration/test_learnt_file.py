@@ -13,9 +13,12 @@ from motion import ARM, ARM_RIGHT, T_I_L, machine
 
 from holdfast.calibration.learnt_file import check_learnt_file, load_learnt, save_learnt
 from holdfast.calibration.learnt_table import learnt_rows, plain_rows, wrong_lines
+from holdfast.config.model import Config
 from holdfast.errors import ConfigError
 from holdfast.integrity.learnt_snapshot import (
+    NAMES_ARE_RIGHT,
     NOTHING_LEARNT,
+    LearntNames,
     LearntNoiseScale,
     LearntOdometry,
     LearntScale,
@@ -246,3 +249,22 @@ def test_the_end_of_a_command_has_a_few_lines_one_for_each_key():
 def test_the_rows_are_plain_data():
     rows = plain_rows(learnt_rows(KNOWN, machine()))
     assert json.loads(json.dumps(rows, allow_nan=False)) == rows
+
+
+def test_antennas_that_are_exchanged_are_told_with_what_to_write():
+    known = LearntSnapshot(names=LearntNames(antennas={"gnss": "gnss_right", "gnss_right": "gnss"}))
+    rows = learnt_rows(known, machine(right=True))
+    for name, arm, other in (("gnss", ARM, ARM_RIGHT), ("gnss_right", ARM_RIGHT, ARM)):
+        x = next(row for row in rows if row.sensor == name)
+        assert (x.configured, x.learnt, x.looks_wrong) == (pytest.approx(arm[0]), pytest.approx(other[0]), True)
+        assert json.loads(x.write) == pytest.approx(other, abs=1e-3)
+    assert not learnt_rows(known, machine())
+
+
+def test_exchanged_antennas_are_remembered_until_one_is_mounted_elsewhere(tmp_path):
+    known = LearntSnapshot(names=LearntNames(antennas={"gnss": "gnss_right", "gnss_right": "gnss"}))
+    save_learnt(tmp_path / "learnt.json", known, machine(right=True))
+    assert load_learnt(tmp_path / "learnt.json", machine(right=True)).learnt == known
+    config = machine(right=True).model_dump(mode="json")
+    config["extrinsics"][0]["translation_m"][0] += 0.1
+    assert load_learnt(tmp_path / "learnt.json", Config.model_validate(config)).learnt.names == NAMES_ARE_RIGHT

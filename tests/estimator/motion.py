@@ -109,6 +109,28 @@ class StopAndGo(Drive):
 
 
 @dataclass(frozen=True)
+class FigureEight(Drive):
+    """Looks where it drives: on a circle at a constant speed an arm looks like another heading."""
+
+    def _derivatives(self, u):
+        """Position and its first two derivatives by phase."""
+        p = np.array([20.0 * np.sin(u), 10.0 * np.sin(2.0 * u), 0.0])
+        return p, np.array([20.0 * np.cos(u), 20.0 * np.cos(2.0 * u), 0.0]), np.array([-p[0], -4.0 * p[1], 0.0])
+
+    def nav(self, t):
+        u, du, _ = self.phase(t)
+        p, first, _ = self._derivatives(u)
+        return gtsam.NavState(gtsam.Rot3.Yaw(np.arctan2(first[1], first[0])), p, first * du)
+
+    def readings(self, t):
+        u, du, ddu = self.phase(t)
+        _, first, second = self._derivatives(u)
+        rate = (first[0] * second[1] - first[1] * second[0]) / (first @ first) * du
+        force = self.nav(t).attitude().unrotate(second * du**2 + first * ddu + UP)
+        return force, np.array([0.0, 0.0, rate])
+
+
+@dataclass(frozen=True)
 class ConstantTwist:
     """Constant twist from `gtsam.ConstantTwistScenario`, which owes nothing to `Drive`."""
 

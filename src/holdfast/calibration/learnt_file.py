@@ -18,7 +18,12 @@ from holdfast.config.model import Config
 from holdfast.config.section import Section
 from holdfast.config.sensors import MountedConfig, SensorConfig
 from holdfast.errors import ConfigError
-from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntOdometry, LearntSnapshot
+from holdfast.integrity.learnt_snapshot import (
+    NAMES_ARE_RIGHT,
+    NOTHING_LEARNT,
+    LearntOdometry,
+    LearntSnapshot,
+)
 from holdfast.output_folder import check_output_file
 from holdfast.sensors.clock import CLOCK, with_estimated_clock
 from holdfast.sensors.constants import priors_of_imu
@@ -161,8 +166,15 @@ def _fitting(file: LearntFile, config: Config) -> Loaded:
     noise = {name: one for name, one in file.learnt.noise.items() if name in known}
     at_joint = [changed.get(one[0]) for one in (config.joint, config.base_imu) if one is not None]
     joint = file.learnt.joint if at_joint == [{}, {}] else NOTHING_OF_JOINT
+    names = file.learnt.names
+    are_mounted_so = all(_holds(changed.get(name), MOUNT_KEYS) for name in (*names.antennas, *names.reversed))
     learnt = LearntSnapshot(
-        odometries=odometries, noise=noise, constants=constants, accelerometer=accelerometer, joint=joint
+        odometries=odometries,
+        noise=noise,
+        constants=constants,
+        accelerometer=accelerometer,
+        joint=joint,
+        names=names if are_mounted_so else NAMES_ARE_RIGHT,
     )
     return Loaded(learnt, warnings)
 

@@ -37,7 +37,7 @@ from holdfast.sensors.lever_arm import ARM
 from holdfast.sensors.odometry_calibration import NOMINAL, mounted
 from holdfast.sensors.registry import sensors_of
 from holdfast.sensors.scale import SCALE
-from holdfast.sensors.sensor import Parameter
+from holdfast.sensors.sensor import Parameter, lever_arm
 
 SEEN = 0.55  # sigma of a logarithm above which a factor is not known: half of the prior's
 SIGMA = 3.0
@@ -92,6 +92,10 @@ def learnt_rows(learnt: LearntSnapshot, config: Config) -> list[Row]:
     of_imu = gyroscope_factor(learnt.odometries.values()), accelerometer_factor(learnt.accelerometer)
     rows += [row for factor in of_imu for row in _of_imu_noise(config, factor)]
     rows += _of_joint(config, learnt.joint)
+    for name, really in learnt.names.antennas.items():
+        if {name, really} <= config.sensors_of(GnssConfig).keys():
+            apart = lever_arm(really, config) - lever_arm(name, config)
+            rows += _of_arm(name, config, apart, np.full(3, SLACK_M))
     for name, noise in learnt.noise.items():
         rows += _of_noise(name, config, noise)
     return rows

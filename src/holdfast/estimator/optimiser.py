@@ -80,7 +80,7 @@ class Optimiser:
         self.monitor = HealthMonitor(config)
         self.world = World()
         self.gravity = config.frames.gravity or STANDARD_GRAVITY_M_S2
-        self._lever_arms, self._exchanges = LeverArms(self._sensors), Exchanges()
+        self._lever_arms = LeverArms(self._sensors)
         self._phase: Initialising | Tracking = self._initialising()
         self._begin()
         datum = config.frames.datum
@@ -117,12 +117,13 @@ class Optimiser:
 
     def _know(self, learnt: LearntSnapshot) -> None:
         """Know this of the sensors, and nothing else."""
-        self._learnt = learnt
+        self._learnt, self._exchanges = learnt, Exchanges(learnt.names)
         self._scales = {name: NoiseScale(learnt.noise.get(name)) for name in self._sensors}
 
     def learnt(self) -> LearntSnapshot:
         """Return what was learnt of the sensors until now, in this start or before it."""
-        return self._learnt.updated(self._phase.learnt()) if isinstance(self._phase, Tracking) else self._learnt
+        learnt = self._learnt.updated(self._phase.learnt()) if isinstance(self._phase, Tracking) else self._learnt
+        return learnt.with_names(self._exchanges.learnt())
 
     @property
     def _start_of_now(self) -> Initialising:
@@ -285,7 +286,6 @@ class Optimiser:
         what = "reset" if datum is None else f"datum {datum.latitude_deg:.8f} {datum.longitude_deg:.8f}"
         self._log.report(EventKind.RESET, self._buffer.latest_ns, "", f"{what}: starting over")
         if datum is None:
-            self._exchanges = Exchanges()
             self._begin()
             self._know(NOTHING_LEARNT)
             self._phase = self._initialising()
@@ -382,6 +382,7 @@ class Optimiser:
         """Take positions from now on by the names of the antennas that they are of."""
         for exchange in self._start_of_now.newly_exchanged():
             self._exchanges.add(exchange, self._buffer.latest_ns, self._log)
+            self._lever_arms.forget_means(exchange.pair)
 
     def _without_heading(self) -> Successor:
         """Return what would begin anew from the motion, by the lever arms as they are believed now."""

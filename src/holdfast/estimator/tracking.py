@@ -303,6 +303,15 @@ class Tracking:
         self.successor.calm(now_ns)
         published = self.graph.published
         published.imu_noise.walk_scale = self.successor.walk_scale
+        beginning = self._beginning(now_ns)
+        if beginning is not None:
+            return Update(beginning.state, (), is_recovery=True, begins_anew=True)
+        if is_recovery:
+            self._monitor.recovered(now_ns)
+        return Update(published.newest, published.settled(), is_recovery, standing=standing)
+
+    def _beginning(self, now_ns: int) -> Beginning | None:
+        """Return a state to begin anew from, if what was measured contradicts the estimate; report why."""
         is_turned = self._odometries.part_from_gyroscope(now_ns)
         has_witness = self._odometry_vouches(is_turned=is_turned)
         # else it is the positions that have begun to err
@@ -312,19 +321,15 @@ class Tracking:
             self.successor.doubt()
         beginning = self.successor.settle_doubt()
         if beginning is None and contradiction is not None:
-            beginning = self.successor.begin(published.newest, contradiction.since_ns)
+            beginning = self.successor.begin(self.graph.published.newest, contradiction.since_ns)
         if beginning is None and (is_turned or (is_alone and self._is_astray())):
             beginning = self.successor.after_jump(now_ns, has_witness=is_turned)
         if beginning is None:
             beginning = self._with_moved_antennas(now_ns)
         if beginning is not None:
-            self._log.report(
-                EventKind.BEGUN_ANEW, now_ns, "" if contradiction is None else contradiction.sensor, beginning.reason
-            )
-            return Update(beginning.state, (), is_recovery=True, begins_anew=True)
-        if is_recovery:
-            self._monitor.recovered(now_ns)
-        return Update(published.newest, published.settled(), is_recovery, standing=standing)
+            sensor = "" if contradiction is None else contradiction.sensor
+            self._log.report(EventKind.BEGUN_ANEW, now_ns, sensor, beginning.reason)
+        return beginning
 
     def _tell_clock(self, now_ns: int) -> None:
         """Let what would begin anew know the clock of GNSS that the graph has found, while positions are expected."""

@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from holdfast.event_log import EventLog
+from holdfast.integrity.learnt_snapshot import NAMES_ARE_RIGHT, LearntNames
 from holdfast.integrity.lever_arms import PAIRED_NS
 from holdfast.integrity.receiver import Prediction
 from holdfast.sensors.heading import HeadingModel
@@ -29,11 +30,20 @@ class Exchange(NamedTuple):
 
 
 class Exchanges:
-    """By which names positions come, from one start over to the next."""
+    """By which names positions come, from one start over to the next.
 
-    def __init__(self) -> None:
-        self._really: dict[str, str] = {}
-        self._reversed: frozenset[str] = frozenset()  # headings
+    Args:
+        known: what was found before.
+    """
+
+    def __init__(self, known: LearntNames = NAMES_ARE_RIGHT) -> None:
+        self._really = dict(known.antennas)
+        self._reversed = frozenset(known.reversed)  # headings
+
+    def learnt(self) -> LearntNames:
+        """Return what is known now."""
+        antennas = {said: really for said, really in self._really.items() if said != really}
+        return LearntNames(antennas=antennas, reversed=tuple(sorted(self._reversed)))
 
     def named(self, measurement: Measurement | Outcome) -> Measurement | Outcome:
         """Return a measurement by the name of the antenna that it is of."""

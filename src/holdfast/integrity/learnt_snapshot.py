@@ -162,6 +162,20 @@ class LearntNoiseScale(Section):
     white_count: int = Field(0, ge=0, description="differences on which that rests")
 
 
+class LearntNames(Section):
+    """Antennas whose positions come by each other's name."""
+
+    antennas: dict[str, str] = Field(
+        {}, description="of which antenna the positions by a name are, where not of its own"
+    )
+    reversed: tuple[str, ...] = Field(
+        (), description="headings from one of them to the other that are the other way round"
+    )
+
+
+NAMES_ARE_RIGHT = LearntNames()
+
+
 class LearntSnapshot(Section):
     """What has been learnt of all sensors, by their names; of constants by that under which the graph knows them."""
 
@@ -170,20 +184,26 @@ class LearntSnapshot(Section):
     constants: dict[str, LearntConstant] = Field({}, description="mountings, clocks and lever arms")
     accelerometer: LearntScale | None = Field(None, description="factor on `accelerometer_error_ratio`")
     joint: LearntJoint = Field(NOTHING_OF_JOINT, description="encoder and mountings at the turn joint")
+    names: LearntNames = Field(NAMES_ARE_RIGHT, description="antennas that are exchanged")
 
     def updated(self, newer: "LearntSnapshot") -> "LearntSnapshot":
-        """Return what was learnt later, and of what nothing was learnt since, this; of the joint always this."""
+        """Return what was learnt later, and of what nothing was learnt since, this; of joint and names always this."""
         return LearntSnapshot(
             odometries={**self.odometries, **newer.odometries},
             noise={**self.noise, **newer.noise},
             constants={**self.constants, **newer.constants},
             accelerometer=newer.accelerometer or self.accelerometer,
             joint=self.joint,
+            names=self.names,
         )
 
     def with_joint(self, joint: LearntJoint) -> "LearntSnapshot":
         """Return it with what the IMU path knows of the turn joint, which no graph learns."""
         return self.model_copy(update={"joint": joint})
+
+    def with_names(self, names: LearntNames) -> "LearntSnapshot":
+        """Return it with what is known of names beside the graphs."""
+        return self.model_copy(update={"names": names})
 
     def without_constants(self) -> "LearntSnapshot":
         """Return what an estimate that was wrong cannot have learnt wrongly."""

@@ -5,7 +5,7 @@ that one is wrong, not which, nor in which direction: an error e across a baseli
 e^2 / 2b only, and its direction, which is the heading, by e / b.
 """
 
-from collections.abc import Mapping, Set
+from collections.abc import Collection, Mapping, Set
 from enum import Enum
 from itertools import combinations
 from math import atan2, exp, hypot, radians, sqrt
@@ -195,6 +195,12 @@ class LeverArms:
         if pair.belief is Belief.RIGHT or not self._antennas >= {one.sensor, other.sensor}:
             return  # the grid of a prism may lie elsewhere: that is no arm
         pair.note(one, other, attitude)
+
+    def forget_means(self, names: Collection[str]) -> None:
+        """Forget what was measured between some antennas and others, which were not where it seemed."""
+        for both, pair in self._pairs.items():
+            if not set(names).isdisjoint(both):
+                pair.mean = MeanBaseline()
 
     def review(self, now_ns: int, log: EventLog) -> bool:
         """Report what is new; say whether other arms are in doubt than before."""

@@ -94,7 +94,7 @@ class Positions:
 
     @property
     def have_jumped(self) -> bool:
-        """Whether each lost receiver was left by its fixes faster than a machine moves: then it is them that changed."""
+        """Whether the fixes of all lost receivers have moved faster than a machine: then it is them that changed."""
         lost = [gate for gate in self.gates.values() if gate.trust is Trust.LOST]
         return bool(lost) and all(gate.reasons[Outcome.TOO_FAST] for gate in lost)
 

@@ -8,7 +8,7 @@ a track that is right at the stamps of the IMU is not wrong because the receiver
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol, cast
 
 import gtsam
@@ -18,7 +18,7 @@ from holdfast.config.model import Config
 from holdfast.errors import ConfigError
 from holdfast.geometry.earth import LocalFrame
 from holdfast.geometry.world import World
-from holdfast.integrity.learnt_snapshot import LearntSnapshot
+from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.messages import Array, Message
 from holdfast.sensors.clock import has_estimated_clock, with_estimated_clock
 from holdfast.sensors.registry import sensors_of
@@ -281,8 +281,10 @@ class HeldOutJudge:
 
     def _calibrated(self, position: Position, in_outage: bool) -> _Due:
         """Return a position with what has been learnt of its receiver until now."""
+        learnt_now = NOTHING_LEARNT if self._estimator is None else self._estimator.learnt()
+        known, name = learnt_now.constants, position.sensor
+        position = replace(position, sensor=learnt_now.names.antennas.get(name, name))
         sensor = with_estimated_clock(self._sensors[position.sensor])
-        known = {} if self._estimator is None else self._estimator.learnt().constants
         value = np.zeros(0)
         for prior in sensor.parameters:
             learnt = known.get(prior.name(position.sensor))
