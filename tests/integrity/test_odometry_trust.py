@@ -25,7 +25,11 @@ def lost():
 
 
 def noted(trust, jumps):
-    return [trust.note_motion(ns(0.1 * k), jump) for k, jump in enumerate(jumps)]
+    since_ns = []
+    for k, jump in enumerate(jumps):
+        trust.note_motion(ns(0.1 * k), jump)
+        since_ns.append(trust.lies_since_ns)
+    return since_ns
 
 
 def test_motions_that_depart_one_after_another_in_one_direction_are_a_lie_since_the_first():

@@ -1,6 +1,7 @@
 """Odometries on their way into both graphs: which jump, slip, lie or fall silent, and what they say against GNSS."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from enum import Enum
 from math import degrees
 from types import MappingProxyType
@@ -180,7 +181,12 @@ class Odometries:
             outcome = self._watch(graph, odometry, pose, now_ns)
             self._log.record(pose.stamp_ns, pose.sensor, outcome)
             return outcome
-        outcome, jump = graph.add_pose(pose)
+        before = graph.newest_pose(pose.sensor)
+        is_measured = before is None or graph.main.imu.is_trusted(before.stamp_ns, pose.stamp_ns)
+        is_doubtful = odometry.trust.lies_since_ns is not None and not is_measured  # nobody can say that it has ended
+        if is_doubtful:
+            odometry.forget_frame()
+        outcome, jump = graph.add_pose(replace(pose, begins_anew=True) if is_doubtful else pose)
         if outcome is Outcome.USED:
             odometry.hear(now_ns)
             if odometry.is_silent:
@@ -190,7 +196,9 @@ class Odometries:
             reason = "it begins a new map: the motion since the pose before is not measured"
             self._log.report(EventKind.ODOMETRY_JUMP, pose.stamp_ns, pose.sensor, reason)
             odometry.forget_frame()
-        seems_since_ns = odometry.trust.note_motion(pose.stamp_ns, jump)
+        if not is_doubtful:
+            odometry.trust.note_motion(pose.stamp_ns, jump)
+        seems_since_ns = odometry.trust.lies_since_ns
         lies_since_ns = self._unless_fixes_agree(graph, odometry, pose, seems_since_ns, now_ns)
         jumps = Jumps.FEW if jump is None or seems_since_ns is not None else odometry.note_jump(pose.stamp_ns)
         if jump is not None:

@@ -49,6 +49,7 @@ class OdometryTrust:
 
     Attributes:
         is_lost: whether it is not trusted.
+        lies_since_ns: since when it seems to lie, by the last motion that the IMU could judge; None: it does not.
         watched: the pose that is compared next, when fixes have come beside it; of use only while it is not.
         mount: the rotation vector (3,) by which the odometry is mounted otherwise than configured, if it was found with
             that the odometry has moved as the estimate; in the axes of its sensor [rad].
@@ -58,30 +59,29 @@ class OdometryTrust:
         self.is_lost = False
         self._calibration = calibration
         self._jumps: list[tuple[int, Array]] = []  # in a row
-        self._lies_since_ns: int | None = None
+        self.lies_since_ns: int | None = None
         self._slipped_ns = NEVER_NS
         self.watched: TrackPose | None = None
         self._seen: deque[Watched] = deque(maxlen=REMEMBERED)  # all of which agree
         self._known: deque[Watched] = deque(maxlen=SEARCHED)  # the newest in a row, whether they agree or not
         self.mount: Array | None = None
 
-    def note_motion(self, stamp_ns: int, jump: Array | None) -> int | None:
-        """Note a motion, and by how many sigmas (6,) the IMU contradicts it; return since when the odometry lies.
+    def note_motion(self, stamp_ns: int, jump: Array | None) -> None:
+        """Note a motion, and by how many sigmas (6,) the IMU contradicts it.
 
         Noise and outliers take back with one motion what they added with another; a lie goes on in its direction.
         """
         if jump is None:
             self._jumps.clear()
-            self._lies_since_ns = None
-            return None
+            self.lies_since_ns = None
+            return
         self._jumps = [*self._jumps[1 - JUMPS_IN_A_ROW :], (stamp_ns, jump)]
         sigmas = np.array([of_one for _, of_one in self._jumps])
         is_one_way = np.linalg.norm(sigmas.sum(axis=0)) > ONE_WAY * np.linalg.norm(sigmas, axis=1).sum()
         if len(self._jumps) < JUMPS_IN_A_ROW or not is_one_way:
-            self._lies_since_ns = None
-        elif self._lies_since_ns is None:
-            self._lies_since_ns = self._jumps[0][0]
-        return self._lies_since_ns
+            self.lies_since_ns = None
+        elif self.lies_since_ns is None:
+            self.lies_since_ns = self._jumps[0][0]
 
     def note_slip(self, stamp_ns: int, distance_m: float, moved_m: float) -> bool:
         """Note a slip over a way; say whether it is not the first of late, so that the odometry lies.
@@ -97,7 +97,7 @@ class OdometryTrust:
         """Trust it no more."""
         self.is_lost, self.watched, self._slipped_ns = True, None, NEVER_NS
         self._jumps.clear()
-        self._lies_since_ns = None
+        self.lies_since_ns = None
         self._seen.clear()
         self._known.clear()
         self.mount = None
