@@ -218,10 +218,10 @@ def driven(lidar, liar, from_s, end_s, **gate):
 
 @pytest.mark.parametrize(
     ("lidar", "believe_after_s", "patience_s"),
-    [(False, None, 1.0), (False, 6.0, 6.0), (True, 6.0, 6.0), (True, None, 30.0)],
+    [(False, None, 5.0), (False, 6.0, 6.0), (True, 6.0, 6.0), (True, None, 30.0)],
 )
 def test_fixes_that_jump_aside_are_believed_after_the_time_that_is_configured(lidar, believe_after_s, patience_s):
-    """With and without lidar; by default a second, or half a minute beside an odometry."""
+    """With and without lidar; by default five seconds, or half a minute beside an odometry."""
     end_s = 10.0 + patience_s + 4.0
     estimator, outputs = driven(lidar, lambda _: 8.0, 10.0, end_s, believe_after_s=believe_after_s)
     found_s, *_settled_s = beginnings_s(estimator)

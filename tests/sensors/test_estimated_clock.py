@@ -9,10 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numeric import assert_derivatives, random_state
 
-from holdfast.config.sensors import GnssConfig, HeadingConfig
+from holdfast.config.sensors import GnssConfig, HeadingConfig, PrismConfig
 from holdfast.sensors.clock import has_estimated_clock, receiver_constants, with_estimated_clock
 from holdfast.sensors.gnss import GnssModel
 from holdfast.sensors.heading import AxisYaw, HeadingModel
+from holdfast.sensors.prism import PrismModel
 from holdfast.sensors.sensor import Position
 
 ARM = np.array([0.3, -0.2, 2.0])
@@ -86,3 +87,22 @@ def test_arm_and_offset_are_told_apart():
     found = receiver_constants(both, np.array([*(arm - ARM), -0.01]))
     np.testing.assert_allclose(found[0], arm)
     assert found[1] == pytest.approx(-0.01)
+
+
+@given(st.integers(0, 10_000), st.floats(-1.0, 1.0))
+def test_what_is_in_the_stamps_already_is_not_looked_for_again(seed, known_s):
+    """The parameter stays the whole offset: what is told of it does not depend on how much is known."""
+    state = random_state(seed, (0.0,))
+    whole, rest = (state._replace(parameter=np.array([by_s])) for by_s in (known_s + 0.01, 0.01))
+    position = position_of([3.0, -2.0, 1.0])
+    known = with_estimated_clock(mounted(), known_s)
+    of_known, of_unknown = known.innovation(position, whole), with_estimated_clock(mounted()).innovation(position, rest)
+    np.testing.assert_allclose(of_known.y, of_unknown.y, atol=1e-9)
+    np.testing.assert_allclose(of_known.J, of_unknown.J, atol=1e-9)
+    assert receiver_constants(known, whole.parameter)[1] == pytest.approx(0.01)
+
+
+def test_a_clock_of_gnss_is_not_that_of_another_sensor():
+    prism = PrismModel("prism", PrismConfig(kind="prism", topic="/prism"), ARM)
+    assert with_estimated_clock(prism, 0.3).known_s == 0.0
+    assert with_estimated_clock(mounted(), 0.3).known_s == 0.3

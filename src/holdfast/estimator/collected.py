@@ -10,6 +10,7 @@ from holdfast.estimator.pose_as_point import as_position
 from holdfast.estimator.spacing import Spacing
 from holdfast.integrity.exchanges import Pair
 from holdfast.measured_fields import NEVER_NS
+from holdfast.sensors.clock import is_by_gnss_clock, measured_later
 from holdfast.sensors.odometry import TrackPose
 from holdfast.sensors.sensor import Measurement, Position, Role, Sensor, Velocity, is_gnss
 
@@ -32,7 +33,7 @@ class Collected:
         velocities: in the order of arrival.
         others: headings and poses, by sensor.
         newest_ns: the latest stamp.
-        clock_ns: by how much stamps of GNSS are early; velocities come with that added, positions without.
+        clock_ns: by how much stamps of GNSS are early: it is added to those of all that comes and is kept.
     """
 
     def __init__(
@@ -49,9 +50,11 @@ class Collected:
 
     def add(self, measurement: Measurement) -> None:
         """Take in a measurement, and forget what is too old beside it."""
-        role = self._sensors[measurement.sensor].role
+        sensor = self._sensors[measurement.sensor]
+        role = sensor.role
+        if is_by_gnss_clock(sensor):
+            measurement = measured_later(measurement, self.clock_ns)
         if role is Role.POSITION and isinstance(measurement, Position):
-            measurement = self.restamped(measurement)
             self.positions.append(measurement)
             self.all_positions.append(measurement)
             self._spacings[measurement.sensor].add(measurement.stamp_ns)
@@ -91,10 +94,6 @@ class Collected:
         """Know that two antennas' positions have come by each other's name since a time."""
         self.positions = deque(exchanged(self.positions, pair, since_ns))
         self.all_positions = deque(exchanged(self.all_positions, pair, since_ns))
-
-    def restamped(self, one: Position) -> Position:
-        """Return a position as it was stamped by the IMU's clock."""
-        return self._later(one, self.clock_ns)
 
     def _later(self, one: Position, by_ns: int) -> Position:
         """Return a position, if it is one of GNSS, as one that was taken later."""

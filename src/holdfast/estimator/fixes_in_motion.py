@@ -18,7 +18,7 @@ LEAST_WAY_M, COS_TURNED = 0.3, cos(radians(30.0))
 
 
 def fixes_in_motion(
-    positions: Iterable[Position], receivers: Collection[str], buffer: ImuBuffer, now_ns: int
+    positions: Iterable[Position], receivers: Collection[str], buffer: ImuBuffer, now_ns: int, *, is_pair: bool = False
 ) -> list[Position] | str:
     """Return positions, thinned, since the IMU measures without a gap; or what is missing.
 
@@ -27,6 +27,7 @@ def fixes_in_motion(
         receivers: of them, by name.
         buffer: of the IMU's samples.
         now_ns: until when.
+        is_pair: two of the receivers tell the heading: the motion need only tell whether it is the right way round.
     """
     if not receivers:
         return "moving, and no source of positions is configured: start at standstill"
@@ -36,7 +37,7 @@ def fixes_in_motion(
     if len(fixes) < MIN_POSITIONS:
         return f"{len(fixes)} usable positions since the IMU measures without a gap; {MIN_POSITIONS} are needed"
     travel = max(travel_m([fix for fix in fixes if fix.sensor == name]) for name in receivers)
-    is_told = len({fix.sensor for fix in fixes}) > 1 or (travel < MIN_TRAVEL_M and _has_turned(buffer, fixes))
+    is_told = is_pair or (travel < MIN_TRAVEL_M and _has_turned(buffer, fixes))
     least_m = TURNED_TRAVEL_M if is_told else MIN_TRAVEL_M
     needed = max(least_m, MIN_TRAVEL_SIGMAS * float(np.sqrt(fixes[-1].covariance[:2, :2].max())))
     if travel < needed:

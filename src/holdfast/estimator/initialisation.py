@@ -136,7 +136,7 @@ class Initialising:
 
     @property
     def clock_ns(self) -> int:
-        """By how much stamps of GNSS are early: velocities are to come with that added, positions without."""
+        """By how much stamps of GNSS are known to be early."""
         return self._collected.clock_ns
 
     def check_velocities(self) -> None:
@@ -166,8 +166,7 @@ class Initialising:
     def odometry_vouches(self, departure: Departure) -> bool:
         """Whether an odometry has moved in the shape of positions that an estimate leaves."""
         arm = self._points[departure.positions[-1].sensor].p_I_P
-        positions = [self._collected.restamped(one) for one in departure.positions]
-        return self._odometries.move_as(positions, arm, departure.by_m / TIMES_NEARER)
+        return self._odometries.move_as(departure.positions, arm, departure.by_m / TIMES_NEARER)
 
     def fixes_vouch_for(self, odometry: str, since_ns: int) -> bool | None:
         """Whether an odometry has moved in the shape of positions from before a time until now; None: too few since."""
@@ -344,10 +343,16 @@ class Initialising:
             return 0.0, 1e-3  # W is where the machine starts: heading is zero by definition
         return None
 
+    @property
+    def _has_pair(self) -> bool:
+        """Whether there are two antennas that tell the heading."""
+        return self._antennas is not None
+
     # --- in motion ---------------------------------------------------------------------------------------------------
 
     def _in_motion(self, now_ns: int, limit_rad: float, *, may_have_jumped: bool) -> OptimisedState | None:
-        fixes = fixes_in_motion(self._collected.positions, self._points, self._buffer, now_ns)
+        positions, is_pair = self._collected.positions, may_have_jumped and self._has_pair
+        fixes = fixes_in_motion(positions, self._points, self._buffer, now_ns, is_pair=is_pair)
         if isinstance(fixes, str):
             self.reason = fixes
             return None
@@ -364,7 +369,8 @@ class Initialising:
     def attempt_with_moved_antennas(self) -> OptimisedState | None:
         """Return a state if antennas that are elsewhere than configured, or exchanged, explain what was measured."""
         now_ns = self._buffer.latest_ns
-        fixes = fixes_in_motion(self._collected.all_positions, self._points, self._buffer, now_ns)
+        positions, is_pair = self._collected.all_positions, self._has_pair
+        fixes = fixes_in_motion(positions, self._points, self._buffer, now_ns, is_pair=is_pair)
         if isinstance(fixes, str):
             return None
         evidence, lying = self._evidence(fixes, now_ns)

@@ -6,7 +6,6 @@ the sensors, unless someone asked for the restart.
 
 from collections import Counter
 from collections.abc import Collection, Iterable
-from dataclasses import replace
 from math import isfinite
 from typing import TYPE_CHECKING
 
@@ -33,7 +32,7 @@ from holdfast.sensors.constants import Constant
 from holdfast.sensors.gnss import GnssModel
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.registry import inputs_of, sensors_of
-from holdfast.sensors.sensor import Joint, Measurement, Position, Role, Sensor, StampFilter, Velocity, of_role
+from holdfast.sensors.sensor import Joint, Measurement, Position, Role, Sensor, StampFilter, of_role
 from holdfast.state import EventKind, Health, OptimisedState, Outcome
 
 if TYPE_CHECKING:
@@ -209,8 +208,6 @@ class Optimiser:
         measurement = self._exchanges.named(self._sensors[name].convert(message, self.world))
         if self.world.frame is not frame:
             self._set_gravity()
-        if isinstance(measurement, Velocity):
-            measurement = replace(measurement, stamp_ns=measurement.stamp_ns + self._start_of_now.clock_ns)
         outcome = measurement if isinstance(measurement, Outcome) else self._check_stamp(measurement, message)
         if isinstance(measurement, Outcome) or outcome is not Outcome.USED:
             if isinstance(self._phase, Tracking):

@@ -31,7 +31,7 @@ from holdfast.integrity.positions import Contradiction, Positions
 from holdfast.integrity.recovery import Recovery
 from holdfast.integrity.states import JointAt, States
 from holdfast.integrity.yaw_learning import Witness
-from holdfast.sensors.clock import GNSS_CLOCK, with_estimated_clock
+from holdfast.sensors.clock import GNSS_CLOCK, is_by_gnss_clock, measured_later, with_estimated_clock
 from holdfast.sensors.constants import Constant, priors_of_machine
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lever_arm import GNSS_ARM
@@ -101,7 +101,9 @@ class Tracking:
         self._roles = {name: sensor.role for name, sensor in sensors.items()}
         self._constraints = [sensor for sensor in sensors.values() if isinstance(sensor, ConstraintSensor)]
         self._gate = config.gate
-        sensors = {name: with_estimated_clock(sensor) for name, sensor in sensors.items()}
+        self._clock_ns = successor.start.clock_ns  # by which stamps of GNSS are known to be early
+        self._by_gnss_clock = {name for name, sensor in sensors.items() if is_by_gnss_clock(sensor)}
+        sensors = {name: with_estimated_clock(sensor, self._clock_ns * 1e-9) for name, sensor in sensors.items()}
         receivers = of_role(sensors, Role.POSITION)
         self._positions = Positions(
             config.gate,
@@ -220,9 +222,17 @@ class Tracking:
 
     def go_on_from(self, before: "Tracking") -> None:
         """Begin with what was found wrong of sensors before the estimate began anew."""
-        self.queue = before.queue
+        for waiting in before.queue.drain():
+            self.queue.push(measured_later(waiting, self._early_ns(waiting) - before._early_ns(waiting)))
         self.distrust(before.distrusted)
         self._odometries.go_on_from(self.graph, before._odometries)
+
+    def _early_ns(self, measurement: Measurement) -> int:
+        """Return by how much the stamp of a measurement is known to be early; of a velocity no graph estimates that."""
+        if measurement.sensor not in self._by_gnss_clock:
+            return 0
+        is_velocity = self._roles[measurement.sensor] is Role.VELOCITY
+        return self.successor.start.clock_ns if is_velocity else self._clock_ns
 
     def refuse(self, sensor: str, outcome: Outcome) -> None:
         """Note a message that could not be converted."""
@@ -253,6 +263,7 @@ class Tracking:
         """Let a measurement wait until the IMU has reached its time, unless it is too late."""
         if measurement.sensor not in self._odometries.distrusted:
             self.successor.add(measurement)
+        measurement = measured_later(measurement, self._early_ns(measurement))
         stamp_ns, published = measurement.stamp_ns, self.graph.published
         name = measurement.sensor
         if stamp_ns < published.oldest_ns:

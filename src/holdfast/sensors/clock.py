@@ -3,9 +3,13 @@
 A measurement stamped t was taken at t + tau. Over so short a time the state moves by a twist, its mean as the IMU
 measured it, so that h(x(t + tau)) = h(x) + H xi tau: (53) in docs/math.md. That holds for every sensor whose innovation
 depends on attitude and position, and asks nothing of it.
+
+So far off that this is too short, a clock is known before (90): what it stamps comes with `known_s` added, and tau goes
+on from there.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import gtsam
@@ -14,6 +18,7 @@ import numpy as np
 from holdfast.messages import Array
 from holdfast.sensors.sensor import (
     Innovation,
+    Measurement,
     Parameter,
     Position,
     PositionSensor,
@@ -34,11 +39,12 @@ class EstimatedClock:
     Args:
         sensor: of which an innovation and a factor are asked.
         sigma_s: of the offset.
+        known_s: what of the offset is in the stamps of measurements already.
     """
 
-    def __init__(self, sensor: Any, sigma_s: float) -> None:
-        self._sensor = sensor
-        shared = GNSS_CLOCK if sensor.role is Role.HEADING or is_gnss(sensor) else ""
+    def __init__(self, sensor: Any, sigma_s: float, known_s: float = 0.0) -> None:
+        self._sensor, self.known_s = sensor, known_s
+        shared = GNSS_CLOCK if is_by_gnss_clock(sensor) else ""
         if_right = np.array([IF_RIGHT_S])
         clock = Parameter(
             np.zeros(1), np.array([sigma_s]), if_right, shared, part=CLOCK, change=if_right, has_clock=True
@@ -50,7 +56,7 @@ class EstimatedClock:
 
     def first_parameter(self, measurement: Any, state: State) -> Array:
         """Return the parameters (p,) about which the first factor is linearised."""
-        return np.append(self._sensor.first_parameter(measurement, state), 0.0)
+        return np.append(self._sensor.first_parameter(measurement, state), self.known_s)
 
     def innovation(self, measurement: Any, state: State) -> Innovation | Outcome:
         """Compare a measurement with a state at the time when it was taken."""
@@ -58,7 +64,7 @@ class EstimatedClock:
         found: Innovation | Outcome = self._sensor.innovation(measurement, own)
         if isinstance(found, Outcome):
             return found
-        off_s = float(state.parameter[-1])
+        off_s = float(state.parameter[-1]) - self.known_s
         twist = np.concatenate([state.angular_velocity, state.nav.bodyVelocity()]) + state.twist_beyond(off_s)
         by_offset = found.H[:, :6] @ twist
         y, J = found.y - by_offset * off_s, np.empty((len(by_offset), len(state.parameter)))
@@ -77,8 +83,8 @@ class EstimatedClock:
 class PositionClock:
     """The same of a sensor of positions, whose factor is asked for in another way."""
 
-    def __init__(self, sensor: Any, sigma_s: float) -> None:
-        self._clocked = EstimatedClock(sensor, sigma_s)
+    def __init__(self, sensor: Any, sigma_s: float, known_s: float = 0.0) -> None:
+        self._clocked = EstimatedClock(sensor, sigma_s, known_s)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._clocked, name)
@@ -90,10 +96,14 @@ class PositionClock:
 
 
 def receiver_constants(sensor: PositionSensor, value: Array) -> tuple[Array, float]:
-    """Return the lever arm (3,) [m] and the offset [s] of a receiver, given what is estimated of it (p,)."""
-    has_clock = has_estimated_clock(sensor)
-    shift = value[:-1] if has_clock else value
-    return sensor.p_I_P + shift if shift.size else sensor.p_I_P, float(value[-1]) if has_clock else 0.0
+    """Return the lever arm (3,) [m] and the offset [s] of a receiver, given what is estimated of it (p,).
+
+    The offset is what is not in the stamps of its positions already.
+    """
+    if not isinstance(sensor, PositionClock):
+        return sensor.p_I_P + value if value.size else sensor.p_I_P, 0.0
+    shift, offset_s = value[:-1], float(value[-1]) - sensor.known_s
+    return sensor.p_I_P + shift if shift.size else sensor.p_I_P, offset_s
 
 
 def has_estimated_clock(sensor: Any) -> bool:
@@ -101,9 +111,28 @@ def has_estimated_clock(sensor: Any) -> bool:
     return isinstance(sensor, EstimatedClock | PositionClock)
 
 
-def with_estimated_clock(sensor: Any) -> Any:
-    """Return a sensor with the offset of its clock to be estimated, unless the configuration says that it is known."""
+def with_estimated_clock(sensor: Any, known_s: float = 0.0) -> Any:
+    """Return a sensor with the offset of its clock to be estimated, unless the configuration says that it is known.
+
+    `known_s` of the clock of GNSS is in the stamps of its measurements already.
+    """
     sigma_s: float = getattr(sensor, "offset_sigma_s", 0.0)
     if sigma_s == 0.0:
         return sensor
-    return PositionClock(sensor, sigma_s) if sensor.role is Role.POSITION else EstimatedClock(sensor, sigma_s)
+    known_s = known_s if is_by_gnss_clock(sensor) else 0.0
+    kind = PositionClock if sensor.role is Role.POSITION else EstimatedClock
+    return kind(sensor, sigma_s, known_s)
+
+
+def measured_later(measurement: Measurement, by_ns: int) -> Measurement:
+    """Return a measurement as one that was taken later."""
+    if by_ns == 0:
+        return measurement
+    dated: Any = measurement
+    moved: Measurement = replace(dated, stamp_ns=measurement.stamp_ns + by_ns)
+    return moved
+
+
+def is_by_gnss_clock(sensor: Any) -> bool:
+    """Whether the stamps of a sensor are as late or early as those of GNSS."""
+    return sensor.role in (Role.HEADING, Role.VELOCITY) or is_gnss(sensor)
