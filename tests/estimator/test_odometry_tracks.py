@@ -11,6 +11,7 @@ from holdfast.estimator.initialisation import TIMES_NEARER
 from holdfast.estimator.odometry_tracks import OdometryTracks
 from holdfast.sensors.odometry import LearntNoise, OdometryModel, OdometryNoise, TrackPose
 
+SINCE_NS = ns(12.0)
 DRIVE = Drive(start_s=-5.0, radius_m=30.0, speed=0.1)  # 3 m/s
 ELSEWHERE = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.3, -0.2, 2.0), np.array([700.0, -80.0, 20.0]))
 
@@ -31,7 +32,7 @@ def fixes(off_m=lambda _: np.zeros(3), from_s=2.03, until_s=18.0):
 
 
 def test_an_odometry_that_sees_the_machine_elsewhere_has_moved_in_the_shape_of_the_positions():
-    assert tracks().move_as(fixes(), ARM, 0.05)
+    assert tracks().move_as(fixes(), ARM, 0.05, SINCE_NS)
 
 
 @pytest.mark.parametrize(
@@ -43,16 +44,22 @@ def test_an_odometry_that_sees_the_machine_elsewhere_has_moved_in_the_shape_of_t
 )
 def test_one_that_has_not_is_no_witness(off_m):
     """An estimate that is right is left by these 8 m."""
-    assert not tracks().move_as(fixes(off_m), ARM, 8.0 / TIMES_NEARER)
+    assert not tracks().move_as(fixes(off_m), ARM, 8.0 / TIMES_NEARER, SINCE_NS)
+
+
+def test_one_that_has_not_come_to_where_they_depart_says_nothing():
+    """They may have jumped since."""
+    assert not tracks(until_s=13.0).move_as(fixes(), ARM, 0.5, SINCE_NS)
+    assert tracks(until_s=13.2).move_as(fixes(), ARM, 0.5, SINCE_NS)
 
 
 def test_one_whose_distances_are_wrong_is_no_witness():
-    assert not tracks(scale=1.1).move_as(fixes(), ARM, 0.5)
+    assert not tracks(scale=1.1).move_as(fixes(), ARM, 0.5, SINCE_NS)
 
 
 def test_few_positions_have_no_shape_nor_those_beside_which_it_did_not_measure():
-    assert not tracks().move_as(fixes(from_s=2.0, until_s=5.0), ARM, 0.5)
-    assert not tracks(until_s=5.0).move_as(fixes(), ARM, 0.5)
+    assert not tracks().move_as(fixes(from_s=2.0, until_s=5.0), ARM, 0.5, SINCE_NS)
+    assert not tracks(until_s=5.0).move_as(fixes(), ARM, 0.5, SINCE_NS)
 
 
 def test_motions_weigh_by_what_was_learnt_of_their_noise():
@@ -85,4 +92,4 @@ def test_what_is_forgotten_says_nothing():
     assert one.names == ["lidar"] and len(one.factors([ns(3.0), ns(4.0), ns(5.0)])) == 2
     one.forget("lidar")
     assert one.names == [] and one.factors([ns(3.0), ns(4.0)]) == []
-    assert not one.move_as(fixes(), ARM, 0.5)
+    assert not one.move_as(fixes(), ARM, 0.5, SINCE_NS)

@@ -3,16 +3,12 @@
 from itertools import pairwise
 
 import numpy as np
-import pytest
 
 from holdfast.event_log import EventLog
-from holdfast.integrity.exchanges import IN_A_ROW, Exchange, Exchanges, ExchangeTest
-from holdfast.integrity.receiver import Prediction
+from holdfast.integrity.exchanges import ENOUGH, Exchange, Exchanges, ExchangeTest
 from holdfast.sensors.sensor import Position
 from holdfast.state import EventKind, Outcome
 
-LIMIT = 16.0
-JUMP = np.array([0.3, 0.0, 0.0])
 AT = {"left": np.array([0.0, 1.0, 2.0]), "right": np.array([0.0, -1.0, 2.0]), "mast": np.array([0.0, 0.0, 4.0])}
 PERIOD_NS = 100_000_000
 
@@ -21,61 +17,36 @@ def position(sensor, p_W_P, k=0):
     return Position(k * PERIOD_NS, sensor, p_W_P, np.eye(3) * 1e-4, 0.0)
 
 
-def found(test, k, measured, sigma_m=0.02):
-    """What positions at a time (sensor -> (3,) [m]) show, of a machine whose antennas are expected at AT."""
-    results = []
-    for name, at in measured.items():
-        prediction = Prediction(at - AT[name], np.eye(3) * sigma_m**2, np.eye(3) * 1e-4, np.zeros((3, 3)))
-        results += test.note(position(name, at, k), prediction, LIMIT)
+def told(sequence):
+    """What a sequence of (who sends, whose place it is; None: nobody's) shows."""
+    test, results = ExchangeTest(), []
+    for k, (sensor, place) in enumerate(sequence):
+        others = () if place in (None, sensor) else (place,)
+        found = test.note(position(sensor, np.zeros(3), k), others, is_expected=place == sensor)
+        results += [(one.pair, one.since_ns // PERIOD_NS, k) for one in found]
     return results
 
 
-SWAPPED = {"left": AT["right"], "right": AT["left"]}
+def test_so_many_positions_must_be_where_the_other_is_expected():
+    assert told([("left", "right"), ("right", "left")] * 3) == [(("left", "right"), 0, ENOUGH - 1)]
+    assert told([("left", "right")] * ENOUGH) == [(("left", "right"), 0, ENOUGH - 1)]  # the other may be silent
+    assert not told([("left", "right")] * (ENOUGH - 1))
 
 
-def test_so_many_times_in_a_row_both_must_be_where_the_other_is_expected():
-    test = ExchangeTest()
-    told = [found(test, k, SWAPPED) for k in range(IN_A_ROW)]
-    assert told[:-1] == [[]] * (IN_A_ROW - 1)
-    assert [(one.pair, one.since_ns) for one in told[-1]] == [(("left", "right"), 0)]
+def test_one_that_is_where_it_is_expected_begins_the_count_anew():
+    assert not told(([("left", "right")] * (ENOUGH - 1) + [("right", "right")]) * 3)
+    assert not told(([("left", "right")] * (ENOUGH - 1) + [("left", "left")]) * 3)
 
 
-def test_a_pair_that_is_where_it_is_expected_breaks_the_row():
-    test = ExchangeTest()
-    for k in range(4 * IN_A_ROW):
-        assert not found(test, k, AT if k % IN_A_ROW == IN_A_ROW - 1 else SWAPPED)
-
-
-@pytest.mark.parametrize(
-    "measured",
-    [
-        AT,
-        {"left": AT["right"], "right": AT["right"]},  # one receiver repeats the other
-        {name: at + JUMP for name, at in AT.items()},  # both have jumped
-        {"left": AT["right"] + JUMP, "right": AT["left"] + JUMP},
-        {"left": AT["right"], "mast": AT["left"]},
-    ],
-)
-def test_what_is_not_where_the_other_is_expected_is_no_exchange(measured):
-    test = ExchangeTest()
-    assert not any(found(test, k, measured) for k in range(2 * IN_A_ROW))
-
-
-def test_an_estimate_that_expects_either_says_nothing():
-    test = ExchangeTest()
-    assert not any(found(test, k, SWAPPED, sigma_m=2.0) for k in range(2 * IN_A_ROW))
-
-
-def test_positions_of_different_times_are_no_pair():
-    test = ExchangeTest()
-    for k in range(4 * IN_A_ROW):
-        assert not found(test, k, {name: at for i, (name, at) in enumerate(SWAPPED.items()) if i == k % 2})
+def test_spikes_say_nothing():
+    sequence = [("left", "right"), ("left", None)] * ENOUGH
+    assert told(sequence) == [(("left", "right"), 0, 2 * ENOUGH - 2)]
+    assert not told([("left", None)] * 50)
 
 
 def test_of_three_antennas_the_two_that_are_exchanged_are_found():
-    test = ExchangeTest()
-    results = [one for k in range(IN_A_ROW) for one in found(test, k, SWAPPED | {"mast": AT["mast"]})]
-    assert [one.pair for one in results] == [("left", "right")]
+    sequence = [("left", "right"), ("right", "left"), ("mast", "mast")] * 3
+    assert [pair for pair, *_ in told(sequence)] == [("left", "right")]
 
 
 def names(exchanges):

@@ -53,6 +53,20 @@ def restamped(evidence: Evidence, sensors: Collection[str], by_s: float) -> Evid
     return Evidence(positions, later(evidence.velocities, positions))
 
 
+def kept(evidence: Evidence, moved: Evidence, sensors: Collection[str], by_s: float) -> Evidence:
+    """Return the part of evidence that is left when it is restamped, as it was: what is missing may explain all."""
+    by_ns = round(by_s * 1e9)
+
+    def before(one: Point) -> int:
+        return one.stamp_ns - by_ns * (one.sensor in sensors)
+
+    since_ns, until_ns = before(moved.positions[0]), before(moved.positions[-1])
+    return Evidence(
+        [one for one in evidence.positions if since_ns <= one.stamp_ns <= until_ns],
+        [one for one in evidence.velocities if since_ns <= one.stamp_ns <= until_ns],
+    )
+
+
 def offset_of(misfit: Callable[[float], float], freedom: int) -> Offset | None:
     """Return the offset at which what was measured fits best; None if there is none within reach.
 

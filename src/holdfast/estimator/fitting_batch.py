@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from holdfast.estimator.batch_clock import Offset, offset_of, restamped
+from holdfast.estimator.batch_clock import Offset, kept, offset_of, restamped
 from holdfast.estimator.collected import exchanged
 from holdfast.estimator.fixes_in_motion import MIN_POSITIONS
 from holdfast.estimator.odometry_tracks import OdometryTracks
@@ -160,8 +160,9 @@ class FittingBatches:
         clocked, as_stamped = solved[offset.by_s], solved[0.0]
         if not _fits(clocked.alignment):
             return None
-        without = self._with_motions(Evidence(evidence.positions, ()))
-        rivals = [as_stamped.alignment, self._aligner.solve(without, prior, max_heading_sigma_rad)]
+        in_time = kept(evidence, clocked.evidence, self._by_gnss_clock, offset.by_s)
+        others = (self._with_motions(one) for one in (Evidence(evidence.positions, ()), in_time))
+        rivals = [as_stamped.alignment, *(self._aligner.solve(one, prior, max_heading_sigma_rad) for one in others)]
         if any(_is_vague(one) or _evidence(one, clocked.alignment, clocked.evidence) < JUMPED for one in rivals):
             return None
         better = _evidence(alignment, clocked.alignment, clocked.evidence) if alignment.has_jumped else JUMPED

@@ -166,7 +166,8 @@ class Initialising:
     def odometry_vouches(self, departure: Departure) -> bool:
         """Whether an odometry has moved in the shape of positions that an estimate leaves."""
         arm = self._points[departure.positions[-1].sensor].p_I_P
-        return self._odometries.move_as(departure.positions, arm, departure.by_m / TIMES_NEARER)
+        positions, since_ns, by_m = departure
+        return self._odometries.move_as(positions, arm, by_m / TIMES_NEARER, since_ns)
 
     def fixes_vouch_for(self, odometry: str, since_ns: int) -> bool | None:
         """Whether an odometry has moved in the shape of positions from before a time until now; None: too few since."""

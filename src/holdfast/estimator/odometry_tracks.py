@@ -64,15 +64,16 @@ class OdometryTracks:
                     factors.append(noise.learnt_factor(*keys, before.between(after)))
         return factors
 
-    def move_as(self, positions: Sequence[Position], p_I_P: Array, tolerance_m: float) -> bool:
+    def move_as(self, positions: Sequence[Position], p_I_P: Array, tolerance_m: float, since_ns: int) -> bool:
         """Whether an odometry has moved in the shape of some positions, wherever it sees them.
 
         Args:
             positions: of one antenna, sorted by stamp.
             p_I_P: (3,) where it is in I [m].
             tolerance_m: so near they must come, all of them, when one is laid upon the other.
+            since_ns: two since this time it must have passed.
         """
-        return any(_moves_as(track, positions, p_I_P, tolerance_m) for track in self._tracks.values())
+        return any(_moves_as(track, positions, p_I_P, tolerance_m, since_ns) for track in self._tracks.values())
 
     def vouched(self, name: str, positions: Sequence[Position], p_I_P: Array, since_ns: int) -> bool | None:
         """Whether an odometry has moved in the shape of positions, from before a time on; None until two came since.
@@ -86,13 +87,17 @@ class OdometryTracks:
             return False
         noise_m, way_m = SIGMA * float(np.sqrt(since[-1].covariance.trace())), travel_m(since)
         tolerance_m = max(noise_m, SHARE * way_m)
-        return noise_m < TELLING * way_m and _moves_as(self._tracks[name], positions, p_I_P, tolerance_m)
+        return noise_m < TELLING * way_m and _moves_as(self._tracks[name], positions, p_I_P, tolerance_m, since_ns)
 
 
-def _moves_as(track: deque[TrackPose], positions: Sequence[Position], p_I_P: Array, tolerance_m: float) -> bool:
-    seen = [(one.p_W_P, _pose_at(track, one.stamp_ns)) for one in positions]
-    pairs = [(p_W, T.transformFrom(p_I_P)) for p_W, T in seen if T is not None]
-    return len(pairs) >= LEAST and _apart_m(pairs) < tolerance_m
+def _moves_as(
+    track: deque[TrackPose], positions: Sequence[Position], p_I_P: Array, tolerance_m: float, since_ns: int
+) -> bool:
+    seen = [(one, _pose_at(track, one.stamp_ns)) for one in positions]
+    passed = [(one, T.transformFrom(p_I_P)) for one, T in seen if T is not None]
+    if len(passed) < LEAST or sum(one.stamp_ns >= since_ns for one, _ in passed) < 2:
+        return False
+    return _apart_m([(one.p_W_P, at) for one, at in passed]) < tolerance_m
 
 
 def _apart_m(pairs: list[tuple[Array, Array]]) -> float:

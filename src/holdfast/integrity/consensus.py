@@ -39,10 +39,12 @@ class Departure(NamedTuple):
 
     Attributes:
         positions: of one receiver, from before it did.
+        since_ns: stamp of the first that was refused.
         by_m: how far it has left the newest [m].
     """
 
     positions: list[Position]
+    since_ns: int
     by_m: float
 
 
@@ -142,10 +144,10 @@ class Consensus:
         refused = list(takewhile(lambda one: one.is_refused, reversed(run)))[::-1]
         if len(refused) < 2:
             return None
-        last, since_ns = refused[-1], refused[-1].stamp_ns - DEPARTING_NS
-        candidates = run[-len(refused) - 1 :]  # with the last that was not refused
-        long_ago = [one for one in candidates if one.stamp_ns <= since_ns]
-        first = long_ago[-1] if long_ago else candidates[0]
+        last, since_ns = refused[-1], refused[0].stamp_ns
+        at = max(len(run) - len(refused) - 1, 0)  # the last that was not refused
+        at += max(sum(one.stamp_ns <= last.stamp_ns - DEPARTING_NS for one in run[at:]) - 1, 0)
+        first = run[at]
         lasts_ns = last.stamp_ns - first.stamp_ns
         if lasts_ns < (DEPARTING_NS if first.is_refused else LEAST_NS):
             return None
@@ -153,8 +155,8 @@ class Consensus:
         noise_m = SIGMA * sqrt(float(np.trace(first.position.covariance + last.position.covariance)))
         if by_m <= WALK_M_S * lasts_ns * 1e-9 + noise_m:
             return None
-        shape = run[first_of_shape([one.stamp_ns for one in run], refused[0].stamp_ns) :]
-        return Departure([one.position for one in shape], by_m)
+        at = min(first_of_shape([one.stamp_ns for one in run], since_ns), at)
+        return Departure([one.position for one in run[at:]], since_ns, by_m)
 
     @property
     def is_unexpected(self) -> bool:

@@ -5,19 +5,17 @@ has begun with the wrong names is turned by half a circle: there the batch of a 
 """
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
 from holdfast.event_log import EventLog
 from holdfast.integrity.learnt_snapshot import NAMES_ARE_RIGHT, LearntNames
-from holdfast.integrity.lever_arms import PAIRED_NS
-from holdfast.integrity.receiver import Prediction
 from holdfast.sensors.heading import HeadingModel
 from holdfast.sensors.sensor import Measurement, Position, Sensor
 from holdfast.state import EventKind, Outcome
 
-IN_A_ROW = 3  # times at which both are where the other is expected
+ENOUGH = 6  # positions that are where the other antenna is expected: three of each, if both send
 
 Pair = tuple[str, str]
 
@@ -79,38 +77,30 @@ class Exchanged(NamedTuple):
 
 
 class ExchangeTest:
-    """Compares positions of one time with what an estimate expects of each other: (91) in docs/math.md."""
+    """Compares positions with what an estimate expects of other antennas: (91) in docs/math.md."""
 
     def __init__(self) -> None:
-        self._last: dict[str, tuple[Position, Prediction]] = {}
-        self._in_a_row: Counter[Pair] = Counter()
+        self._fitted: Counter[Pair] = Counter()  # positions that were where the other antenna of a pair is expected
         self._since_ns: dict[Pair, int] = {}
 
-    def note(self, position: Position, prediction: Prediction, limit: float) -> list[Exchanged]:
+    def note(self, position: Position, others: Collection[str], *, is_expected: bool) -> list[Exchanged]:
         """Take in a position, in the order of stamps; return whose it may be, where that has become clear.
 
         Args:
             position: of an antenna.
-            prediction: what the estimate expects of it.
-            limit: on the NIS of a position that is expected.
+            others: antennas that are expected where it is.
+            is_expected: it is where its own antenna is expected.
         """
-        found = []
-        self._last[position.sensor] = position, prediction
-        for other, expected in self._last.values():
-            if other.sensor == position.sensor or abs(other.stamp_ns - position.stamp_ns) > PAIRED_NS:
-                continue
-            pair = min(position.sensor, other.sensor), max(position.sensor, other.sensor)
-            between = other.p_W_P - position.p_W_P
-            as_named = prediction.nis, expected.nis
-            here = replace(prediction, innovation=prediction.innovation + between, of_position=expected.of_position)
-            there = replace(expected, innovation=expected.innovation - between, of_position=prediction.of_position)
-            if min(as_named) <= limit or max(here.nis, there.nis) > limit:
-                self._in_a_row.pop(pair, None)
-                continue
-            self._in_a_row[pair] += 1
-            if self._in_a_row[pair] == 1:
-                self._since_ns[pair] = min(position.stamp_ns, other.stamp_ns)
-            if self._in_a_row[pair] == IN_A_ROW:
-                del self._in_a_row[pair]
+        found: list[Exchanged] = []
+        if is_expected:
+            self._fitted = Counter({pair: n for pair, n in self._fitted.items() if position.sensor not in pair})
+            return found
+        for other in others:
+            pair = min(position.sensor, other), max(position.sensor, other)
+            self._fitted[pair] += 1
+            if self._fitted[pair] == 1:
+                self._since_ns[pair] = position.stamp_ns
+            if self._fitted[pair] == ENOUGH:
+                del self._fitted[pair]
                 found.append(Exchanged(pair, self._since_ns[pair]))
         return found

@@ -3,13 +3,13 @@
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from math import inf
+from math import hypot, inf
 from typing import NamedTuple
 
 from holdfast.config.model import GateConfig
 from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
-from holdfast.graph.sensor_parameters import with_parameters
+from holdfast.graph.sensor_parameters import with_beliefs, with_parameters
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.antenna_pairs import witness_of
 from holdfast.integrity.arm_knowledge import is_arm_known, is_arm_proven
@@ -22,7 +22,7 @@ from holdfast.integrity.innovation import in_words
 from holdfast.integrity.learnt_snapshot import LearntScale
 from holdfast.integrity.lever_arms import LeverArms
 from holdfast.integrity.noise_scale import LOWEST, NoiseScale
-from holdfast.integrity.receiver import Held, ReceiverGate, Trust, predict
+from holdfast.integrity.receiver import Held, Prediction, ReceiverGate, Trust, predict
 from holdfast.integrity.review import UsedPositions
 from holdfast.integrity.yaw_learning import WITNESS_NS, Witness
 from holdfast.measured_fields import NEVER_NS
@@ -32,6 +32,7 @@ from holdfast.sensors.noise import WHITE, correlation_inflation, shared_inflatio
 from holdfast.sensors.sensor import Position, PositionSensor, is_gnss
 from holdfast.state import EventKind, Outcome
 
+BETWEEN = 0.5  # of the way from an antenna to another, to which the gate must reach at most to tell them apart
 REVIEW_NS = 250_000_000  # used positions are reviewed this often
 SLOW_S, LOWEST_SLOW = 1.0, 0.01  # most of such a claim is a slow error, by which neighbours are alike
 LEARNT_FROM = Outcome.USED, Outcome.INNOVATION
@@ -75,6 +76,7 @@ class Positions:
         self._sensors = sensors
         self._baseline = BaselineTest(lever_arms)
         self._exchange_test = ExchangeTest()
+        self._antennas = {name for name, sensor in sensors.items() if is_gnss(sensor)}
         self._exchanged: list[Exchanged] = []
         self._log = log
         self._reviewed_ns = NEVER_NS
@@ -151,8 +153,9 @@ class Positions:
         found = self._compare(smoother, key, position)
         innovation, state = found.innovation, found.state
         prediction = predict(innovation, state)
-        if is_gnss(self._sensors[name]):
-            self._exchanged += self._exchange_test.note(position, prediction, gate.limit)
+        if name in self._antennas:
+            others = self._expected_instead(smoother, position, prediction)
+            self._exchanged += self._exchange_test.note(position, others, is_expected=prediction.nis <= gate.limit)
         worse = None
         if self._config.baseline:
             worse = self._baseline.contradicted(position, prediction.nis, state.nav.attitude())
@@ -187,6 +190,21 @@ class Positions:
         gate_limit = gate.limit_on_nis
         self._log.record(position.stamp_ns, name, outcome, prediction.nis, 3, limit=gate_limit, p_W_P=position.p_W_P)
         return outcome
+
+    def _expected_instead(self, smoother: Smoother, position: Position, prediction: Prediction) -> list[str]:
+        """Return the other antennas that are expected where a position is, and its own is not."""
+        limit = self.gates[position.sensor].limit
+        reach_m = prediction.smallest_visible_m(limit)
+        found: list[str] = []
+        for name in self._antennas - {position.sensor} if prediction.nis > limit else ():
+            apart_m = hypot(*(self._sensors[name].p_I_P - self._sensors[position.sensor].p_I_P))
+            if reach_m > BETWEEN * apart_m:
+                continue  # the estimate expects either
+            sensor = self._sensors[name]
+            state = with_beliefs(smoother, sensor, smoother.state_at(position.stamp_ns))
+            if predict(sensor.innovation(position, state), state).nis <= limit:
+                found.append(name)
+        return found
 
     def _note_departure(self, claimed: Position, off_W: Array, scale: NoiseScale, *, is_refused: bool) -> None:
         """Note how far a position is from the estimate; those that depart smoothly again are worth what they claim."""
