@@ -97,7 +97,13 @@ class FittingBatches:
                 self._freed[name] = _freed(self._points[name])
 
     def solve(
-        self, evidence: Evidence, prior: BiasPrior, max_heading_sigma_rad: float, jump_sigmas: Array | None
+        self,
+        evidence: Evidence,
+        prior: BiasPrior,
+        max_heading_sigma_rad: float,
+        jump_sigmas: Array | None,
+        *,
+        may_be_late: bool = True,
     ) -> FittingBatch:
         """Solve the batch of some evidence and the motions of odometries; leave out who is at odds, if it fits then.
 
@@ -106,6 +112,7 @@ class FittingBatches:
             prior: of the biases.
             max_heading_sigma_rad: what is wanted.
             jump_sigmas: (6,) by how much the biases may have jumped; None: not.
+            may_be_late: whether the clock of GNSS may be off, if biases may have jumped.
         """
 
         def solved(evidence: Evidence) -> Alignment:
@@ -114,7 +121,7 @@ class FittingBatches:
         whole = self._with_motions(evidence)
         alignment = solved(whole)
         is_at_odds = not _fits(alignment)
-        if jump_sigmas is not None and (alignment.has_jumped or is_at_odds):
+        if jump_sigmas is not None and may_be_late and (alignment.has_jumped or is_at_odds):
             clocked = self._with_clock(evidence, prior, max_heading_sigma_rad, alignment)
             if clocked is not None:
                 return clocked

@@ -227,11 +227,14 @@ class Initialising:
             claim = f", it claims {np.sqrt(variance):.3g} m" if variance >= 0.0 else ""
             self.reason = f"{NO_POSITION}; the last of {message.sensor} was refused: {outcome}{claim}"
 
-    def attempt(self, *, may_have_jumped: bool = False, limit_rad: float = 0.0) -> OptimisedState | None:
+    def attempt(
+        self, *, may_have_jumped: bool = False, may_be_late: bool = True, limit_rad: float = 0.0
+    ) -> OptimisedState | None:
         """Return the first state, or None with `reason` set.
 
         Args:
             may_have_jumped: whether the biases may have jumped since the first position; `jump` tells when.
+            may_be_late: then also whether the clock of GNSS may be off.
             limit_rad: sigma of a heading from motion that will do, if it is more than what is configured.
         """
         self.misfit, self.jump, self.doubtful = inf, None, frozenset()
@@ -251,7 +254,8 @@ class Initialising:
         quiet = quiet_window(self._config.standstill, self._buffer, now, standstill_s, ENGINE)
         if quiet is not None and self._is_standing(now):
             return self._at_standstill(now, *quiet)
-        return self._in_motion(now, max(limit_rad, self._limit_rad), may_have_jumped=may_have_jumped)
+        limit_rad = max(limit_rad, self._limit_rad)
+        return self._in_motion(now, limit_rad, may_have_jumped=may_have_jumped, may_be_late=may_be_late)
 
     # --- at standstill -----------------------------------------------------------------------------------------------
 
@@ -351,7 +355,9 @@ class Initialising:
 
     # --- in motion ---------------------------------------------------------------------------------------------------
 
-    def _in_motion(self, now_ns: int, limit_rad: float, *, may_have_jumped: bool) -> OptimisedState | None:
+    def _in_motion(
+        self, now_ns: int, limit_rad: float, *, may_have_jumped: bool, may_be_late: bool
+    ) -> OptimisedState | None:
         positions, is_pair = self._collected.positions, may_have_jumped and self._has_pair
         fixes = fixes_in_motion(positions, self._points, self._buffer, now_ns, is_pair=is_pair)
         if isinstance(fixes, str):
@@ -364,7 +370,7 @@ class Initialising:
         evidence, lying = self._evidence(fixes, now_ns)
         is_explained = may_have_jumped and self._velocity_check.are_explained(self._collected.velocities, lying)
         jump_sigmas = self.biases.doubted if is_explained else None
-        batch = self._batches.solve(evidence, self.biases.prior, limit_rad, jump_sigmas)
+        batch = self._batches.solve(evidence, self.biases.prior, limit_rad, jump_sigmas, may_be_late=may_be_late)
         return self._judged(batch, lying, now_ns)
 
     def attempt_with_moved_antennas(self) -> OptimisedState | None:
