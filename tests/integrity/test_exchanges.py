@@ -27,21 +27,29 @@ def told(sequence):
     return results
 
 
-def test_so_many_positions_must_be_where_the_other_is_expected():
-    assert told([("left", "right"), ("right", "left")] * 3) == [(("left", "right"), 0, ENOUGH - 1)]
-    assert told([("left", "right")] * ENOUGH) == [(("left", "right"), 0, ENOUGH - 1)]  # the other may be silent
-    assert not told([("left", "right")] * (ENOUGH - 1))
+BOTH = [("left", "right"), ("right", "left")]
+
+
+def test_so_many_positions_of_either_must_be_where_the_other_is_expected():
+    assert told(BOTH * ENOUGH) == [(("left", "right"), 0, 2 * ENOUGH - 1)]
+    assert not told(BOTH * (ENOUGH - 1))
+
+
+def test_one_that_walks_by_the_place_of_the_other_is_not_exchanged():
+    assert not told([("left", "right"), ("right", None)] * 10)
 
 
 def test_one_that_is_where_it_is_expected_begins_the_count_anew():
-    assert not told(([("left", "right")] * (ENOUGH - 1) + [("right", "right")]) * 3)
-    assert not told(([("left", "right")] * (ENOUGH - 1) + [("left", "left")]) * 3)
+    assert not told((BOTH * (ENOUGH - 1) + [("right", "right")]) * 3)
 
 
 def test_spikes_say_nothing():
-    sequence = [("left", "right"), ("left", None)] * ENOUGH
-    assert told(sequence) == [(("left", "right"), 0, 2 * ENOUGH - 2)]
+    assert told([*BOTH, ("left", None)] * ENOUGH) == [(("left", "right"), 0, 3 * ENOUGH - 2)]
     assert not told([("left", None)] * 50)
+
+
+def test_what_was_long_ago_does_not_count():
+    assert not told([("left", "right")] * ENOUGH + [("left", None)] * 60 + [("right", "left")] * ENOUGH)
 
 
 def test_of_three_antennas_the_two_that_are_exchanged_are_found():

@@ -76,15 +76,17 @@ class OdometryTracks:
         return any(_moves_as(track, positions, p_I_P, tolerance_m, since_ns) for track in self._tracks.values())
 
     def vouched(self, name: str, positions: Sequence[Position], p_I_P: Array, since_ns: int) -> bool | None:
-        """Whether an odometry has moved in the shape of positions, from before a time on; None until two came since.
+        """Whether an odometry has moved in the shape of positions, from before a time on; None until it has passed two.
 
         `positions` and `p_I_P` as in `move_as`; positions whose noise is too large a share of the way do not tell.
         """
         since = [one for one in positions if one.stamp_ns >= since_ns]
         if len(since) < 2:
             return None
-        if name not in self._tracks:
+        if not self._tracks.get(name):
             return False
+        if sum(one.stamp_ns <= self._tracks[name][-1].stamp_ns for one in since) < 2:
+            return None
         noise_m, way_m = SIGMA * float(np.sqrt(since[-1].covariance.trace())), travel_m(since)
         tolerance_m = max(noise_m, SHARE * way_m)
         return noise_m < TELLING * way_m and _moves_as(self._tracks[name], positions, p_I_P, tolerance_m, since_ns)

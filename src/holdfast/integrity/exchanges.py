@@ -4,7 +4,6 @@ The estimate tells at once, if it was right before: what it expects of either an
 has begun with the wrong names is turned by half a circle: there the batch of a start tells.
 """
 
-from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import NamedTuple
@@ -15,7 +14,7 @@ from holdfast.sensors.heading import HeadingModel
 from holdfast.sensors.sensor import Measurement, Position, Sensor
 from holdfast.state import EventKind, Outcome
 
-ENOUGH = 6  # positions that are where the other antenna is expected: three of each, if both send
+ENOUGH, WITHIN_NS = 3, 5_000_000_000  # positions of either, and in which time, that are where the other is expected
 
 Pair = tuple[str, str]
 
@@ -80,27 +79,29 @@ class ExchangeTest:
     """Compares positions with what an estimate expects of other antennas: (91) in docs/math.md."""
 
     def __init__(self) -> None:
-        self._fitted: Counter[Pair] = Counter()  # positions that were where the other antenna of a pair is expected
-        self._since_ns: dict[Pair, int] = {}
+        self._fitted: dict[Pair, list[int]] = {}  # stamps of positions of one antenna where another is expected
 
     def note(self, position: Position, others: Collection[str], *, is_expected: bool) -> list[Exchanged]:
         """Take in a position, in the order of stamps; return whose it may be, where that has become clear.
+
+        Fixes that walk come by the place of another antenna, too, but do not exchange theirs with it.
 
         Args:
             position: of an antenna.
             others: antennas that are expected where it is.
             is_expected: it is where its own antenna is expected.
         """
-        found: list[Exchanged] = []
+        name, found = position.sensor, list[Exchanged]()
         if is_expected:
-            self._fitted = Counter({pair: n for pair, n in self._fitted.items() if position.sensor not in pair})
+            self._fitted = {pair: stamps for pair, stamps in self._fitted.items() if name not in pair}
             return found
         for other in others:
-            pair = min(position.sensor, other), max(position.sensor, other)
-            self._fitted[pair] += 1
-            if self._fitted[pair] == 1:
-                self._since_ns[pair] = position.stamp_ns
-            if self._fitted[pair] == ENOUGH:
-                del self._fitted[pair]
-                found.append(Exchanged(pair, self._since_ns[pair]))
+            here, there = (self._fitted.setdefault(pair, []) for pair in ((name, other), (other, name)))
+            here.append(position.stamp_ns)
+            for stamps in here, there:
+                stamps[:] = [one for one in stamps[-ENOUGH:] if position.stamp_ns - one <= WITHIN_NS]
+            if min(len(here), len(there)) == ENOUGH:
+                found.append(Exchanged((min(name, other), max(name, other)), min(*here, *there)))
+                here.clear()
+                there.clear()
         return found
