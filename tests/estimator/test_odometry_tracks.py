@@ -49,8 +49,8 @@ def test_one_that_has_not_is_no_witness(off_m):
 
 def test_one_that_has_not_come_to_where_they_depart_says_nothing():
     """They may have jumped since."""
-    assert not tracks(until_s=13.0).move_as(fixes(), ARM, 0.5, SINCE_NS)
-    assert tracks(until_s=13.2).move_as(fixes(), ARM, 0.5, SINCE_NS)
+    assert not tracks(until_s=12.0).move_as(fixes(), ARM, 0.5, SINCE_NS)
+    assert tracks(until_s=12.2).move_as(fixes(), ARM, 0.5, SINCE_NS)
 
 
 def test_one_whose_distances_are_wrong_is_no_witness():

@@ -71,13 +71,14 @@ class OdometryTracks:
             positions: of one antenna, sorted by stamp.
             p_I_P: (3,) where it is in I [m].
             tolerance_m: so near they must come, all of them, when one is laid upon the other.
-            since_ns: two since this time it must have passed.
+            since_ns: one since this time it must have passed.
         """
         return any(_moves_as(track, positions, p_I_P, tolerance_m, since_ns) for track in self._tracks.values())
 
     def vouched(self, name: str, positions: Sequence[Position], p_I_P: Array, since_ns: int) -> bool | None:
-        """Whether an odometry has moved in the shape of positions, from before a time on; None until it has passed two.
+        """Whether an odometry has moved in the shape of positions, from before a time on.
 
+        None until two came since then, and it has passed one.
         `positions` and `p_I_P` as in `move_as`; positions whose noise is too large a share of the way do not tell.
         """
         since = [one for one in positions if one.stamp_ns >= since_ns]
@@ -85,7 +86,7 @@ class OdometryTracks:
             return None
         if not self._tracks.get(name):
             return False
-        if sum(one.stamp_ns <= self._tracks[name][-1].stamp_ns for one in since) < 2:
+        if since[0].stamp_ns > self._tracks[name][-1].stamp_ns:
             return None
         noise_m, way_m = SIGMA * float(np.sqrt(since[-1].covariance.trace())), travel_m(since)
         tolerance_m = max(noise_m, SHARE * way_m)
@@ -97,7 +98,7 @@ def _moves_as(
 ) -> bool:
     seen = [(one, _pose_at(track, one.stamp_ns)) for one in positions]
     passed = [(one, T.transformFrom(p_I_P)) for one, T in seen if T is not None]
-    if len(passed) < LEAST or sum(one.stamp_ns >= since_ns for one, _ in passed) < 2:
+    if len(passed) < LEAST or all(one.stamp_ns < since_ns for one, _ in passed):
         return False
     return _apart_m([(one.p_W_P, at) for one, at in passed]) < tolerance_m
 
