@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from motion import ns
 
-from holdfast.estimator.batch_clock import Offset, offset_of, restamped
+from holdfast.estimator.batch_clock import Offset, kept, offset_of, restamped
 from holdfast.graph.alignment_problem import Evidence
 from holdfast.sensors.sensor import Position, Velocity
 
@@ -50,3 +50,11 @@ def test_what_comes_later_stays_within_the_time_of_the_batch():
 
 def test_too_few_positions_are_no_batch():
     assert restamped(evidence(), {"gnss"}, 7.5) is None
+
+
+@pytest.mark.parametrize(("by_s", "since", "until"), [(0.25, 0, 8), (-0.25, 1, 9), (2.5, 0, 6), (-2.5, 3, 9)])
+def test_what_is_left_of_a_batch_that_comes_later_is_told_as_it_was_stamped(by_s, since, until):
+    sensors = {"gnss", "doppler"}
+    left = kept(evidence(), restamped(evidence(), sensors, by_s), sensors, by_s)
+    assert [one.stamp_ns for one in left.positions] == [ns(t) for t in range(since, until + 1)]
+    assert [one.stamp_ns for one in left.velocities] == [ns(t) for t in range(since, until + 1)]

@@ -77,6 +77,17 @@ def test_one_that_lies_is_lost_and_regained_when_it_moves_as_the_estimate(lie):
     assert EventKind.BEGUN_ANEW not in {event.kind for event in estimator.events}
 
 
+def test_one_that_lies_while_fixes_are_rare_is_not_believed_in_a_gap_of_the_imu():
+    """The fixes that are to judge it have not come yet; in the gap it alone said that the machine stands: 114 m."""
+    sent, gap_s = streams(hz=0.25), (LIES_S + 1.5, LIES_S + 3.0)
+    sent["lidar"] = frozen(sent["lidar"])
+    sent["imu"] = [one for one in sent["imu"] if not gap_s[0] < seconds(one.stamp_ns) < gap_s[1]]
+    estimator, outputs = run(machine(), in_order(*sent.values()))
+    assert of_lidar(estimator, EventKind.SENSOR_LOST)
+    assert max(errors_m(outputs, LIES_S)) < 0.5
+    assert EventKind.BEGUN_ANEW not in {event.kind for event in estimator.events}
+
+
 def mounted_otherwise(poses, turned):
     """Poses of a lidar that looks elsewhere than the configuration says."""
 

@@ -205,3 +205,15 @@ def test_positions_that_have_jumped_are_not_left_before_they_have_been_so_for_lo
     more = {"refused": lambda _: True}
     assert departure(lambda t: 3.0 + 0.5 * t, until_s=12.0, **more) is None
     assert departure(lambda t: 3.0 + 0.5 * t, until_s=13.0, **more).by_m == pytest.approx(6.0)
+
+
+def test_a_departure_reaches_back_to_the_last_that_was_not_refused():
+    """Else positions that have jumped while none came would all be of one shape."""
+    run = begun()
+    for t in (0.0, 1.0, 20.0, 20.1, 20.2, 20.3, 20.4):
+        off_W = np.array([50.0 * (t >= 20.0), 0.0, 0.0])
+        outcome = REFUSED if t >= 20.0 else Outcome.USED
+        run.add(at(t, 0.1 * t), outcome, off_W, is_expected=t < 20.0)
+    found = run.departure()
+    assert found.since_ns == ns(20.0)
+    assert found.positions[0].stamp_ns <= ns(1.0)
