@@ -219,34 +219,3 @@ def test_without_velocities_it_is_not_asked_before_the_positions_contradict():
     successor = jumped(42.0, has_doppler=False)
     assert successor.after_jump(ns(42.0), has_witness=False) is None and successor._suspected is None
     assert "the bias of the gyroscope has jumped" in successor.begin(astray(42.0), ns(39.0)).reason
-
-
-def in_doubt():
-    """What has begun anew with its heading in doubt, and has driven since."""
-    successor = drive(begun(), END_S - 1.0)
-    successor.begin(astray(yaw_rad=0.3), ns(0.0))
-    return drive(successor)
-
-
-def known(yaw_rad, sigma_rad):
-    """An estimate, turned, that knows its heading so well."""
-    nav = ROAD.nav(END_S)
-    turned = gtsam.NavState(gtsam.Rot3.Yaw(yaw_rad) * nav.attitude(), nav.position(), nav.velocity())
-    covariance = np.diag(np.repeat([sigma_rad, 0.1, 0.1, 0.01, 0.001], 3) ** 2)
-    return OptimisedState(ns(END_S), turned, NO_BIAS, covariance, ROAD.readings(END_S)[1])
-
-
-@pytest.mark.parametrize(
-    ("yaw_rad", "sigma_rad", "begins"),
-    [
-        (0.0, 0.001, False),  # it has come to know as well meanwhile
-        (2.0, 0.001, True),  # it is sure of another heading
-        (0.0, 1.0, True),  # it is not sure
-    ],
-)
-def test_a_doubt_is_settled_by_what_the_motion_tells_unless_the_estimate_says_the_same(yaw_rad, sigma_rad, begins):
-    successor, current = in_doubt(), known(yaw_rad, sigma_rad)
-    beginning = successor.settle_doubt(current)
-    assert (beginning is not None) == begins
-    assert beginning is None or beginning.reason.startswith("no longer in doubt: heading from motion")
-    assert successor.settle_doubt(known(2.0, 0.001)) is None  # it is no more

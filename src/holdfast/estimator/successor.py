@@ -27,8 +27,6 @@ TRIED_NS = 500_000_000  # whether the biases have jumped is looked at this often
 GROWN = 10.0  # a jump is believed if it is found again with so much more evidence
 DOUBT_RAD = radians(60.0)  # of a heading that is kept
 TILT_DOUBT_RAD = radians(15.0)
-AS_SURE, SAME = 2.0, 22.5  # sigmas, and the squared distance of poses that one in a thousand exceeds
-SLACK_RAD, SLACK_M = radians(0.5), 0.03  # by which a machine departs from its twist until the next sample
 OVERTURNED_RAD = radians(60.0)  # of what the accelerometer feels from the vertical: no machine accelerates so
 FELT_NS, FELT_M_S2 = 500_000_000, (5.0, 15.0)  # over which it is asked, and what may be gravity
 
@@ -162,17 +160,12 @@ class Successor:
         if self._doubts and now_ns - self._doubted_ns > CALM_NS:
             self._doubts, self._doubted_ns = self._doubts - 1, now_ns
 
-    def settle_doubt(self, current: OptimisedState) -> Beginning | None:
-        """Return a state to begin from once more, as soon as the motion tells the heading that was kept in doubt.
-
-        None, too, where it tells what the estimate has come to know as well meanwhile.
-        """
+    def settle_doubt(self) -> Beginning | None:
+        """Return a state to begin from once more, as soon as the motion tells the heading that was kept in doubt."""
         state = self.start.attempt() if self._is_in_doubt else None
         if state is None:
             return None
         self._is_in_doubt = False
-        if _knows_as_well(current, state):
-            return None
         return Beginning(state, f"no longer in doubt: {self.start.reason}")
 
     def _moved(self, current: OptimisedState, *, doubt_biases: bool) -> OptimisedState | None:
@@ -204,14 +197,3 @@ class Successor:
         if up_W[2] > cos(OVERTURNED_RAD):
             return attitude
         return level_attitude(up_W).compose(attitude)
-
-
-def _knows_as_well(current: OptimisedState, told: OptimisedState) -> bool:
-    """Whether an estimate says the same as what is told of a time soon after, and is as sure of the attitude."""
-    dt_s = (told.stamp_ns - current.stamp_ns) * 1e-9
-    moved = np.concatenate([current.angular_velocity, current.nav.bodyVelocity()]) * dt_s
-    off = current.nav.pose().compose(gtsam.Pose3.Expmap(moved)).localCoordinates(told.nav.pose())
-    of_current, of_told = current.covariance[:6, :6], told.covariance[:6, :6]
-    slack = np.diag(np.repeat([SLACK_RAD, SLACK_M], 3) ** 2)
-    is_sure = np.linalg.eigvalsh(of_current[:3, :3])[-1] <= AS_SURE**2 * np.linalg.eigvalsh(of_told[:3, :3])[-1]
-    return bool(is_sure and off @ np.linalg.solve(of_current + of_told + slack, off) <= SAME)

@@ -330,10 +330,9 @@ class Tracking:
         contradiction = self._contradiction(has_witness=has_witness) if is_alone else None
         if self._odometries.newly_turned():
             self.successor.doubt()
-        newest = self.graph.published.newest
-        beginning = self.successor.settle_doubt(newest)
+        beginning = self.successor.settle_doubt()
         if beginning is None and contradiction is not None:
-            beginning = self.successor.begin(newest, contradiction.since_ns)
+            beginning = self.successor.begin(self.graph.published.newest, contradiction.since_ns)
         is_astray = self._is_astray()
         if beginning is None and (is_turned or (is_alone and is_astray)):
             beginning = self.successor.after_jump(now_ns, has_witness=is_turned, is_astray=is_astray)
