@@ -12,10 +12,11 @@ from holdfast.integrity.exchanges import Pair
 from holdfast.measured_fields import NEVER_NS
 from holdfast.sensors.clock import is_by_gnss_clock, measured_later
 from holdfast.sensors.odometry import TrackPose
-from holdfast.sensors.sensor import Measurement, Position, Role, Sensor, Velocity, is_gnss
+from holdfast.sensors.sensor import Measurement, Position, Role, Sensor, Velocity
 
 FEW, MOST_NS = 8, 120_000_000_000  # positions, where they are rare, but no longer
 Point = TypeVar("Point", Position, Velocity)
+Kind = TypeVar("Kind", bound=Measurement)
 
 
 class Collected:
@@ -50,10 +51,8 @@ class Collected:
 
     def add(self, measurement: Measurement) -> None:
         """Take in a measurement, and forget what is too old beside it."""
-        sensor = self._sensors[measurement.sensor]
-        role = sensor.role
-        if is_by_gnss_clock(sensor):
-            measurement = measured_later(measurement, self.clock_ns)
+        role = self._sensors[measurement.sensor].role
+        measurement = self._later(measurement, self.clock_ns)
         if role is Role.POSITION and isinstance(measurement, Position):
             self.positions.append(measurement)
             self.all_positions.append(measurement)
@@ -88,16 +87,16 @@ class Collected:
         later_ns, self.clock_ns = clock_ns - self.clock_ns, clock_ns
         self.positions = deque(self._later(one, later_ns) for one in self.positions)
         self.all_positions = deque(self._later(one, later_ns) for one in self.all_positions)
-        self.velocities = deque(replace(one, stamp_ns=one.stamp_ns + later_ns) for one in self.velocities)
+        self.velocities = deque(self._later(one, later_ns) for one in self.velocities)
 
     def exchange(self, pair: Pair, since_ns: int = NEVER_NS) -> None:
         """Know that two antennas' positions have come by each other's name since a time."""
         self.positions = deque(exchanged(self.positions, pair, since_ns))
         self.all_positions = deque(exchanged(self.all_positions, pair, since_ns))
 
-    def _later(self, one: Position, by_ns: int) -> Position:
-        """Return a position, if it is one of GNSS, as one that was taken later."""
-        return replace(one, stamp_ns=one.stamp_ns + by_ns) if by_ns and is_gnss(self._sensors[one.sensor]) else one
+    def _later(self, one: Kind, by_ns: int) -> Kind:
+        """Return a measurement, if it is by the clock of GNSS, as one that was taken later."""
+        return measured_later(one, by_ns) if is_by_gnss_clock(self._sensors[one.sensor]) else one
 
     def of_receiver(self, name: str, since_ns: int = NEVER_NS) -> list[Position]:
         """Return the positions of a receiver since a time, in the order of arrival."""

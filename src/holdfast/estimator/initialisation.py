@@ -348,17 +348,12 @@ class Initialising:
             return 0.0, 1e-3  # W is where the machine starts: heading is zero by definition
         return None
 
-    @property
-    def _has_pair(self) -> bool:
-        """Whether there are two antennas that tell the heading."""
-        return self._antennas is not None
-
     # --- in motion ---------------------------------------------------------------------------------------------------
 
     def _in_motion(
         self, now_ns: int, limit_rad: float, *, may_have_jumped: bool, may_be_late: bool
     ) -> OptimisedState | None:
-        positions, is_pair = self._collected.positions, may_have_jumped and self._has_pair
+        positions, is_pair = self._collected.positions, may_have_jumped and self._antennas is not None
         fixes = fixes_in_motion(positions, self._points, self._buffer, now_ns, is_pair=is_pair)
         if isinstance(fixes, str):
             self.reason = fixes
@@ -376,7 +371,7 @@ class Initialising:
     def attempt_with_moved_antennas(self) -> OptimisedState | None:
         """Return a state if antennas that are elsewhere than configured, or exchanged, explain what was measured."""
         now_ns = self._buffer.latest_ns
-        positions, is_pair = self._collected.all_positions, self._has_pair
+        positions, is_pair = self._collected.all_positions, self._antennas is not None
         fixes = fixes_in_motion(positions, self._points, self._buffer, now_ns, is_pair=is_pair)
         if isinstance(fixes, str):
             return None
@@ -396,7 +391,7 @@ class Initialising:
         """Return the state that a batch tells, if it does."""
         alignment, evidence, self.doubtful, shift, offset, pair = batch
         if pair is not None:
-            self.exchange(pair, headings=self._opposite(pair, alignment.state))
+            self.exchange(Exchange(pair, headings=self._opposite(pair, alignment.state)))
         if offset is not None:
             self.know_clock_off(offset)
         if shift is not None:
@@ -424,10 +419,10 @@ class Initialising:
         attitude = state.nav.attitude()
         return frozenset(one.sensor for one in newest if between[one.sensor].is_opposite(one, attitude))
 
-    def exchange(self, pair: Pair, since_ns: int = NEVER_NS, headings: frozenset[str] = frozenset()) -> None:
-        """Know that two antennas' positions have come by each other's name since a time, and headings between them."""
-        self._collected.exchange(pair, since_ns)
-        self._exchanges.append(Exchange(pair, headings))
+    def exchange(self, exchange: Exchange) -> None:
+        """Know that two antennas' positions have come by each other's name."""
+        self._collected.exchange(exchange.pair, exchange.since_ns)
+        self._exchanges.append(exchange)
 
     def newly_exchanged(self) -> list[Exchange]:
         """Return the antennas that have been found to be exchanged since this was asked last."""

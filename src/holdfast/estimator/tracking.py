@@ -300,8 +300,8 @@ class Tracking:
             self._log.count(STANDSTILL, Outcome.USED, len(standing))
         for smoother in self.graph.smoothers():
             self._optimise(smoother)
-        for exchanged in self._positions.newly_exchanged():
-            self.successor.start.exchange(*exchanged)
+        for exchange in self._positions.newly_exchanged():
+            self.successor.start.exchange(exchange)
         is_recovery = self._recovery.review(self.graph, now_ns)
         self._wandering.review(now_ns)
         for channel in self._headings, self._states:
@@ -333,8 +333,7 @@ class Tracking:
         beginning = self.successor.settle_doubt()
         if beginning is None and contradiction is not None:
             beginning = self.successor.begin(self.graph.published.newest, contradiction.since_ns)
-        is_astray = self._is_astray()
-        if beginning is None and (is_turned or (is_alone and is_astray)):
+        if beginning is None and is_alone and ((is_astray := self._is_astray()) or is_turned):
             beginning = self.successor.after_jump(now_ns, has_witness=is_turned, is_astray=is_astray)
         if beginning is None:
             beginning = self._with_moved_antennas(now_ns)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from holdfast.event_log import EventLog
 from holdfast.integrity.learnt_snapshot import NAMES_ARE_RIGHT, LearntNames
+from holdfast.measured_fields import NEVER_NS
 from holdfast.sensors.heading import HeadingModel
 from holdfast.sensors.sensor import Measurement, Position, Sensor
 from holdfast.state import EventKind, Outcome
@@ -20,9 +21,16 @@ Pair = tuple[str, str]
 
 
 class Exchange(NamedTuple):
-    """Two antennas whose positions come by each other's name, and headings from one to the other that are reversed."""
+    """Two antennas whose positions come by each other's name.
+
+    Attributes:
+        pair: by name.
+        since_ns: the first stamp at which they were found to.
+        headings: from one to the other, that are reversed.
+    """
 
     pair: Pair
+    since_ns: int = NEVER_NS
     headings: frozenset[str] = frozenset()
 
 
@@ -68,20 +76,13 @@ class Exchanges:
         log.report(EventKind.LEVER_ARM, now_ns, ", ".join(sorted(pair)), reason)
 
 
-class Exchanged(NamedTuple):
-    """Two antennas that are each where the other is expected, and the first time at which they were."""
-
-    pair: Pair
-    since_ns: int
-
-
 class ExchangeTest:
     """Compares positions with what an estimate expects of other antennas: (91) in docs/math.md."""
 
     def __init__(self) -> None:
         self._fitted: dict[Pair, list[int]] = {}  # stamps of positions of one antenna where another is expected
 
-    def note(self, position: Position, others: Collection[str], *, is_expected: bool) -> list[Exchanged]:
+    def note(self, position: Position, others: Collection[str], *, is_expected: bool) -> list[Exchange]:
         """Take in a position, in the order of stamps; return whose it may be, where that has become clear.
 
         Fixes that walk come by the place of another antenna, too, but do not exchange theirs with it.
@@ -91,7 +92,7 @@ class ExchangeTest:
             others: antennas that are expected where it is.
             is_expected: it is where its own antenna is expected.
         """
-        name, found = position.sensor, list[Exchanged]()
+        name, found = position.sensor, list[Exchange]()
         if is_expected:
             self._fitted = {pair: stamps for pair, stamps in self._fitted.items() if name not in pair}
             return found
@@ -101,7 +102,7 @@ class ExchangeTest:
             for stamps in here, there:
                 stamps[:] = [one for one in stamps[-ENOUGH:] if position.stamp_ns - one <= WITHIN_NS]
             if min(len(here), len(there)) == ENOUGH:
-                found.append(Exchanged((min(name, other), max(name, other)), min(*here, *there)))
+                found.append(Exchange((min(name, other), max(name, other)), min(*here, *there)))
                 here.clear()
                 there.clear()
         return found

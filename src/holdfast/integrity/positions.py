@@ -16,7 +16,7 @@ from holdfast.integrity.arm_knowledge import is_arm_known, is_arm_proven
 from holdfast.integrity.baseline import BaselineTest
 from holdfast.integrity.consensus import Consensus, Departure
 from holdfast.integrity.departures import Departures
-from holdfast.integrity.exchanges import Exchanged, ExchangeTest
+from holdfast.integrity.exchanges import Exchange, ExchangeTest
 from holdfast.integrity.force_learning import ForceLearning, least_scale
 from holdfast.integrity.innovation import in_words
 from holdfast.integrity.learnt_snapshot import LearntScale
@@ -77,7 +77,7 @@ class Positions:
         self._baseline = BaselineTest(lever_arms)
         self._exchange_test = ExchangeTest()
         self._antennas = {name for name, sensor in sensors.items() if is_gnss(sensor)}
-        self._exchanged: list[Exchanged] = []
+        self._exchanged: list[Exchange] = []
         self._log = log
         self._reviewed_ns = NEVER_NS
         self.are_arms_proven = False  # whether those of antennas are as they were measured
@@ -118,7 +118,7 @@ class Positions:
             if of_gnss and name not in of_gnss:
                 self._misplaced.add(name)
 
-    def newly_exchanged(self) -> list[Exchanged]:
+    def newly_exchanged(self) -> list[Exchange]:
         """Return which antennas have been found to be each where the other is expected, since this was asked last."""
         found, self._exchanged = self._exchanged, []
         return found
@@ -193,10 +193,11 @@ class Positions:
 
     def _expected_instead(self, smoother: Smoother, position: Position, prediction: Prediction) -> list[str]:
         """Return the other antennas that are expected where a position is, and its own is not."""
-        limit = self.gates[position.sensor].limit
+        limit, found = self.gates[position.sensor].limit, list[str]()
+        if prediction.nis <= limit:
+            return found
         reach_m = prediction.smallest_visible_m(limit)
-        found: list[str] = []
-        for name in self._antennas - {position.sensor} if prediction.nis > limit else ():
+        for name in self._antennas - {position.sensor}:
             apart_m = hypot(*(self._sensors[name].p_I_P - self._sensors[position.sensor].p_I_P))
             if reach_m > BETWEEN * apart_m:
                 continue  # the estimate expects either

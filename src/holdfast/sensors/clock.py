@@ -10,7 +10,7 @@ on from there.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import gtsam
 import numpy as np
@@ -29,6 +29,7 @@ from holdfast.sensors.sensor import (
 )
 from holdfast.state import Outcome
 
+Kind = TypeVar("Kind", bound=Measurement)
 CLOCK, GNSS_CLOCK = "clock", "clock of GNSS"
 IF_RIGHT_S = 5e-3  # of clocks that are synchronised: sensors have filters inside
 
@@ -124,12 +125,12 @@ def with_estimated_clock(sensor: Any, known_s: float = 0.0) -> Any:
     return kind(sensor, sigma_s, known_s)
 
 
-def measured_later(measurement: Measurement, by_ns: int) -> Measurement:
+def measured_later(measurement: Kind, by_ns: int) -> Kind:
     """Return a measurement as one that was taken later."""
     if by_ns == 0:
         return measurement
     dated: Any = measurement
-    moved: Measurement = replace(dated, stamp_ns=measurement.stamp_ns + by_ns)
+    moved: Kind = replace(dated, stamp_ns=measurement.stamp_ns + by_ns)
     return moved
 
 
