@@ -32,6 +32,11 @@ ONCE_FAILED = {
     63: "the clocks of IMU and GNSS went back; what was driven in the meantime went into T_W_O",
 }
 
+ONCE_BEGAN_ANEW = {
+    384: "the IMU was silent for 14 s: a lidar was said to be turned, and a start at standstill took the last samples",
+    436: "a lidar turned by half a circle while samples lay on a line: it was taken for its mount",
+}
+
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(1000, 1004))
@@ -56,6 +61,12 @@ def test_no_hostile_schedule_breaks_the_engine_whose_optimiser_is_killed(seed):
 @pytest.mark.parametrize("seed", ONCE_FAILED)
 def test_a_schedule_that_broke_the_estimator_once_does_so_no_more(seed):
     assert complaints(seed) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", ONCE_BEGAN_ANEW)
+def test_an_estimate_that_is_right_does_not_begin_anew(seed):
+    assert complaints(seed, starts=True) == []
 
 
 @pytest.mark.slow

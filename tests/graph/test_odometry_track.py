@@ -69,13 +69,22 @@ def test_a_jump_is_found_by_the_imu_and_begins_a_new_frame(mode):
     assert apart(smoother.newest.nav, DRIVE.nav(3.9))[0] < 0.02
 
 
+FAR = gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 500.0, 0.0]))
+TURNED = gtsam.Pose3(gtsam.Rot3.Yaw(-3.0), np.zeros(3))
+
+
+@pytest.mark.parametrize("jump", [FAR, TURNED])
+@pytest.mark.parametrize("is_silent", [False, True])
 @pytest.mark.parametrize("mode", MODES)
-def test_a_pose_that_no_machine_can_have_reached_is_refused(mode):
-    smoother, one = smoother_of(DRIVE, 6.0), track(mode)
-    add(one, smoother, seen(0.1))
-    far = gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 500.0, 0.0]))
-    assert add(one, smoother, seen(0.3, far)).outcome is Outcome.OUT_OF_RANGE
-    assert apart(smoother.newest.nav, DRIVE.nav(0.3))[0] < 0.01
+def test_a_pose_that_no_machine_can_have_reached_is_refused_whether_the_imu_measures_or_not(mode, is_silent, jump):
+    smoother, one = smoother_of(DRIVE, 1.95 if is_silent else 6.0), track(mode)
+    for t in np.arange(0.1, 2.0, 0.2):
+        add(one, smoother, seen(t))
+    joined = add(one, smoother, seen(2.1, jump))
+    assert joined.outcome is Outcome.OUT_OF_RANGE
+    assert (joined.jump is None) == is_silent
+    assert add(one, smoother, seen(2.3, jump)).outcome in (Outcome.USED, Outcome.NO_PREDECESSOR)
+    assert apart(smoother.newest.nav, DRIVE.nav(2.3))[0] < 0.02
 
 
 def test_poses_too_far_apart_are_not_joined_where_each_is_joined_to_the_one_before():

@@ -1,11 +1,14 @@
 """The heading before there is a state: from the first source that knows it, with its sigma."""
 
-from collections.abc import Sequence
-from math import atan2, hypot, sqrt
+from collections.abc import Mapping, Sequence
+from math import atan2, hypot, radians, sqrt
+from typing import Any
 
 import gtsam
 import numpy as np
 
+from holdfast.config.model import InitialisationConfig
+from holdfast.estimator.collected import Collected
 from holdfast.integrity.lever_arms import SAME_M
 from holdfast.sensors.heading import yaw_of
 from holdfast.sensors.sensor import Position, PositionSensor
@@ -13,7 +16,54 @@ from holdfast.sensors.sensor import Position, PositionSensor
 MIN_BASELINE_M = 0.2  # horizontal; a shorter one tells no heading
 PAIRED_NS = 20_000_000  # fixes of a machine that stands
 MIN_SIGMA_RAD = 1e-3
+PAIRS_S = 1.0  # of fixes of two antennas that are averaged
 Antennas = tuple[PositionSensor, PositionSensor]
+
+
+class FirstHeading:
+    """Looks for the heading of a machine that stands: a heading message, two antennas, an absolute pose, the file.
+
+    Args:
+        config: of the start.
+        collected: what was measured of late.
+        antennas: two whose lever arms are not in doubt, if there are.
+        headings: models of sensors of heading, by name.
+        poses: models of sensors of absolute poses, by name.
+    """
+
+    def __init__(
+        self,
+        config: InitialisationConfig,
+        collected: Collected,
+        antennas: Antennas | None,
+        headings: Mapping[str, Any],
+        poses: Mapping[str, Any],
+    ) -> None:
+        self._config, self._collected = config, collected
+        self._antennas, self._headings, self._poses = antennas, headings, poses
+
+    def at_standstill(self, now_ns: int, level: gtsam.Rot3) -> tuple[float, float] | str | None:
+        """Return the heading of the IMU's x axis and its sigma [rad], or why there is none if there should be.
+
+        Args:
+            now_ns: when.
+            level: the IMU's attitude with zero heading.
+        """
+        for heading in self._collected.newest_of(self._headings):
+            found: tuple[float, float] | None = self._headings[heading.sensor].of_imu(heading, level)
+            if found is not None:
+                return found
+        baseline = None
+        if self._antennas is not None:
+            since_ns = now_ns - round(max(PAIRS_S, self._config.standstill_s) * 1e9)
+            baseline = baseline_heading(self._antennas, self._collected.positions, since_ns, level)
+            if isinstance(baseline, tuple):
+                return baseline
+        for pose in self._collected.newest_of(self._poses):
+            return pose_heading(pose.T_F_I.rotation(), level, float(np.sqrt(pose.covariance[:3, :3].max())))
+        if self._config.heading_deg is not None:
+            return radians(self._config.heading_deg), radians(self._config.heading_sigma_deg)
+        return baseline
 
 
 def baseline_heading(

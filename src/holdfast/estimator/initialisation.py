@@ -1,8 +1,7 @@
 """Coming up: at standstill (checked, not assumed) or in motion; refuses bad data and says why.
 
-Standstill gives roll and pitch from gravity, the gyroscope's bias from its mean, the accelerometer's along gravity, and
-position through the lever arm (paper, IV-A.5); heading comes from a heading message, two antennas, an absolute pose or
-the configuration. Without a heading the machine has to move: then a batch of positions, IMU and odometry.
+A machine that stands starts from gravity and the first source of a heading (`standing_start`). Without a heading it has
+to move: then from a batch of positions, IMU and odometry (`fitting_batch`).
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -18,16 +17,16 @@ from holdfast.config.sensors import GnssConfig
 from holdfast.estimator.batch_clock import Offset
 from holdfast.estimator.collected import Collected, between
 from holdfast.estimator.course import Course, course_of
-from holdfast.estimator.first_heading import Antennas, baseline_heading, pose_heading
+from holdfast.estimator.first_heading import Antennas, FirstHeading
 from holdfast.estimator.fitting_batch import FittingBatch, FittingBatches
 from holdfast.estimator.fixes_in_motion import fixes_in_motion, turn
 from holdfast.estimator.known_biases import KnownBiases
 from holdfast.estimator.odometry_tracks import OdometryTracks
 from holdfast.estimator.pose_as_point import PoseAsPoint
+from holdfast.estimator.standing_start import StandingStart
 from holdfast.estimator.velocity_check import Company, VelocityCheck
 from holdfast.graph.alignment import Jump
 from holdfast.graph.alignment_problem import Evidence, thin
-from holdfast.graph.first_guess import level_attitude
 from holdfast.integrity.consensus import Departure, first_of_shape
 from holdfast.integrity.exchanges import Exchange, Pair
 from holdfast.measured_fields import NEVER_NS
@@ -38,22 +37,16 @@ from holdfast.sensors.lever_arm import GNSS_ARM, is_in_doubt
 from holdfast.sensors.odometry import OdometryNoise
 from holdfast.sensors.preintegration import ImuNoise
 from holdfast.sensors.sensor import Measurement, Parameter, Position, Role, Sensor, Velocity, is_gnss, of_role
-from holdfast.sensors.standstill import (
-    ENGINE,
-    fixes_stand,
-    quiet_window,
-    standstill_covariance,
-    velocities_stand,
-)
+from holdfast.sensors.standstill import ENGINE, quiet_window
 from holdfast.state import OptimisedState, Outcome
 
 PLAUSIBLE_FORCE_M_S2 = (7.0, 13.0)  # mean specific force of a machine on the ground
 TIMES_NEARER = 8.0  # to positions, an odometry is than the estimate that leaves them
 RETRY_NS = 1_000_000_000
-STANDING_S = 5.0, 15.0  # over which positions tell whether the machine stands, longer ones if the first cannot
 COURSE_S = 8.0, 3.0  # over which positions and velocities are averaged: two positions, or all of the shorter time
 NO_POSITION, NO_IMU = "no usable position has come", "no usable IMU sample has come"
 NO_OTHER = "no usable measurement of a sensor other than the IMU has come"
+STANDSTILL = "standstill"
 NO_SENSOR = "no sensor beside the IMU is configured that can start it (needed: positions, poses or an odometry)"
 
 
@@ -88,11 +81,11 @@ class Initialising:
         points = of_role(sensors, Role.POSITION)  # those of GNSS first: of another somebody has typed where it stands
         self._points = dict(sorted(points.items(), key=lambda one: not is_gnss(one[1])))
         poses = of_role(sensors, Role.POSE)
-        self._poses = {name: one for name, one in poses.items() if not self._points or not one.parameters}
+        poses = {name: one for name, one in poses.items() if not self._points or not one.parameters}
         self._headings = of_role(sensors, Role.HEADING)
         self._odometries = OdometryTracks(of_role(sensors, Role.ODOMETRY))
         if not self._points:  # W is where the poses are given
-            self._points = {name: PoseAsPoint(name) for name in self._poses}
+            self._points = {name: PoseAsPoint(name) for name in poses}
         antennas = [self._points[name] for name in config.sensors_of(GnssConfig)][:2]
         are_sure = len(antennas) == 2 and not any(is_in_doubt(one.parameters) for one in antennas)
         self._antennas: Antennas | None = (antennas[0], antennas[1]) if are_sure else None
@@ -100,6 +93,10 @@ class Initialising:
         window_ns = round(config.initialisation.window_s * 1e9)
         self._collected = Collected(sensors, self._points, self._odometries, window_ns)
         self.biases = KnownBiases(imu, config.initialisation.standstill_s)
+        heading = FirstHeading(config.initialisation, self._collected, self._antennas, self._headings, poses)
+        self._standing = StandingStart(
+            config, self._collected, gravity, points=self._points, heading=heading, biases=self.biases
+        )
         self.misfit = inf  # of the last attempt: squared residuals over what is claimed
         self.doubtful: frozenset[str] = frozenset()  # odometries and receivers that the last attempt has left out
         self.found: dict[str, Parameter] = {}
@@ -244,6 +241,9 @@ class Initialising:
         if recent is None:
             self.reason = f"the IMU has not measured without a gap for {standstill_s:g} s"
             return None
+        if (ahead_s := (self._collected.newest_ns - now) * 1e-9) > standstill_s:
+            self.reason = f"others have measured {ahead_s:.1f} s later than the IMU: it is silent, or a clock is wrong"
+            return None
         force = float(np.linalg.norm(recent[0].mean(axis=0)))
         if not PLAUSIBLE_FORCE_M_S2[0] < force < PLAUSIBLE_FORCE_M_S2[1]:
             hint = ": is the accelerometer in g?" if 0.8 < force < 1.3 else ""
@@ -252,35 +252,22 @@ class Initialising:
             )
             return None
         quiet = quiet_window(self._config.standstill, self._buffer, now, standstill_s, ENGINE)
-        if quiet is not None and self._is_standing(now):
+        if quiet is not None and self._standing.is_standing(now):
             return self._at_standstill(now, *quiet)
         limit_rad = max(limit_rad, self._limit_rad)
         return self._in_motion(now, limit_rad, may_have_jumped=may_have_jumped, may_be_late=may_be_late)
 
-    # --- at standstill -----------------------------------------------------------------------------------------------
-
-    def _is_standing(self, now_ns: int) -> bool:
-        """The positions must agree that the machine stands: an even motion is as quiet as standstill."""
-        if not self._points:
-            return True
-        stand = self.stands(now_ns, self._config.initialisation.standstill_s)
-        if stand is None:
-            self.reason = "waiting for positions that tell whether the machine stands"
-        return bool(stand)
+    def _at_standstill(self, now_ns: int, force: Array, rate: Array) -> OptimisedState | None:
+        state = self._standing.attempt(now_ns, force, rate)
+        if isinstance(state, str):
+            self.reason = state
+            return None
+        self.reason, self.misfit = STANDSTILL, 0.0
+        return state
 
     def stands(self, end_ns: int, duration_s: float) -> bool | None:
         """Whether velocities and positions say that the machine stood for so long; None while they cannot tell."""
-        since_ns = end_ns - round(duration_s * 1e9)
-        by_velocity = velocities_stand(between(self._collected.velocities, since_ns, end_ns))
-        by_position = None
-        for longer_s in STANDING_S:
-            longer_ns = end_ns - round(max(longer_s, 2.0 * duration_s) * 1e9)
-            if by_position is None:
-                fixes = self._collected.of_first_receiver(longer_ns)
-                by_position = fixes_stand([one for one in fixes if one.stamp_ns <= end_ns])
-        if by_velocity is None or by_position is None:
-            return by_velocity if by_position is None else by_position
-        return by_velocity and by_position
+        return self._standing.stands(end_ns, duration_s)
 
     def course(self, stamp_ns: int) -> Course | None:
         """Return where the newest positions of the first receiver lead at a time; None if there were none of late."""
@@ -294,61 +281,6 @@ class Initialising:
         """Return the mean specific force (3,) in a time [m/s^2], or None where the IMU was silent in it."""
         held = self._buffer.window(start_ns, end_ns)
         return None if held is None else np.asarray(held[0].mean(axis=0))
-
-    def _at_standstill(self, now_ns: int, force: Array, rate: Array) -> OptimisedState | None:
-        imu, standstill_s = self._config.imu, self._config.initialisation.standstill_s
-        level = level_attitude(force)
-        excess = (np.linalg.norm(force) - self._gravity) * force / np.linalg.norm(force)
-        bias = gtsam.imuBias.ConstantBias(excess, rate)
-        self.biases.note_standstill(bias)
-        self.reason = "standing still without a heading: give initialisation.heading_deg, a heading topic, or move"
-        heading = self._heading(now_ns, level)
-        if heading is None:
-            return None
-        yaw, yaw_sigma = heading
-        R_W_I = gtsam.Rot3.Yaw(yaw).compose(level)
-        position, position_covariance, arm = self._position(now_ns, R_W_I)
-        up, in_imu = force / np.linalg.norm(force), R_W_I.matrix().T @ position_covariance @ R_W_I.matrix()
-        covariance = standstill_covariance(imu, standstill_s, self._gravity, up, yaw_sigma, in_imu, arm)
-        self.reason, self.misfit = "standstill", 0.0
-        nav = gtsam.NavState(R_W_I, position, np.zeros(3))
-        return OptimisedState(now_ns, nav, bias, covariance, np.zeros(3))
-
-    def _position(self, now_ns: int, R_W_I: gtsam.Rot3) -> tuple[Array, Array, Array]:
-        """Return p_W_I, its covariance in W, and the lever arm through which it was found."""
-        since = now_ns - round(self._config.initialisation.standstill_s * 1e9)
-        fixes = self._collected.of_first_receiver(since) or self._collected.of_first_receiver()[-1:]
-        if not fixes:
-            return np.zeros(3), np.eye(3) * 1e-4, np.zeros(3)
-        sensor = self._points[fixes[-1].sensor]
-        arm: Array = sensor.p_I_P
-        mean: Array = np.mean([one.p_W_P for one in fixes], axis=0)
-        position: Array = mean - R_W_I.rotate(arm)
-        of_arm = sensor.parameters[0].sigmas if is_in_doubt(sensor.parameters) else np.zeros(3)
-        return position, fixes[-1].covariance + np.diag(of_arm**2), arm
-
-    def _heading(self, now_ns: int, level: gtsam.Rot3) -> tuple[float, float] | None:
-        """Return the heading of the IMU's x axis and its sigma [rad], from the first source that there is."""
-        start = self._config.initialisation
-        for heading in self._collected.newest_of(self._headings):
-            found: tuple[float, float] | None = self._headings[heading.sensor].of_imu(heading, level)
-            if found is not None:
-                return found
-        if self._antennas is not None:
-            since = now_ns - round(max(1.0, start.standstill_s) * 1e9)
-            baseline = baseline_heading(self._antennas, self._collected.positions, since, level)
-            if isinstance(baseline, tuple):
-                return baseline
-            self.reason = baseline or self.reason
-        for pose in self._collected.newest_of(self._poses):
-            return pose_heading(pose.T_F_I.rotation(), level, float(np.sqrt(pose.covariance[:3, :3].max())))
-        if start.heading_deg is not None:
-            return radians(start.heading_deg), radians(start.heading_sigma_deg)
-        if not self._points:
-            return 0.0, 1e-3  # W is where the machine starts: heading is zero by definition
-        return None
-
-    # --- in motion ---------------------------------------------------------------------------------------------------
 
     def _in_motion(
         self, now_ns: int, limit_rad: float, *, may_have_jumped: bool, may_be_late: bool

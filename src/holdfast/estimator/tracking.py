@@ -6,15 +6,15 @@ from typing import Any, NamedTuple
 import gtsam
 
 from holdfast.config.model import Config
-from holdfast.estimator.batch_clock import Offset
 from holdfast.estimator.clock import MAX_SILENCE_NS
 from holdfast.estimator.epochs import Epochs
 from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import Received
+from holdfast.estimator.judgement import Judgement
 from holdfast.estimator.learnt_view import LearntView
 from holdfast.estimator.queue import MeasurementQueue
 from holdfast.estimator.standstill import STANDSTILL, StandstillUpdates
-from holdfast.estimator.successor import Beginning, Successor
+from holdfast.estimator.successor import Successor
 from holdfast.estimator.wandering import Wandering
 from holdfast.event_log import EventLog
 from holdfast.graph.dual_graph import DualGraph
@@ -27,7 +27,7 @@ from holdfast.integrity.lever_arms import LeverArms
 from holdfast.integrity.noise_review import NoiseReview
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.odometries import Odometries
-from holdfast.integrity.positions import Contradiction, Positions
+from holdfast.integrity.positions import Positions
 from holdfast.integrity.recovery import Recovery
 from holdfast.integrity.states import JointAt, States
 from holdfast.integrity.yaw_learning import Witness
@@ -43,8 +43,6 @@ Channel = Callable[[DualGraph, Any, int], Outcome]
 """Takes the graphs, a measurement and the time that the IMU has reached; says what became of the measurement."""
 
 
-MISTAKEN = "it is late, of another sign or in other axes, as the positions show"
-CLOCK_NS = 5_000_000_000  # what the graph knows of the clock of GNSS is looked at this often
 WITNESSES = Role.POSITION, Role.VELOCITY  # of motion, where the machine was believed to stand
 
 
@@ -100,7 +98,6 @@ class Tracking:
         self._buffer, self._log, self._monitor = buffer, log, monitor
         self._roles = {name: sensor.role for name, sensor in sensors.items()}
         self._constraints = [sensor for sensor in sensors.values() if isinstance(sensor, ConstraintSensor)]
-        self._gate = config.gate
         self._clock_ns = successor.start.clock_ns  # by which stamps of GNSS are known to be early
         self._by_gnss_clock = {name for name, sensor in sensors.items() if is_by_gnss_clock(sensor)}
         sensors = {name: with_estimated_clock(sensor, self._clock_ns * 1e-9) for name, sensor in sensors.items()}
@@ -141,7 +138,6 @@ class Tracking:
         self._node_interval_ns = round(config.graph.max_node_interval_s * 1e9)
         self._due_ns: int | None = None
         self._constrained_ns = state.stamp_ns
-        self._told_clock_ns = state.stamp_ns
         self._late: set[str] = set()  # sensors whose last measurement was too late
         self._epochs = Epochs()
         self._calibration = Calibration(sensors, config.imu_name, log)
@@ -161,7 +157,17 @@ class Tracking:
             arm=self._priors.get(GNSS_ARM),
         )
         self.graph.main.imu_noise.walk_scale = successor.walk_scale
-        self._hold_mistaken(state.stamp_ns)
+        self._judgement = Judgement(
+            config.gate,
+            self.graph,
+            successor,
+            log,
+            positions=self._positions,
+            states=self._states,
+            odometries=self._odometries,
+            clock=self._priors.get(GNSS_CLOCK),
+        )
+        self._judgement.hold_mistaken(state.stamp_ns)
 
     @property
     def is_due(self) -> bool:
@@ -306,96 +312,20 @@ class Tracking:
         self._wandering.review(now_ns)
         for channel in self._headings, self._states:
             channel.review(self.graph, now_ns)
-        self._hold_mistaken(now_ns)
+        self._judgement.hold_mistaken(now_ns)
         self._odometries.review(now_ns)
         self._calibration.review(self.graph.main, now_ns)
-        self._tell_clock(now_ns)
+        self._judgement.tell_clock(now_ns)
         self._noise_review.review(self._odometries, self._positions.learnt_accelerometer(), now_ns)
         self.successor.calm(now_ns)
         published = self.graph.published
         published.imu_noise.walk_scale = self.successor.walk_scale
-        beginning = self._beginning(now_ns)
+        beginning = self._judgement.beginning(now_ns)
         if beginning is not None:
             return Update(beginning.state, (), is_recovery=True, begins_anew=True)
         if is_recovery:
             self._monitor.recovered(now_ns)
         return Update(published.newest, published.settled(), is_recovery, standing=standing)
-
-    def _beginning(self, now_ns: int) -> Beginning | None:
-        """Return a state to begin anew from, if what was measured contradicts the estimate; report why."""
-        is_turned = self._odometries.part_from_gyroscope(now_ns)
-        has_witness = self._odometry_vouches(is_turned=is_turned)
-        # else it is the positions that have begun to err
-        is_alone = has_witness or is_turned or not self._odometries.has_agreed()
-        contradiction = self._contradiction(has_witness=has_witness) if is_alone else None
-        if self._odometries.newly_turned():
-            self.successor.doubt()
-        beginning = self.successor.settle_doubt()
-        if beginning is None and contradiction is not None:
-            beginning = self.successor.begin(self.graph.published.newest, contradiction.since_ns)
-        if beginning is None and is_alone and ((is_astray := self._is_astray()) or is_turned):
-            beginning = self.successor.after_jump(now_ns, has_witness=is_turned, is_astray=is_astray)
-        if beginning is None:
-            beginning = self._with_moved_antennas(now_ns)
-        if beginning is not None:
-            sensor = "" if contradiction is None else contradiction.sensor
-            self._log.report(EventKind.BEGUN_ANEW, now_ns, sensor, beginning.reason)
-        return beginning
-
-    def _tell_clock(self, now_ns: int) -> None:
-        """Let what would begin anew know the clock of GNSS that the graph has found, while positions are expected."""
-        prior, start = self._priors.get(GNSS_CLOCK), self.successor.start
-        if prior is None or now_ns - self._told_clock_ns < CLOCK_NS or self._positions.suspects():
-            return
-        self._told_clock_ns = now_ns
-        clock = self.graph.main.parameters.constant(GNSS_CLOCK, prior)
-        if clock is not None and clock.is_off:
-            offset = Offset(float(clock.value[0]) - start.clock_ns * 1e-9, float(clock.sigmas[0]))
-            if offset.is_off:
-                start.know_clock_off(offset)
-
-    def _with_moved_antennas(self, now_ns: int) -> Beginning | None:
-        """Return a state to begin from if antennas that are elsewhere explain what was measured better."""
-        if self._positions.are_arms_proven:
-            self.successor.start.settle_arms()
-        is_suspected = bool(self._positions.suspects())
-        return self.successor.with_moved_antennas(now_ns, is_suspected=is_suspected)
-
-    def _is_astray(self) -> bool:
-        """Whether positions or velocities are not what the estimate expects, several in a row."""
-        return self._positions.are_unexpected or bool(self._states.contradicting(Role.VELOCITY))
-
-    def _hold_mistaken(self, now_ns: int) -> None:
-        """Keep velocities out that are late, of another sign or in other axes."""
-        self._states.hold(self.successor.start.mistaken())
-        for name in sorted(self.successor.newly_mistaken()):
-            self._log.report(EventKind.SENSOR_LOST, now_ns, name, MISTAKEN)
-
-    def _odometry_vouches(self, *, is_turned: bool) -> bool:
-        """Whether an odometry that is trusted moves as positions that contradict do: they are then believed sooner.
-
-        What is not trusted is no help in beginning anew either.
-        """
-        start, departure = self.successor.start, self._positions.departure()
-        for name in self._odometries.distrusted:
-            start.forget_odometry(name)
-        vouches = departure is not None and start.odometry_vouches(departure)
-        has_odometry = self._odometries.has_trusted and not (vouches or is_turned)
-        have_jumped = self._positions.have_jumped
-        self._positions.be_patient(self._gate.patience_s(has_odometry=has_odometry, have_jumped=have_jumped))
-        return vouches
-
-    def _contradiction(self, *, has_witness: bool) -> Contradiction | None:
-        """Return which positions contradict the estimate; a witness that says the same makes fewer of them enough."""
-        found = self._positions.contradiction(has_witness=has_witness)
-        witnesses = self._states.contradicting(Role.VELOCITY)
-        if found is not None or not witnesses:
-            return found
-        early = self._positions.contradiction(has_witness=True)
-        if early is None:
-            return None
-        nav = self.graph.published.newest.nav
-        return early if self.successor.start.is_confirmed(witnesses, early.since_ns, nav) else None
 
     def drop_samples(self) -> None:
         """Drop the samples that no window needs any more."""

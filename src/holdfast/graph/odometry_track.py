@@ -85,10 +85,10 @@ class OdometryTrack:
         if before is not None and before.stamp_ns < pose.stamp_ns:
             motion = before.T_I0_I.between(pose.T_I0_I)
             self._slack = _carried(self._slack, motion, pose.excess)
+            jump = self._jump(smoother, before, pose, motion)
             if not is_possible(motion, (pose.stamp_ns - before.stamp_ns) * 1e-9):
                 self._epochs, self._T_W_I0 = [], None
-                return Joined(Outcome.OUT_OF_RANGE)
-            jump = self._jump(smoother, before, pose, motion)
+                return Joined(Outcome.OUT_OF_RANGE, jump)
             if jump is not None:
                 self._epochs, self._T_W_I0, motion = [], None, None
         if self._mode == "relative":

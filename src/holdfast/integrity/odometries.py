@@ -209,7 +209,8 @@ class Odometries:
         if jumps is Jumps.WILD:
             lies_since_ns = pose.stamp_ns
         reason = NOT_MEASURED
-        if lies_since_ns is None and not graph.is_lost and self._is_turned(graph, odometry, pose.sensor):
+        may_be_turned = lies_since_ns is None and is_measured and not graph.is_lost
+        if may_be_turned and self._is_turned(graph, odometry, pose.sensor):
             lies_since_ns, reason, self._has_turned = graph.main.oldest_ns, TURNED, True
             self._mount(graph, pose.sensor, odometry.model.calibration.prior_about(np.zeros(3), AGREES_RAD))
         if lies_since_ns is not None:

@@ -20,6 +20,7 @@ from holdfast.sensors.sensor import STEADY, Role, mounting, pose_of, register
 from holdfast.state import Outcome
 
 MAX_SPEED_M_S = 100.0
+MAX_RATE_RAD_S = 10.0
 MAX_SCALE = 30.0
 LOOSE_TILT_RAD = 0.2  # of a pseudo-global pose, whose roll and pitch are left to the IMU
 STILL_M_S = 1e-3  # velocity of a frame, which has one only because it shares the type of the nodes
@@ -95,7 +96,9 @@ def _is_unmeasured(covariance: Array | None) -> bool:
 
 def is_possible(motion: gtsam.Pose3, duration_s: float) -> bool:
     """Whether a machine can have moved like this between two poses."""
-    return bool(np.linalg.norm(motion.translation()) <= MAX_SPEED_M_S * duration_s)
+    turned_rad = np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation()))
+    has_way = np.linalg.norm(motion.translation()) <= MAX_SPEED_M_S * duration_s
+    return bool(has_way and turned_rad <= MAX_RATE_RAD_S * duration_s)
 
 
 class LearntNoise(NamedTuple):
