@@ -159,23 +159,29 @@ def held_out_row(config: Config, run: Run, messages: list[Message], reference: P
         "nominal": rms(errors[[nominal for _, nominal in run.judged]]),
         "max": float(errors.max()),
         "nees": float(np.mean([j.nees for j in judgements])) / 3.0,
-        "reference": against_reference(run, reference),
+        "reference": against_reference(run, reference_in(reference, run.frame)),
         "factor": (messages[-1].arrival_ns - messages[0].arrival_ns) * 1e-9 / run.wall_s,
         "events": ", ".join(f"{kind} {count}" for kind, count in sorted(run.events.items())),
     }
 
 
-def against_reference(run: Run, file: Path) -> float:
-    """Return the RMS distance from the receiver's own sensor fusion to the nearest estimate [m], or NaN without it."""
-    if not file.exists() or run.frame is None:
+def reference_in(file: Path, frame: LocalFrame | None) -> np.ndarray:
+    """Return stamp [ns], east, north and up [m] of the receiver's own sensor fusion; none without it."""
+    if not file.exists() or frame is None:
+        return np.zeros((0, 4))
+    rows = np.genfromtxt(file, delimiter=",", skip_header=1)
+    return np.array([(np.round(row[0] * 1e3) * 1e6, *frame.to_enu(Geodetic(*row[1:4]))) for row in rows])
+
+
+def against_reference(run: Run, reference: np.ndarray) -> float:
+    """Return the RMS distance from a reference to the nearest estimate [m], or NaN without it."""
+    if not len(reference):
         return nan
-    rows, track = np.genfromtxt(file, delimiter=",", skip_header=1), np.array(run.track)
-    stamps = np.round(rows[:, 0] * 1e3) * 1e6
-    rows = rows[(stamps >= track[0, 0]) & (stamps <= track[-1, 0])]
-    at = np.searchsorted(track[:, 0], np.round(rows[:, 0] * 1e3) * 1e6)
-    at -= rows[:, 0] * 1e9 - track[at - 1, 0] < track[at, 0] - rows[:, 0] * 1e9
-    there = np.array([run.frame.to_enu(Geodetic(*row[1:4]))[:2] for row in rows]).reshape(-1, 2)
-    return rms(np.linalg.norm(track[at, 1:3] - there, axis=1))
+    track = np.array(run.track)
+    rows = reference[(reference[:, 0] >= track[0, 0]) & (reference[:, 0] <= track[-1, 0])]
+    at = np.searchsorted(track[:, 0], rows[:, 0])
+    at -= rows[:, 0] - track[at - 1, 0] < track[at, 0] - rows[:, 0]
+    return rms(np.linalg.norm(track[at, 1:3] - rows[:, 1:3], axis=1))
 
 
 def outage_starts(messages: list[Message], length_s: float) -> np.ndarray:
@@ -184,16 +190,21 @@ def outage_starts(messages: list[Message], length_s: float) -> np.ndarray:
     return np.arange(FIRST_OUTAGE_S, lasts_s - length_s - 10.0, length_s + BETWEEN_OUTAGES_S)
 
 
+ROW = "start_s", "end_m", "up_m", "nees", "fix_m", "fix_up_m", "back_s"
+
+
 def outage_rows(
-    config: Config, run: Run, messages: list[Message], starts: np.ndarray, length_s: float
+    config: Config, run: Run, messages: list[Message], starts: np.ndarray, length_s: float, *, reference: Path
 ) -> list[dict[str, float]]:
     """Return, for every outage, when it began, the error and NEES at its end, and how long it took to return.
 
-    `back_s`: from the fifth used fix until a held-out one is within 3 of its own sigmas; infinite if none is before
-    the next outage. After a crash all is infinite. One replay holds all outages of a length, so that one from which the
+    `fix_m` and `fix_up_m`: by how much the fix that judges is itself beside the reference, NaN without one. `back_s`:
+    from the fifth used fix until a held-out one is within 3 of its own sigmas; infinite if none is before the next
+    outage. After a crash all is infinite. One replay holds all outages of a length, so that one from which the
     estimate does not return spoils the next.
     """
     fixes = positions(config, [message for message in messages if isinstance(message, GnssFix)], run.frame)
+    track = reference_in(reference, run.frame)
     sigmas, used = dict(fixes[:, [0, 3]].tolist()), positions(config, run.used, run.frame)[:, 0]
     rows = []
     for start_s in starts:
@@ -201,22 +212,18 @@ def outage_rows(
         inside = [j for j, _ in run.judged if began <= j.stamp_ns < ended]
         after = [j for j, _ in run.judged if ended <= j.stamp_ns < ended + BETWEEN_OUTAGES_S * 1e9]
         if ended > run.crashed_ns:
-            rows.append({"start_s": float(start_s), "end_m": inf, "up_m": inf, "nees": inf, "back_s": inf})
+            rows.append(dict.fromkeys(ROW, inf) | {"start_s": float(start_s)})
             continue
         if not inside or not after:
             continue  # it had not started
         fifth = used[min(np.searchsorted(used, ended) + 4, len(used) - 1)]
         good = [j.stamp_ns for j in after if np.hypot(*j.error[:2]) <= 3.0 * sigmas[float(j.stamp_ns)]]
         last = inside[-1]
-        rows.append(
-            {
-                "start_s": float(start_s),
-                "end_m": float(np.hypot(*last.error[:2])),
-                "up_m": float(last.error[2]),
-                "nees": last.nees,
-                "back_s": max(0.0, (good[0] - fifth) * 1e-9) if good else inf,
-            }
-        )
+        beside = [np.interp(last.stamp_ns, *track[:, [0, k]].T) if len(track) else nan for k in (1, 2, 3)]
+        beside = last.position - np.array(beside)
+        back_s = max(0.0, (good[0] - fifth) * 1e-9) if good else inf
+        found = start_s, np.hypot(*last.error[:2]), last.error[2], last.nees, np.hypot(*beside[:2]), beside[2], back_s
+        rows.append(dict(zip(ROW, map(float, found), strict=True)))
     return rows
 
 
@@ -232,9 +239,10 @@ def judge_drive(drive: Path, length_s: float | None, baselines: bool) -> dict[st
     runs = {"Holdfast": run_system(Estimator(config), messages, rules)}
     for title, make in BASELINES.items() if baselines else ():
         runs[title] = run_baseline(make, config, messages, rules, runs["Holdfast"])
+    file = drive / "reference.csv"
     if length_s is None:
-        return {title: held_out_row(config, run, messages, drive / "reference.csv") for title, run in runs.items()}
-    return {title: outage_rows(config, run, messages, starts, length_s) for title, run in runs.items()}
+        return {title: held_out_row(config, run, messages, file) for title, run in runs.items()}
+    return {title: outage_rows(config, run, messages, starts, length_s, reference=file) for title, run in runs.items()}
 
 
 def names_of(config: Config, kind: str) -> list[str]:
@@ -294,7 +302,8 @@ def print_outages(drives: Sequence[str], length_s: float, results: Sequence[dict
                 if title == "Holdfast" and row["nees"] > NEES_3_SIGMA:
                     print(
                         f"      beyond 3 sigma: from {row['start_s']:.0f} s, horizontally {row['end_m']:.2f} m,"
-                        f" up {row['up_m']:+.2f} m, NEES/3 {row['nees'] / 3.0:.1f}"
+                        f" up {row['up_m']:+.2f} m, NEES/3 {row['nees'] / 3.0:.1f}; the fix is beside the reference by"
+                        f" {row['fix_m']:.2f} m, up {row['fix_up_m']:+.2f} m"
                     )
 
 

@@ -1,5 +1,6 @@
 """What the estimator begins anew from: the batch if it tells the heading, else the fixes and a heading in doubt."""
 
+from dataclasses import replace
 from time import process_time
 
 import gtsam
@@ -66,6 +67,17 @@ def test_without_a_heading_position_and_velocity_are_those_of_the_fixes_and_the_
     assert (R @ state.covariance[:3, :3] @ R.T)[2, 2] >= DOUBT_RAD**2
     assert state.covariance[9, 9] == 1e-6  # the biases are what they were
     assert_explained(state)
+
+
+def test_positions_that_are_elsewhere_lead_nowhere():
+    """The newest was 38 m beside those before: what began anew was there, went on at 38 m/s, and was 173 m off."""
+    successor = drive(begun(), END_S - 1.0)
+    for t, off_m in [(END_S - 0.9, 0.0), (END_S - 0.5, 0.0), (END_S - 0.1, 38.0)]:
+        fix = position(ROAD, t, ARM)
+        successor.add(replace(fix, p_W_P=fix.p_W_P + off_m))
+    state = successor.begin(astray(yaw_rad=0.3), ns(0.0)).state
+    assert np.linalg.norm(state.nav.velocity() - ROAD.nav(END_S).velocity()) < 1.2
+    assert np.linalg.norm(state.nav.position() - ROAD.nav(END_S).position()) < 0.8
 
 
 def test_a_heading_that_was_wrong_by_60_deg_is_explained_by_the_doubt():

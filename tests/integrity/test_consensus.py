@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from motion import ns
 
-from holdfast.integrity.consensus import Consensus
+from holdfast.integrity.consensus import Consensus, agreeing
 from holdfast.sensors.sensor import Position
 from holdfast.state import Outcome
 
@@ -217,3 +217,11 @@ def test_a_departure_reaches_back_to_the_last_that_was_not_refused():
     found = run.departure()
     assert found.since_ns == ns(20.0)
     assert found.positions[0].stamp_ns <= ns(1.0)
+
+
+@pytest.mark.parametrize("elsewhere", [{0}, {1}, {5}, {9}, {2, 9}, {4, 5}])
+def test_positions_that_agree_are_those_without_outliers(elsewhere):
+    one_a_second = [at(float(k), 5.0 * k + 40.0 * (k in elsewhere)) for k in range(10)]
+    found = {one.stamp_ns for one in agreeing(one_a_second)}
+    agree = {k for k in range(10) if one_a_second[k].stamp_ns in found}
+    assert len(agree) >= 5 and not agree & elsewhere

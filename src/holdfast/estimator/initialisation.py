@@ -27,7 +27,7 @@ from holdfast.estimator.standing_start import StandingStart
 from holdfast.estimator.velocity_check import Company, VelocityCheck
 from holdfast.graph.alignment import Jump
 from holdfast.graph.alignment_problem import Evidence, thin
-from holdfast.integrity.consensus import Departure, first_of_shape
+from holdfast.integrity.consensus import Departure, agreeing, first_of_shape
 from holdfast.integrity.exchanges import Exchange, Pair
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array, Message
@@ -270,9 +270,10 @@ class Initialising:
         return self._standing.stands(end_ns, duration_s)
 
     def course(self, stamp_ns: int) -> Course | None:
-        """Return where the newest positions of the first receiver lead at a time; None if there were none of late."""
-        longest, shortest = (self._collected.of_first_receiver(stamp_ns - round(s * 1e9)) for s in COURSE_S)
-        positions = sorted(longest, key=lambda one: one.stamp_ns)[-max(len(shortest), 2) :]
+        """Return where positions of the first receiver that agree lead at a time; None without any of late."""
+        longest_ns, shortest_ns = (stamp_ns - round(s * 1e9) for s in COURSE_S)
+        positions = agreeing(sorted(self._collected.of_first_receiver(longest_ns), key=lambda one: one.stamp_ns))
+        positions = positions[-max(sum(one.stamp_ns >= shortest_ns for one in positions), 2) :]
         velocities, _ = self._credible_velocities(positions, max(stamp_ns, self._buffer.latest_ns))
         arm = self._points[positions[-1].sensor].p_I_P if positions else np.zeros(3)
         return course_of(positions, velocities, stamp_ns, arm)

@@ -34,6 +34,37 @@ def first_of_shape(stamps_ns: Sequence[int], since_ns: int) -> int:
     return max(min(before, len(stamps_ns) - LEAST), 0)
 
 
+def follows(position: Position, before: Sequence[Position]) -> bool:
+    """Whether a position is where one or two of the same receiver before may have led, of which the newest is last."""
+    *others, last = before
+    dt_s = (position.stamp_ns - last.stamp_ns) * 1e-9
+    if dt_s <= 0.0:
+        return False
+    if not others:
+        return True
+    moved: Array = position.p_W_P - last.p_W_P
+    noise_m = SIGMA * sqrt(float(np.trace(position.covariance + last.covariance)))
+    before_s = (last.stamp_ns - others[-1].stamp_ns) * 1e-9
+    expected = (last.p_W_P - others[-1].p_W_P) / before_s * dt_s
+    reach_m = MAX_ACCELERATION_M_S2 * dt_s * 0.5 * (dt_s + before_s)
+    return bool(np.linalg.norm(moved - expected) <= reach_m + noise_m * (1.0 + dt_s / before_s))
+
+
+def agreeing(positions: Sequence[Position]) -> list[Position]:
+    """Return the newest of positions of one receiver, sorted by stamp, that agree with each other: no outliers."""
+    run: list[Position] = []
+    outliers = 0
+    for position in positions:
+        if not run or follows(position, run[-COMPARED:]):
+            run.append(position)
+            outliers = 0
+            continue
+        outliers += 1
+        if outliers >= OUTLIERS:
+            run, outliers = [], 0
+    return run
+
+
 class Departure(NamedTuple):
     """Positions that the estimate leaves.
 
@@ -83,7 +114,7 @@ class Consensus:
         One that is not expected may be used all the same, or wait.
         """
         is_refused = outcome not in (Outcome.USED, Outcome.QUARANTINED)
-        if self._newest and not self._follows(position):
+        if self._newest and not follows(position, self._newest):
             self._outliers += 1
             if self._outliers >= OUTLIERS:
                 self.clear()
@@ -171,17 +202,3 @@ class Consensus:
 
     def _since_first_refused(self) -> list[_Judged]:
         return list(dropwhile(lambda one: not one.is_refused, self._run))
-
-    def _follows(self, position: Position) -> bool:
-        last = self._newest[-1]
-        dt_s = (position.stamp_ns - last.stamp_ns) * 1e-9
-        if dt_s <= 0.0:
-            return False
-        if len(self._newest) < COMPARED:
-            return True
-        moved: Array = position.p_W_P - last.p_W_P
-        noise_m = SIGMA * sqrt(float(np.trace(position.covariance + last.covariance)))
-        before_s = (last.stamp_ns - self._newest[-2].stamp_ns) * 1e-9
-        expected = (last.p_W_P - self._newest[-2].p_W_P) / before_s * dt_s
-        reach_m = MAX_ACCELERATION_M_S2 * dt_s * 0.5 * (dt_s + before_s)
-        return bool(np.linalg.norm(moved - expected) <= reach_m + noise_m * (1.0 + dt_s / before_s))
