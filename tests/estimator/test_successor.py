@@ -168,10 +168,13 @@ def test_it_does_not_grow_while_no_position_comes():
 
 def test_an_attempt_over_half_a_minute_is_cheap():
     """40 ms of processor time when this was written; the first had no limit on what it took in."""
-    successor = drive(begun(ROAD, 30.0), 0.1, 30.0)
-    began_s = process_time()
-    successor.begin(astray(30.0), ns(0.0))
-    assert process_time() - began_s < 0.2
+    took_s = []
+    for _ in range(3):  # whoever is first loads what others have loaded
+        successor = drive(begun(ROAD, 30.0), 0.1, 30.0)
+        began_s = process_time()
+        successor.begin(astray(30.0), ns(0.0))
+        took_s.append(process_time() - began_s)
+    assert min(took_s) < 0.2
 
 
 def test_the_biases_walk_faster_for_a_while_if_what_has_begun_with_a_heading_is_contradicted_again():
