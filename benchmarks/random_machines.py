@@ -25,7 +25,7 @@ OWN = (
     Measure("started_s", "started after", "s", digits=2),
     Measure("outage_ratio", "outages: horizontal RMS / that of the odometry alone", "1", digits=2),
 )
-LEFT_OUT = ("rtk_", "base_", "vertical_", "outage_alone_", "outage_vertical_", "settled_s", "misled_s", "drift_percent")
+LEFT_OUT = ("rtk_", "base_", "vertical_ratio", "outage_alone_", "settled_s", "misled_s", "drift_percent")
 ROWS = OWN + tuple(one for one in MEASURES if not one.key.startswith(LEFT_OUT) and "excess" not in one.key)
 
 

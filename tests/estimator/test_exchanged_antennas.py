@@ -91,6 +91,21 @@ def test_antennas_that_are_right_are_not_exchanged():
     assert EventKind.BEGUN_ANEW not in {one.kind for one in estimator.events}
 
 
+def test_antennas_on_the_other_side_of_the_imu_are_elsewhere_and_not_exchanged():
+    """Exchanged, on a machine that is turned by half a circle, they look nearly the same."""
+    rng = np.random.default_rng(2)
+    shift = -(ARM + ARM_RIGHT) * (1.0, 1.0, 0.0)
+    sent = [
+        imu(DRIVE, 0.0, END_S, 100.0, rng),
+        fixes(DRIVE, 0.0, END_S, 5.0, rng, arm=ARM + shift),
+        fixes(DRIVE, 0.0, END_S, 5.0, rng, arm=ARM_RIGHT + shift, sensor="gnss_right"),
+    ]
+    estimator, outputs = run(machine(lidar=False, right=True, heading_deg=None), in_order(*sent))
+    assert max(horizontal_errors_m(DRIVE, outputs, 12.0)) < 0.1
+    assert not [one for one in estimator.events if "exchanged" in one.reason]
+    assert [one for one in estimator.events if "beside where it is configured" in one.reason]
+
+
 @pytest.mark.parametrize("turned_rad", [np.pi, 0.0])
 def test_headings_between_exchanged_antennas_are_used_whoever_has_exchanged_what(turned_rad):
     """Translations or cables: the heading is the other way round than the axis; topics: it is as the file says."""

@@ -182,8 +182,10 @@ class FittingBatches:
     ) -> FittingBatch | None:
         """Return the batch with two antennas' positions by each other's name, if nothing else makes it fit.
 
-        `alignment` is that of the whole, as it is named. Other arguments as of `solve`.
+        Antennas that are all elsewhere, as far beside the IMU on its other side, look nearly the same: what explains
+        more is chosen. `alignment` is that of the whole, as it is named. Other arguments as of `solve`.
         """
+        as_named = self._with_motions(evidence)
         antennas = sorted({one.sensor for one in evidence.positions if is_gnss(self._points[one.sensor])})
         for pair in combinations(antennas, 2):
             whole = self._with_motions(evidence._replace(positions=exchanged(evidence.positions, pair)))
@@ -192,8 +194,11 @@ class FittingBatches:
                 continue
             without = self._with_motions(Evidence(evidence.positions, ()))
             rivals = [self._aligner.solve(without, prior, max_heading_sigma_rad)]
-            rivals.append(alignment or self._aligner.solve(self._with_motions(evidence), prior, max_heading_sigma_rad))
-            if not any(_is_vague(one) or _evidence(one, renamed, whole) < JUMPED for one in rivals):
+            rivals.append(alignment or self._aligner.solve(as_named, prior, max_heading_sigma_rad))
+            if any(_is_vague(one) or _evidence(one, renamed, whole) < JUMPED for one in rivals):
+                continue
+            freed = self._of_freed.solve(as_named, prior, max_heading_sigma_rad) if self.may_be_moved else None
+            if freed is None or _evidence(freed, renamed, whole) >= 0.0:
                 return FittingBatch(renamed, whole, exchanged=pair)
         return None
 

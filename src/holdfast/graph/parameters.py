@@ -20,7 +20,7 @@ from holdfast.sensors.noise import FREE_VARIANCE
 from holdfast.sensors.sensor import Parameter
 
 MAX_SIZE = 12
-RIGHT, OFF = 0.0, -log(10.0)  # log ratio of the densities under what was configured and under the prior
+RIGHT = 0.0  # log ratio of the densities under what was configured and under the prior, beyond which it is held again
 HELD = 0.02  # of the error that counts as right: as if there were none
 TOLD, NEAR = 0.25, 6.0  # of the sigmas if it is off and if it is right, to the greater of which one must be told
 REFUTED = 3.0  # sigmas of what was learnt before a restart
@@ -218,7 +218,7 @@ def _believed(solver: Solver, known: Known, prior: Parameter) -> Known:
         return known
     log_ratio = _evidence(known, prior, prior.if_right)
     held = _is_held(known)
-    goes, returns = held & (log_ratio < OFF), ~held & (log_ratio > RIGHT)
+    goes, returns = held & (log_ratio < -log(prior.odds)), ~held & (log_ratio > RIGHT)
     if not (goes | returns).any():
         return known
     changed = _held(solver, known, prior, (held & ~goes) | returns)

@@ -26,6 +26,7 @@ MAX_STEP_NS = 3 * STEP_NS
 TRANSLATION_SPANS, ROTATION_SPANS = (5, 10, 20), (1, 3, 10, 20)  # steps
 DRIFT_MEMORY_S, NOISE_MEMORY_SCANS = 600.0, 300
 PARTED_SIGMA, PARTED_RAD = 5.0, radians(1.0)  # by which the odometry has turned otherwise than the gyroscope
+MOST_WAITING = 64  # poses; more are those of a clock that is believed to be further off than any search finds
 DELAY_NS = 20_000_000_000  # what is seen of distances is learnt so much later: until then the fixes may have walked
 ATTITUDE_SIGMA_RAD = 1e-3  # of the estimate, at least
 
@@ -71,6 +72,7 @@ class OdometryLearning:
         self._noise = noise
         self._is_carried = carried is not None
         self._begin(carried or LearntOdometry())
+        self._waiting: deque[TrackPose] = deque(maxlen=MOST_WAITING)  # for the IMU to reach when they were measured
         self._scans: deque[tuple[TrackPose, InertialMotion | None]] = deque(maxlen=3)
         self.parts_from_gyroscope = False  # whether it has turned otherwise of late
         self._first: TrackPose | None = None  # of the step that has begun
@@ -114,6 +116,7 @@ class OdometryLearning:
 
     def forget_frame(self) -> None:
         """The odometry has jumped, or the estimate: nothing before is to be compared with what comes."""
+        self._waiting.clear()
         self._scans.clear()
         self._forget_steps()
         self._places.clear()
@@ -132,13 +135,23 @@ class OdometryLearning:
         self._yaw.begin_anew()
 
     def learn_from_scan(self, smoother: Smoother, pose: TrackPose, witness: HeadingWitness) -> None:
-        """Compare a pose, which is the newest and has a node, with the IMU since the poses before."""
+        """Compare a pose, which is the newest and has a node, with the IMU since the poses before.
+
+        If its stamp is early, the IMU has not reached yet when it was measured: then the next poses call for that.
+        """
+        self._waiting.append(pose)
+        early_ns = self._early_ns(smoother, pose.sensor)
+        while self._waiting and self._waiting[0].stamp_ns + early_ns <= smoother.imu.latest_ns:
+            self._compare(smoother, self._waiting.popleft(), witness)
+
+    def _compare(self, smoother: Smoother, pose: TrackPose, witness: HeadingWitness) -> None:
+        """Compare a pose with the IMU, which has measured until then, since the poses before."""
         before = self._scans[-1][0] if self._scans else None
         measured = None
         if before is not None:
             if pose.stamp_ns <= before.stamp_ns:
                 return
-            measured = self._measured(smoother, before.stamp_ns, pose.stamp_ns)
+            measured = self._measured(smoother, before, pose)
         self._scans.append((pose, measured))
         if before is None or measured is None:
             self._forget_steps()
@@ -197,9 +210,14 @@ class OdometryLearning:
         believed = believed_calibration(smoother, now.sensor, calibration)
         return calibration.motion(then.T_I0_I.between(now.T_I0_I), believed)
 
-    def _measured(self, smoother: Smoother, start_ns: int, end_ns: int) -> InertialMotion | None:
+    def _early_ns(self, smoother: Smoother, odometry: str) -> int:
+        """Return by how much the stamps of the odometry are believed to be early."""
+        return round(float(believed_calibration(smoother, odometry, self._noise.calibration)[-1]) * 1e9)
+
+    def _measured(self, smoother: Smoother, first: TrackPose, last: TrackPose) -> InertialMotion | None:
         """Return what the IMU measured between two poses; None where it did not measure all along."""
-        imu = smoother.imu
+        imu, early_ns = smoother.imu, self._early_ns(smoother, last.sensor)
+        start_ns, end_ns = first.stamp_ns + early_ns, last.stamp_ns + early_ns
         if end_ns - start_ns > MAX_STEP_NS or start_ns < imu.oldest_ns or not imu.is_trusted(start_ns, end_ns):
             return None
         return imu.motion(start_ns, end_ns, smoother.seen_bias(imu.turning(start_ns, end_ns)).vector())
@@ -240,7 +258,7 @@ class OdometryLearning:
 
     def _add_step(self, smoother: Smoother, first: TrackPose, last: TrackPose, witness: HeadingWitness) -> None:
         """Compare rotations over seconds with those of the gyroscope: (70)."""
-        measured = self._measured(smoother, first.stamp_ns, last.stamp_ns)
+        measured = self._measured(smoother, first, last)
         if measured is None:
             self._forget_steps()
             return

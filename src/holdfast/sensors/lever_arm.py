@@ -11,12 +11,14 @@ from holdfast.sensors.sensor import CHANGE_M, Parameter
 
 ARM, GNSS_ARM = "arm", "arm of GNSS"  # which parameter of a sensor it is, and its name where antennas share it
 IF_RIGHT_M, IF_WRONG_M = 0.03, 2.0  # sigmas of one that was measured, and of one with a wrong sign
+GNSS_ODDS = 1e4  # about five sigmas: what a model leaves unexplained looks like three, and moves the estimate with it
 CHANGE: Array = np.full(3, CHANGE_M)
 
 
 def measured_arm(shared: str = "") -> Parameter:
     """Return the shift of a lever arm that is as it was measured, or far off: (54) in docs/math.md."""
-    return doubtful_arm(np.full(3, IF_WRONG_M), shared)._replace(if_right=np.full(3, IF_RIGHT_M))
+    arm = doubtful_arm(np.full(3, IF_WRONG_M), shared)._replace(if_right=np.full(3, IF_RIGHT_M))
+    return arm._replace(odds=GNSS_ODDS) if shared == GNSS_ARM else arm
 
 
 def doubtful_arm(sigmas: Array, shared: str = "") -> Parameter:

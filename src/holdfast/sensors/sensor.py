@@ -127,6 +127,7 @@ class Parameter(NamedTuple):
         part: what it is of the sensor, such as its lever arm, where that has several.
         change: (p,) by how much it may be another one on the next day, as sigmas; None where it is one of the world.
         has_clock: its last element is by how much the sensor's stamps are early [s].
+        odds: how many times more plausible it must be that an element is off than that it is right, to let it go.
     """
 
     mean: Array
@@ -137,6 +138,7 @@ class Parameter(NamedTuple):
     part: str = ""
     change: Array | None = None
     has_clock: bool = False
+    odds: float = 10.0
 
     def name(self, sensor: str) -> str:
         """Return the name under which the graph knows the parameter of a sensor."""
