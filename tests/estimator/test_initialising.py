@@ -84,7 +84,7 @@ def test_at_standstill_the_state_is_that_of_gravity_the_heading_and_the_lever_ar
     [
         (0.5, 2.0, "the IMU has not measured without a gap for 1 s"),
         (2.0, 0.55, "1 usable positions since the IMU measures without a gap; 3 are needed"),
-        (2.0, 4.05, "others have measured 2.0 s later than the IMU: it is silent, or a clock is wrong"),
+        (2.0, 8.05, "others have measured 6.0 s later than the IMU: it is silent, or a clock is wrong"),
     ],
 )
 def test_what_is_missing_is_said(until_s, fixes_until_s, reason):

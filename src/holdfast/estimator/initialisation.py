@@ -42,6 +42,7 @@ from holdfast.state import OptimisedState, Outcome
 
 PLAUSIBLE_FORCE_M_S2 = (7.0, 13.0)  # mean specific force of a machine on the ground
 TIMES_NEARER = 8.0  # to positions, an odometry is than the estimate that leaves them
+SILENT_S = 5.0  # is an IMU beside which others have measured later by so much, or it comes in bursts of less
 RETRY_NS = 1_000_000_000
 COURSE_S = 8.0, 3.0  # over which positions and velocities are averaged: two positions, or all of the shorter time
 NO_POSITION, NO_IMU = "no usable position has come", "no usable IMU sample has come"
@@ -241,7 +242,7 @@ class Initialising:
         if recent is None:
             self.reason = f"the IMU has not measured without a gap for {standstill_s:g} s"
             return None
-        if (ahead_s := (self._collected.newest_ns - now) * 1e-9) > standstill_s:
+        if (ahead_s := (self._collected.newest_ns - now) * 1e-9) > SILENT_S:
             self.reason = f"others have measured {ahead_s:.1f} s later than the IMU: it is silent, or a clock is wrong"
             return None
         force = float(np.linalg.norm(recent[0].mean(axis=0)))
