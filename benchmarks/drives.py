@@ -35,6 +35,7 @@ from holdfast.state import EventKind, Health, Outcome
 
 LENGTHS_S = (10.0, 30.0, 60.0)
 FIRST_OUTAGE_S, BETWEEN_OUTAGES_S = 40.0, 30.0
+OUTAGE = "start_s", "end_m", "up_m", "nees", "fix_m", "fix_up_m", "back_s"  # what is told of one
 NEES_3_SIGMA = 14.16  # chi-square with three degrees of freedom, 99.73 %
 BASELINES: dict[str, Callable[[Config], Any]] = {"MSF": make_msf, "TSIF": make_tsif}
 BASELINE_AFTER_NS, BASELINE_BEFORE_NS = 20_000_000_000, 10_000_000_000
@@ -190,9 +191,6 @@ def outage_starts(messages: list[Message], length_s: float) -> np.ndarray:
     return np.arange(FIRST_OUTAGE_S, lasts_s - length_s - 10.0, length_s + BETWEEN_OUTAGES_S)
 
 
-ROW = "start_s", "end_m", "up_m", "nees", "fix_m", "fix_up_m", "back_s"
-
-
 def outage_rows(
     config: Config, run: Run, messages: list[Message], starts: np.ndarray, length_s: float, *, reference: Path
 ) -> list[dict[str, float]]:
@@ -212,18 +210,18 @@ def outage_rows(
         inside = [j for j, _ in run.judged if began <= j.stamp_ns < ended]
         after = [j for j, _ in run.judged if ended <= j.stamp_ns < ended + BETWEEN_OUTAGES_S * 1e9]
         if ended > run.crashed_ns:
-            rows.append(dict.fromkeys(ROW, inf) | {"start_s": float(start_s)})
+            rows.append(dict.fromkeys(OUTAGE, inf) | {"start_s": float(start_s)})
             continue
         if not inside or not after:
             continue  # it had not started
         fifth = used[min(np.searchsorted(used, ended) + 4, len(used) - 1)]
         good = [j.stamp_ns for j in after if np.hypot(*j.error[:2]) <= 3.0 * sigmas[float(j.stamp_ns)]]
         last = inside[-1]
-        beside = [np.interp(last.stamp_ns, *track[:, [0, k]].T) if len(track) else nan for k in (1, 2, 3)]
-        beside = last.position - np.array(beside)
+        seen = [np.interp(last.stamp_ns, track[:, 0], track[:, k]) if len(track) else nan for k in (1, 2, 3)]
+        beside = last.position - np.array(seen)
         back_s = max(0.0, (good[0] - fifth) * 1e-9) if good else inf
         found = start_s, np.hypot(*last.error[:2]), last.error[2], last.nees, np.hypot(*beside[:2]), beside[2], back_s
-        rows.append(dict(zip(ROW, map(float, found), strict=True)))
+        rows.append(dict(zip(OUTAGE, map(float, found), strict=True)))
     return rows
 
 

@@ -31,6 +31,7 @@ import numpy as np
 from holdfast.config.load import config_of
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
+from holdfast.estimator.successor import IN_DOUBT
 from holdfast.evaluation.consistency import chi_square_quantile, nees
 from holdfast.evaluation.soundness import violations
 from holdfast.evaluation.states import States, state_errors
@@ -53,7 +54,6 @@ LATE_NS = 5_000_000
 SCHEDSTAT = Path("/proc/thread-self/schedstat")
 SOUND = 0.997  # of estimates that are right are nearer to the truth, by their covariance
 RECENT_S = 1.0  # before an estimate begins anew, a receiver to which nothing happened could tell that it need not
-IN_DOUBT = "the heading in doubt"  # ends the reason of a start that is to begin anew once its heading is told
 EVERY = 50  # schedules that are done, a line says so
 NOTE = "(no failure) "  # begins a line that is none
 NO_WITNESS, SETTLED = f"{NOTE}no receiver was right: ", f"{NOTE}second step of a start: "
@@ -114,13 +114,8 @@ def sound_starts(simulation: Simulation, recorder: PublishedRecorder) -> list[st
 
 def excuse_at(at_s: float, scenario: Scenario) -> str:
     """Return why nothing could tell at a time that an estimate is right, or nothing if a receiver could."""
-    recent = np.array([max(at_s - RECENT_S, 0.0), at_s])
-    suffering = {
-        name
-        for fault in scenario.faults
-        if fault.start_s <= recent[1] and fault.end_s >= recent[0]
-        for name in fault.sensors
-    }
+    recent = [fault for fault in scenario.faults if fault.start_s <= at_s and fault.end_s >= at_s - RECENT_S]
+    suffering = {name for fault in recent for name in fault.sensors}
     return "" if scenario.sensors_of(SimulatedGnss).keys() - suffering else NO_WITNESS
 
 

@@ -197,7 +197,7 @@ def repository_files() -> list[Path]:
 
 
 def test_no_file_names_a_package_registry_or_a_path_of_a_machine():
-    registry = re.compile(r"pypi\.org|pythonhosted\.org|anaconda\.(?:org|com)|--(?:extra-)?index-url|--find[-]links")
+    registry = re.compile(r"(?:pypi|pythonhosted|anaconda)\.(?:org|com)|--(?:extra-)?index-url|--find[-]links")
     machine = re.compile(r"(?<![\w./:-])/(?:root|home|Users|tmp|opt|work|mnt|srv)/\w")
     files = repository_files()
     assert ROOT / "constraints.txt" in files

@@ -47,7 +47,6 @@ RETRY_NS = 1_000_000_000
 COURSE_S = 8.0, 3.0  # over which positions and velocities are averaged: two positions, or all of the shorter time
 NO_POSITION, NO_IMU = "no usable position has come", "no usable IMU sample has come"
 NO_OTHER = "no usable measurement of a sensor other than the IMU has come"
-STANDSTILL = "standstill"
 NO_SENSOR = "no sensor beside the IMU is configured that can start it (needed: positions, poses or an odometry)"
 
 
@@ -263,7 +262,7 @@ class Initialising:
         if isinstance(state, str):
             self.reason = state
             return None
-        self.reason, self.misfit = STANDSTILL, 0.0
+        self.reason, self.misfit = "standstill", 0.0
         return state
 
     def stands(self, end_ns: int, duration_s: float) -> bool | None:

@@ -25,6 +25,7 @@ FASTER, MOST_DOUBTS = 10, 3  # the biases walk for each time that what has begun
 LOOKED_NS = 30_000_000_000  # whether antennas are elsewhere is looked at this often
 TRIED_NS = 500_000_000  # whether the biases have jumped is looked at this often
 GROWN = 10.0  # a jump is believed if it is found again with so much more evidence
+IN_DOUBT = "the heading in doubt"  # ends the reason of what begins anew once more, as soon as its heading is told
 DOUBT_RAD = radians(60.0)  # of a heading that is kept
 TILT_DOUBT_RAD = radians(15.0)
 OVERTURNED_RAD = radians(60.0)  # of what the accelerometer feels from the vertical: no machine accelerates so
@@ -100,7 +101,7 @@ class Successor:
         if moved is None:
             return None
         self._begun_ns = current.stamp_ns
-        return Beginning(moved, "position and velocity of the fixes, the heading in doubt")
+        return Beginning(moved, f"position and velocity of the fixes, {IN_DOUBT}")
 
     def after_jump(self, now_ns: int, *, has_witness: bool, is_astray: bool = True) -> Beginning | None:
         """Return a state to begin from if the biases have jumped, and what came later says so of the same time.

@@ -140,30 +140,34 @@ class OdometryLearning:
         If its stamp is early, the IMU has not reached yet when it was measured: then the next poses call for that.
         """
         self._waiting.append(pose)
-        early_ns = self._early_ns(smoother, pose.sensor)
-        while self._waiting and self._waiting[0].stamp_ns + early_ns <= smoother.imu.latest_ns:
-            self._compare(smoother, self._waiting.popleft(), witness)
+        believed = believed_calibration(smoother, pose.sensor, self._noise.calibration)
+        while self._waiting and self._waiting[0].stamp_ns + _early_ns(believed) <= smoother.imu.latest_ns:
+            self._compare(smoother, self._waiting.popleft(), witness, believed)
 
-    def _compare(self, smoother: Smoother, pose: TrackPose, witness: HeadingWitness) -> None:
-        """Compare a pose with the IMU, which has measured until then, since the poses before."""
+    def _compare(self, smoother: Smoother, pose: TrackPose, witness: HeadingWitness, believed: Array) -> None:
+        """Compare a pose with the IMU, which has measured until then, since the poses before.
+
+        `believed` (8,) is what is believed of how the odometry is mounted, of its scale and its clock.
+        """
         before = self._scans[-1][0] if self._scans else None
         measured = None
         if before is not None:
             if pose.stamp_ns <= before.stamp_ns:
                 return
-            measured = self._measured(smoother, before, pose)
+            measured = _measured(smoother, before, pose, believed)
         self._scans.append((pose, measured))
         if before is None or measured is None:
             self._forget_steps()
             self._first = pose
             return
-        self._compare_rotation(before, pose, measured, smoother)
+        motion = self._motion(before, pose, believed)
+        self._compare_rotation(motion, (pose.stamp_ns - before.stamp_ns) * 1e-9, measured, smoother)
         if len(self._scans) == 3:
-            self._compare_translation(smoother)
+            self._compare_translation(smoother, believed)
         for posterior in self._noises:
             posterior.forget(1.0 / NOISE_MEMORY_SCANS)
         if self._first is not None and pose.stamp_ns - self._first.stamp_ns >= STEP_NS:
-            self._add_step(smoother, self._first, pose, witness)
+            self._add_step(smoother, self._first, pose, witness, believed)
             self._first = pose
         self._tell()
 
@@ -180,7 +184,7 @@ class OdometryLearning:
             self._places.clear()
             self._places.append(_Place(pose.stamp_ns, T_W_I.translation(), np.zeros(3), variance, 0.0))
             return
-        motion = self._noise.calibration.motion(before[0].T_I0_I.between(pose.T_I0_I), calibration)
+        motion = self._motion(before[0], pose, calibration)
         last = self._places[-1]
         drift = self._noise.drift(motion, (pose.stamp_ns - before[0].stamp_ns) * 1e-9)[3]
         carried = last.carried_W + before[1].rotate(motion.translation())
@@ -204,30 +208,14 @@ class OdometryLearning:
         scaled = here.drift_variance - then.drift_variance
         return _Evidence(here.stamp_ns, float(residual @ residual), scaled, other, 1.0 / span)
 
-    def _motion(self, smoother: Smoother, then: TrackPose, now: TrackPose) -> gtsam.Pose3:
+    def _motion(self, then: TrackPose, now: TrackPose, believed: Array) -> gtsam.Pose3:
         """Return how the odometry has moved between two poses, mounted as is believed."""
-        calibration = self._noise.calibration
-        believed = believed_calibration(smoother, now.sensor, calibration)
-        return calibration.motion(then.T_I0_I.between(now.T_I0_I), believed)
-
-    def _early_ns(self, smoother: Smoother, odometry: str) -> int:
-        """Return by how much the stamps of the odometry are believed to be early."""
-        return round(float(believed_calibration(smoother, odometry, self._noise.calibration)[-1]) * 1e9)
-
-    def _measured(self, smoother: Smoother, first: TrackPose, last: TrackPose) -> InertialMotion | None:
-        """Return what the IMU measured between two poses; None where it did not measure all along."""
-        imu, early_ns = smoother.imu, self._early_ns(smoother, last.sensor)
-        start_ns, end_ns = first.stamp_ns + early_ns, last.stamp_ns + early_ns
-        if end_ns - start_ns > MAX_STEP_NS or start_ns < imu.oldest_ns or not imu.is_trusted(start_ns, end_ns):
-            return None
-        return imu.motion(start_ns, end_ns, smoother.seen_bias(imu.turning(start_ns, end_ns)).vector())
+        return self._noise.calibration.motion(then.T_I0_I.between(now.T_I0_I), believed)
 
     def _compare_rotation(
-        self, before: TrackPose, pose: TrackPose, measured: InertialMotion, smoother: Smoother
+        self, motion: gtsam.Pose3, duration_s: float, measured: InertialMotion, smoother: Smoother
     ) -> None:
         """Compare the rotation between two scans with that of the gyroscope: (68)."""
-        motion = self._motion(smoother, before, pose)
-        duration_s = (pose.stamp_ns - before.stamp_ns) * 1e-9
         turned = gtsam.Rot3(measured.R)
         residual = gtsam.Rot3.Logmap(turned.between(motion.rotation()))
         drift = self._drifts[0].value * float(self._noise.drift(motion, duration_s)[0])
@@ -235,7 +223,7 @@ class OdometryLearning:
         other += _mean_variance(smoother.turning_covariance(gtsam.Rot3.Logmap(turned)))
         self._noises[0].learn(float(residual @ residual), 3, 2.0 * self._noise.pose_variances()[0], other, 0.5)
 
-    def _compare_translation(self, smoother: Smoother) -> None:
+    def _compare_translation(self, smoother: Smoother, believed: Array) -> None:
         """Compare how the velocity changes between the middles of two intervals with the specific force: (69)."""
         (first, _), (middle, to_middle), (last, to_last) = self._scans
         if to_middle is None or to_last is None or not smoother.has_node(middle.stamp_ns):
@@ -246,7 +234,7 @@ class OdometryLearning:
         lever = self._noise.calibration.lever_arm
         by_imu = 0.5 * gravity * (dt_1 + dt_2) + (to_last.p + to_last.R @ lever - lever) / dt_2
         by_imu += to_middle.R.T @ (to_middle.v - (to_middle.p + to_middle.R @ lever - lever) / dt_1)
-        motions = self._motion(smoother, first, middle), self._motion(smoother, middle, last)
+        motions = self._motion(first, middle, believed), self._motion(middle, last, believed)
         moved_1, moved_2 = (motion.transformFrom(lever) - lever for motion in motions)
         residual = moved_2 / dt_2 - motions[0].rotation().unrotate(moved_1) / dt_1 - by_imu
         weights = dt_2**-2 + (1.0 / dt_1 + 1.0 / dt_2) ** 2 + dt_1**-2
@@ -256,13 +244,15 @@ class OdometryLearning:
         other += smoother.imu_noise.density.accelerometer**2 * (dt_1 + dt_2)
         self._noises[1].learn(float(residual @ residual), 3, scaled, other, 1.0 / 3.0)
 
-    def _add_step(self, smoother: Smoother, first: TrackPose, last: TrackPose, witness: HeadingWitness) -> None:
+    def _add_step(
+        self, smoother: Smoother, first: TrackPose, last: TrackPose, witness: HeadingWitness, believed: Array
+    ) -> None:
         """Compare rotations over seconds with those of the gyroscope: (70)."""
-        measured = self._measured(smoother, first, last)
+        measured = _measured(smoother, first, last, believed)
         if measured is None:
             self._forget_steps()
             return
-        motion = self._motion(smoother, first, last)
+        motion = self._motion(first, last, believed)
         if smoother.has_node(first.stamp_ns):
             said = witness(smoother, last.stamp_ns)
             self._yaw.learn(smoother, first, last, motion, measured_R=measured.R, witness=said)
@@ -306,6 +296,20 @@ class OdometryLearning:
             max(LOWEST_DRIFT, self._drifts[1].value),
             self._yaw.odometry_scale,
         )
+
+
+def _early_ns(believed: Array) -> int:
+    """Return by how much the stamps of an odometry are early, by what is believed (8,) of it."""
+    return round(float(believed[-1]) * 1e9)
+
+
+def _measured(smoother: Smoother, first: TrackPose, last: TrackPose, believed: Array) -> InertialMotion | None:
+    """Return what the IMU measured between two poses of an odometry; None where it did not measure all along."""
+    imu, early_ns = smoother.imu, _early_ns(believed)
+    start_ns, end_ns = first.stamp_ns + early_ns, last.stamp_ns + early_ns
+    if end_ns - start_ns > MAX_STEP_NS or start_ns < imu.oldest_ns or not imu.is_trusted(start_ns, end_ns):
+        return None
+    return imu.motion(start_ns, end_ns, smoother.seen_bias(imu.turning(start_ns, end_ns)).vector())
 
 
 def _gyroscope_variance(smoother: Smoother, motion: gtsam.Pose3, duration_s: float) -> float:

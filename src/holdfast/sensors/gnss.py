@@ -13,7 +13,7 @@ from holdfast.config.sensors import GnssConfig, PrismConfig
 from holdfast.geometry.earth import Geodetic
 from holdfast.geometry.world import World
 from holdfast.messages import Array, FixStatus, GnssFix, Message
-from holdfast.sensors.lever_arm import GNSS_ARM, doubtful_arm, is_in_doubt, measured_arm
+from holdfast.sensors.lever_arm import doubtful_arm, is_in_doubt, measured_antennas
 from holdfast.sensors.noise import Colour
 from holdfast.sensors.position import position_factor, position_innovation
 from holdfast.sensors.sensor import (
@@ -62,7 +62,7 @@ class GnssModel:
         self.name = name
         self.offset_ns = round(config.time_offset_s * 1e9)
         self.p_I_P = p_I_P
-        self.parameters: tuple[Parameter, ...] = (measured_arm(GNSS_ARM),)
+        self.parameters: tuple[Parameter, ...] = (measured_antennas(),)
         self.limit = config.gate_sigma**2
         self.loss, self.offset_sigma_s = config.robust_loss, config.time_offset_sigma_s
         self._config = config

@@ -15,10 +15,14 @@ GNSS_ODDS = 1e4  # about five sigmas: what a model leaves unexplained looks like
 CHANGE: Array = np.full(3, CHANGE_M)
 
 
-def measured_arm(shared: str = "") -> Parameter:
+def measured_arm() -> Parameter:
     """Return the shift of a lever arm that is as it was measured, or far off: (54) in docs/math.md."""
-    arm = doubtful_arm(np.full(3, IF_WRONG_M), shared)._replace(if_right=np.full(3, IF_RIGHT_M))
-    return arm._replace(odds=GNSS_ODDS) if shared == GNSS_ARM else arm
+    return doubtful_arm(np.full(3, IF_WRONG_M))._replace(if_right=np.full(3, IF_RIGHT_M))
+
+
+def measured_antennas() -> Parameter:
+    """Return the shift of all antennas, which are where they were measured, or far off."""
+    return measured_arm()._replace(shared=GNSS_ARM, odds=GNSS_ODDS)
 
 
 def doubtful_arm(sigmas: Array, shared: str = "") -> Parameter:
