@@ -23,6 +23,7 @@ from holdfast.baselines.tsif import make_tsif
 from holdfast.config.load import parse_config
 from holdfast.config.model import Config
 from holdfast.estimator.estimator import Estimator
+from holdfast.events import EventKind, Health, Outcome
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.geometry.world import World
 from holdfast.messages import GnssFix, Message
@@ -31,7 +32,6 @@ from holdfast.recording.source import open_recording
 from holdfast.recording.subscriptions import subscriptions
 from holdfast.replay.held_out import HeldOutJudge, HoldOut, HoldOutFilter, Judgement
 from holdfast.sensors.registry import sensors_of
-from holdfast.state import EventKind, Health, Outcome
 
 LENGTHS_S = (10.0, 30.0, 60.0)
 FIRST_OUTAGE_S, BETWEEN_OUTAGES_S = 40.0, 30.0

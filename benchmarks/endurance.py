@@ -21,12 +21,12 @@ import numpy as np
 
 from holdfast.config.load import load_config
 from holdfast.config.model import Config
+from holdfast.events import EventKind
 from holdfast.messages import Message
 from holdfast.realtime.engine import RealtimeEstimator
 from holdfast.recording.source import open_recording
 from holdfast.recording.subscriptions import subscriptions
 from holdfast.sim.scenario import load_scenario
-from holdfast.state import EventKind
 from holdfast.trial.run import write_simulation
 
 ALLOWED = 1.05

@@ -35,6 +35,7 @@ from holdfast.estimator.successor import IN_DOUBT
 from holdfast.evaluation.consistency import chi_square_quantile, nees
 from holdfast.evaluation.soundness import violations
 from holdfast.evaluation.states import States, state_errors
+from holdfast.events import EventKind
 from holdfast.messages import Message
 from holdfast.realtime.engine import RealtimeEstimator
 from holdfast.recording.source import open_recording
@@ -46,7 +47,7 @@ from holdfast.sim.scenario import Scenario
 from holdfast.sim.schedules import DURATION_S, hostile_schedule, random_schedule
 from holdfast.sim.sensors.gnss import SimulatedGnss
 from holdfast.sim.simulation import START_NS, Simulation
-from holdfast.state import EventKind, Output
+from holdfast.state import Output
 from holdfast.trial.run import RECORDING, estimate, write_simulation
 from holdfast.trial.truth import true_states
 

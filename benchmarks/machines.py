@@ -19,9 +19,9 @@ import numpy as np
 
 from holdfast.config.load import load_config
 from holdfast.evaluation.states import States, state_errors
+from holdfast.events import EventKind
 from holdfast.sim.scenario import Scenario, load_scenario
 from holdfast.sim.simulation import START_NS
-from holdfast.state import EventKind
 from holdfast.trial.run import CONFIG, estimate, write_simulation
 from holdfast.trial.truth import true_states
 

@@ -22,9 +22,9 @@ from scipy.spatial.transform import Rotation
 from holdfast.config.load import config_of
 from holdfast.config.model import Config
 from holdfast.estimator.estimator import Estimator
+from holdfast.events import EventKind
 from holdfast.geometry.earth import Geodetic, LocalFrame, earth_rate_enu, gravity
 from holdfast.messages import FixStatus, GnssFix, GnssVelocity, ImuSample, Message, SensorPose
-from holdfast.state import EventKind
 
 RATE_HZ, LENGTH_S, START_NS = 200, 240.0, 1_700_000_000_000_000_000
 DATUM = Geodetic(47.4, 8.5, 450.0)

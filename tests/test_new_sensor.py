@@ -22,6 +22,7 @@ from holdfast.config.model import Config, register_kind
 from holdfast.config.section import Topic, quantity
 from holdfast.config.sensors import JudgedConfig, MountedConfig
 from holdfast.estimator.estimator import Estimator
+from holdfast.events import Outcome
 from holdfast.geometry.world import World
 from holdfast.messages import Message
 from holdfast.realtime.engine import RealtimeEstimator
@@ -37,7 +38,6 @@ from holdfast.sim.ros import Encode, RosMessages
 from holdfast.sim.scenario import Scenario, load_scenario
 from holdfast.sim.scene import Sampling
 from holdfast.sim.sensors import AnySheet, SensorKind
-from holdfast.state import Outcome
 from holdfast.trial.run import CONFIG, RECORDING, write_simulation
 
 # --- 1. the message: what the sensor measures, as a row of numbers ----------------------------------------------------

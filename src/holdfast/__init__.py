@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from holdfast.errors import MessageError as MessageError
     from holdfast.errors import RecordingError as RecordingError
     from holdfast.estimator.estimator import Estimator as Estimator
+    from holdfast.events import Event as Event
+    from holdfast.events import Health as Health
     from holdfast.geometry.earth import Geodetic as Geodetic
     from holdfast.messages import FixStatus as FixStatus
     from holdfast.messages import GnssFix as GnssFix
@@ -37,8 +39,6 @@ if TYPE_CHECKING:
     from holdfast.realtime.engine import RealtimeEstimator as RealtimeEstimator
     from holdfast.state import BaseState as BaseState
     from holdfast.state import Estimate as Estimate
-    from holdfast.state import Event as Event
-    from holdfast.state import Health as Health
     from holdfast.state import Output as Output
 
 __version__ = "0.1.0"

@@ -4,8 +4,8 @@ from collections import Counter
 from math import nan
 from typing import NamedTuple
 
+from holdfast.events import Event, EventKind, Outcome
 from holdfast.messages import Array
-from holdfast.state import Event, EventKind, Outcome
 
 
 class MeasurementRecord(NamedTuple):

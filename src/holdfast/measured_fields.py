@@ -1,9 +1,10 @@
-"""What the fields of a message must be, and the error that names the one which is not."""
+"""What the fields of a message must be, the error that names the one which is not, and those that may be absent."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, NoReturn, TypeGuard
 
 import numpy as np
+from numpy.typing import NDArray
 
 from holdfast.errors import MessageError
 
@@ -134,3 +135,18 @@ def is_whole(value: object) -> TypeGuard[int]:
 def no_message(given: object) -> MessageError:
     """Return the error about something that was given for a message."""
     return MessageError(f"message: must be one of holdfast's messages, {got(given)}")
+
+
+def optional_number(value: float | None) -> tuple[float, ...]:
+    """Return whether a number is there, and the number."""
+    return (0.0, 0.0) if value is None else (1.0, value)
+
+
+def optional_row(matrix: NDArray[np.float64] | None, size: int) -> tuple[float, ...]:
+    """Return whether a matrix is there, and its `size` entries."""
+    return (0.0,) * (size + 1) if matrix is None else (1.0, *matrix.ravel().tolist())
+
+
+def optional_matrix(row: Sequence[float], side: int) -> NDArray[np.float64] | None:
+    """Return the matrix of which `optional_row` has made a row, or None."""
+    return np.array(row[1:]).reshape(side, side) if row[0] else None

@@ -21,7 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from holdfast.errors import MessageError
-from holdfast.measured_fields import LIMIT_NS, REAL_KINDS, Quantity, check_message, got
+from holdfast.measured_fields import (
+    LIMIT_NS,
+    Quantity,
+    check_message,
+    got,
+    optional_matrix,
+    optional_number,
+    optional_row,
+)
 
 Array = NDArray[np.float64]
 Row = tuple[float, ...]
@@ -95,19 +103,6 @@ class ImuSample:
         return cls(stamp_ns, arrival_ns, sensor, readings[:3], readings[3:])
 
 
-def as_doubles(reading: Array, field: str) -> Array:
-    """Return a reading of an `ImuSample` as an array of float64.
-
-    Raises:
-        MessageError: it is not made of numbers.
-    """
-    found = np.asarray(reading)
-    if found.dtype.kind not in REAL_KINDS:
-        must_be = ImuSample.QUANTITIES[field]
-        raise MessageError(f"ImuSample.{field}: must be {must_be}, {got(reading)}")
-    return np.asarray(found, np.float64)
-
-
 class FixStatus(IntEnum):
     """Quality of a GNSS fix, numbered as sensor_msgs/NavSatStatus; RTK receivers report GBAS when fixed."""
 
@@ -154,14 +149,14 @@ class GnssFix:
     def values(self) -> Row:
         """Return latitude, longitude, altitude, status and the covariance."""
         point = self.latitude_deg, self.longitude_deg, self.altitude_m
-        return (*point, float(self.status), *_optional_row(self.covariance, 9))
+        return (*point, float(self.status), *optional_row(self.covariance, 9))
 
     @classmethod
     def of(cls, stamp_ns: int, arrival_ns: int, sensor: str, values: Sequence[float]) -> Self:
         """Return the fix that has a row."""
         latitude_deg, longitude_deg, altitude_m, status = values[:4]
         point = latitude_deg, longitude_deg, altitude_m
-        return cls(stamp_ns, arrival_ns, sensor, *point, _optional_matrix(values[4:], 3), FixStatus(int(status)))
+        return cls(stamp_ns, arrival_ns, sensor, *point, optional_matrix(values[4:], 3), FixStatus(int(status)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,12 +185,12 @@ class GnssVelocity:
 
     def values(self) -> Row:
         """Return the velocity and its covariance."""
-        return (*self.velocity.tolist(), *_optional_row(self.covariance, 9))
+        return (*self.velocity.tolist(), *optional_row(self.covariance, 9))
 
     @classmethod
     def of(cls, stamp_ns: int, arrival_ns: int, sensor: str, values: Sequence[float]) -> Self:
         """Return the velocity that has a row."""
-        return cls(stamp_ns, arrival_ns, sensor, np.array(values[:3]), _optional_matrix(values[3:], 3))
+        return cls(stamp_ns, arrival_ns, sensor, np.array(values[:3]), optional_matrix(values[3:], 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -226,13 +221,13 @@ class SensorPose:
 
     def values(self) -> Row:
         """Return position, quaternion and the covariance."""
-        return (*self.position.tolist(), *self.quaternion.tolist(), *_optional_row(self.covariance, 36))
+        return (*self.position.tolist(), *self.quaternion.tolist(), *optional_row(self.covariance, 36))
 
     @classmethod
     def of(cls, stamp_ns: int, arrival_ns: int, sensor: str, values: Sequence[float]) -> Self:
         """Return the pose that has a row."""
         position, quaternion = np.array(values[:3]), np.array(values[3:7])
-        return cls(stamp_ns, arrival_ns, sensor, position, quaternion, _optional_matrix(values[7:], 6))
+        return cls(stamp_ns, arrival_ns, sensor, position, quaternion, optional_matrix(values[7:], 6))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -259,7 +254,7 @@ class Heading:
 
     def values(self) -> Row:
         """Return the yaw and its sigma."""
-        return (self.yaw_rad, *_optional_number(self.sigma_rad))
+        return (self.yaw_rad, *optional_number(self.sigma_rad))
 
     @classmethod
     def of(cls, stamp_ns: int, arrival_ns: int, sensor: str, values: Sequence[float]) -> Self:
@@ -322,13 +317,13 @@ class Twist:
 
     def values(self) -> Row:
         """Return linear and angular velocity and the covariance."""
-        return (*self.linear.tolist(), *self.angular.tolist(), *_optional_row(self.covariance, 36))
+        return (*self.linear.tolist(), *self.angular.tolist(), *optional_row(self.covariance, 36))
 
     @classmethod
     def of(cls, stamp_ns: int, arrival_ns: int, sensor: str, values: Sequence[float]) -> Self:
         """Return the twist that has a row."""
         linear, angular = np.array(values[:3]), np.array(values[3:6])
-        return cls(stamp_ns, arrival_ns, sensor, linear, angular, _optional_matrix(values[6:], 6))
+        return cls(stamp_ns, arrival_ns, sensor, linear, angular, optional_matrix(values[6:], 6))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -356,12 +351,12 @@ class PointPosition:
 
     def values(self) -> Row:
         """Return the position and its covariance."""
-        return (*self.position.tolist(), *_optional_row(self.covariance, 9))
+        return (*self.position.tolist(), *optional_row(self.covariance, 9))
 
     @classmethod
     def of(cls, stamp_ns: int, arrival_ns: int, sensor: str, values: Sequence[float]) -> Self:
         """Return the position that has a row."""
-        return cls(stamp_ns, arrival_ns, sensor, np.array(values[:3]), _optional_matrix(values[3:], 3))
+        return cls(stamp_ns, arrival_ns, sensor, np.array(values[:3]), optional_matrix(values[3:], 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -388,7 +383,7 @@ class Height:
 
     def values(self) -> Row:
         """Return the height and its sigma."""
-        return (self.height_m, *_optional_number(self.sigma_m))
+        return (self.height_m, *optional_number(self.sigma_m))
 
     @classmethod
     def of(cls, stamp_ns: int, arrival_ns: int, sensor: str, values: Sequence[float]) -> Self:
@@ -399,16 +394,3 @@ class Height:
 
 def _is_status(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value in STATUSES
-
-
-def _optional_number(value: float | None) -> Row:
-    return (0.0, 0.0) if value is None else (1.0, value)
-
-
-def _optional_row(matrix: Array | None, size: int) -> Row:
-    """Return whether a matrix is there, and its `size` entries."""
-    return (0.0,) * (size + 1) if matrix is None else (1.0, *matrix.ravel().tolist())
-
-
-def _optional_matrix(row: Sequence[float], side: int) -> Array | None:
-    return np.array(row[1:]).reshape(side, side) if row[0] else None

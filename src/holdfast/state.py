@@ -1,4 +1,4 @@
-"""What the estimator gives: estimates, optimised states, events, and trajectories made of stamped poses.
+"""What the estimator gives: estimates, optimised states, and trajectories made of stamped poses.
 
 Covariances use GTSAM's tangent of `NavState`: rotation [rad], position [m], velocity [m/s], each expressed in the
 body frame I; biases follow in GTSAM's order, accelerometer [m/s^2] before gyroscope [rad/s].
@@ -6,8 +6,8 @@ body frame I; biases follow in GTSAM's order, accelerometer [m/s^2] before gyros
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -21,67 +21,6 @@ if TYPE_CHECKING:  # the judge and the recordings use this module without paying
     import gtsam
 
 
-class Outcome(StrEnum):
-    """What became of one measurement; those that wait for the IMU are counted at the end."""
-
-    __hash__ = str.__hash__  # five times faster than that of `Enum`; outcomes are counted at every sample
-
-    USED = "used"
-    NOT_FINITE = "not_finite"
-    OUT_OF_RANGE = "out_of_range"
-    DUPLICATE = "duplicate"
-    BACKWARD = "backward"
-    CLOCK_JUMP = "clock_jump"
-    LATE = "late"
-    INNOVATION = "innovation"
-    WALKING = "walking"
-    TOO_FAST = "too_fast"
-    BASELINE = "baseline"
-    QUARANTINED = "quarantined"
-    CONTRADICTED = "contradicted"
-    LOW_STATUS = "low_status"
-    NO_COVARIANCE = "no_covariance"
-    LARGE_COVARIANCE = "large_covariance"
-    FROZEN = "frozen"
-    BEFORE_START = "before_start"
-    NO_JOINT_ANGLE = "no_joint_angle"
-    NO_PREDECESSOR = "no_predecessor"
-    IGNORED = "ignored"
-    OVERLOAD = "overload"
-    UNREACHED = "unreached"
-
-
-class EventKind(StrEnum):
-    """What kind of thing happened."""
-
-    INITIALISED = "initialised"
-    WAITING = "waiting"
-    REJECTED = "rejected"
-    LATE = "late"
-    OVERLOAD = "overload"
-    COVARIANCE_ASSUMED = "covariance_assumed"
-    IMU_GAP = "imu_gap"
-    CLOCK_STEP = "clock_step"
-    RESET = "reset"
-    ESTIMATE_SUSPECT = "estimate_suspect"
-    BEGUN_ANEW = "begun_anew"
-    LEVER_ARM = "lever_arm"
-    GNSS_LOST = "gnss_lost"
-    GNSS_REGAINED = "gnss_regained"
-    RECEIVER_LOST = "receiver_lost"
-    RECEIVER_REGAINED = "receiver_regained"
-    RECOVERY_REFUSED = "recovery_refused"
-    SENSOR_LOST = "sensor_lost"
-    SENSOR_REGAINED = "sensor_regained"
-    ODOMETRY_JUMP = "odometry_jump"
-    ODOMETRY_SLIP = "odometry_slip"
-    NOISE = "noise"
-    CALIBRATION = "calibration"
-    HEALTH = "health"
-    OPTIMISER_FAULT = "optimiser_fault"
-    ENCODER = "encoder"
-
-
 class EncoderState(StrEnum):
     """Whether the encoder of the turn joint can be used; if it cannot, the angle goes on by the gyroscopes."""
 
@@ -90,49 +29,6 @@ class EncoderState(StrEnum):
     LATE = "late"  # it fell silent, or what comes is too old or contradicts the gyroscopes
     FROZEN = "frozen"  # it repeats a reading although the joint turns
     WRONG_ZERO = "wrong_zero"  # its zero is not where the configuration has it; the one that was learnt is used
-
-
-class Health(StrEnum):
-    """How the estimator is, in the order in which one hides another: the first that is true is reported."""
-
-    INITIALISING = "initialising"
-    OPTIMISER_RESET = "optimiser_reset"
-    IMU_GAP = "imu_gap"
-    FALLBACK = "fallback"
-    RECOVERING = "recovering"
-    ODOMETRY_LOST = "odometry_lost"
-    GNSS_DEGRADED = "gnss_degraded"
-    LEVER_ARM = "lever_arm"
-    SENSOR_LOST = "sensor_lost"
-    NOMINAL = "nominal"
-
-
-@dataclass(frozen=True, slots=True)
-class HealthReport:
-    """Health at a time, and what it rests on.
-
-    Attributes:
-        fused: sensors of which something entered the graph in the last second.
-        ages_s: how old the newest measurement that entered is, by sensor.
-        noise: of a sensor over what it claims, as its innovations show, where they show that it is another.
-    """
-
-    stamp_ns: int
-    health: Health
-    fused: tuple[str, ...]
-    ages_s: Mapping[str, float]
-    noise: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """Something that a user may ask about later: when it happened, to which sensor, and why."""
-
-    stamp_ns: int
-    kind: EventKind
-    sensor: str
-    reason: str
-    data: Mapping[str, float | str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ from recorded import GnssFix, SensorPose, later, outputs_of
 
 from holdfast.baselines.msf import make_msf
 from holdfast.baselines.tsif import make_tsif
-from holdfast.state import EventKind, Outcome
+from holdfast.events import EventKind, Outcome
 
 
 def last(localiser, messages):

@@ -8,7 +8,7 @@ from holdfast.baselines.msf import make_msf
 from holdfast.baselines.odometry_alone import make_odometry_alone
 from holdfast.baselines.tsif import TSIF_TUNING, make_tsif
 from holdfast.errors import ConfigError
-from holdfast.state import EventKind, Outcome
+from holdfast.events import EventKind, Outcome
 
 SYSTEMS = [make_msf, make_tsif, make_odometry_alone]
 

@@ -7,8 +7,8 @@ import pytest
 
 from holdfast.chassis.base_gyro import BaseGyro
 from holdfast.config.sensors import BaseImuConfig
+from holdfast.events import Outcome
 from holdfast.messages import ImuSample
-from holdfast.state import Outcome
 
 CONFIG = BaseImuConfig(kind="base_imu", topic="/base", gyroscope_range=5.0, accelerometer_range=50.0, time_offset_s=0.1)
 T_J_S = np.array([[1.0, 0.0, 0.0, 0.4], [0.0, 0.8, -0.6, 0.2], [0.0, 0.6, 0.8, 0.7], [0.0, 0.0, 0.0, 1.0]])

@@ -7,8 +7,8 @@ from compiled import RepeatMonitor
 
 from holdfast.chassis.encoder import JointModel
 from holdfast.config.sensors import JointConfig
+from holdfast.events import Outcome
 from holdfast.messages import JointAngle
-from holdfast.state import Outcome
 
 SECOND_NS = 1_000_000_000
 SIGMA_RAD = 1e-3

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from compiled import JointFilter
 
+from holdfast.events import Outcome
 from holdfast.kernel.joint_filter import GATE_SIGMA
-from holdfast.state import Outcome
 
 SECOND_NS = 1_000_000_000
 STEP_S = 0.01

@@ -8,9 +8,10 @@ from slewing import AT_REST, machine, ns
 from holdfast.chassis.base_gyro import BaseGyro
 from holdfast.chassis.encoder import JointModel
 from holdfast.event_log import EventLog
+from holdfast.events import Outcome
 from holdfast.kernel.turn_joint import MAX_STEP_RAD
 from holdfast.messages import ImuSample, JointAngle
-from holdfast.state import EncoderState, Outcome
+from holdfast.state import EncoderState
 
 
 class Standing:

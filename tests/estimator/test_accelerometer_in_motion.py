@@ -7,8 +7,8 @@ import pytest
 from motion import UP, StopAndGo, fixes, imu, in_order, machine, optimised, run, seconds
 
 from holdfast.calibration.learnt_table import learnt_rows
+from holdfast.events import EventKind
 from holdfast.integrity.learnt_snapshot import accelerometer_factor
-from holdfast.state import EventKind
 
 DRIVE, END_S, RATIO = StopAndGo(), 60.0, 0.005
 

@@ -22,8 +22,8 @@ from motion import (
 )
 
 from holdfast.estimator.estimator import Estimator
+from holdfast.events import EventKind, Outcome
 from holdfast.graph.nodes import NODE_RESOLUTION_NS
-from holdfast.state import EventKind, Outcome
 
 END_S = 9.0
 PATIENT = {"silence_s": 20.0}  # whether a receiver was silent does depend on when its fixes came

@@ -8,7 +8,7 @@ from motion import Drive, deviation, estimates, fixes, imu, in_order, machine, n
 
 from holdfast.errors import ConfigError
 from holdfast.estimator.estimator import Estimator
-from holdfast.state import EventKind, Outcome
+from holdfast.events import EventKind, Outcome
 
 FROM_1970_NS, FROM_2100_NS = 86_400_000_000_000, 4_102_444_800_000_000_000
 END_S = 9.0

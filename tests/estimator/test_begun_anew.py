@@ -25,7 +25,7 @@ from motion import (
     velocities,
 )
 
-from holdfast.state import EventKind, Health
+from holdfast.events import EventKind, Health
 
 ROAD = Drive(start_s=4.0, ramp_s=4.0, radius_m=20.0, speed=0.3, tilt=0.0, heave_m=0.0)  # 6 m/s
 RTK, CONSUMER = (0.01, 0.01, 0.02), (0.4, 0.4, 0.8)

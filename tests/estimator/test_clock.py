@@ -9,8 +9,9 @@ from motion import Drive, fixes, imu, machine, ns, scans
 
 from holdfast.estimator.clock import CLOCKS, MAX_SILENCE_NS, Clock
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind
 from holdfast.sensors.imu import SUSPECTS_ACCEPTED, ImuBuffer
-from holdfast.state import Estimate, EventKind, Output
+from holdfast.state import Estimate, Output
 
 NO_BIAS = gtsam.imuBias.ConstantBias()
 DRIVE = Drive()

@@ -8,7 +8,7 @@ import pytest
 from motion import Drive, fixes, imu, in_order, late, machine, ns, scans, seconds
 
 from holdfast.estimator.estimator import Estimator
-from holdfast.state import EventKind, Health
+from holdfast.events import EventKind, Health
 
 DRIVE = Drive()
 SIGMA_M = (0.01, 0.01, 0.02)  # of the fixes

@@ -6,7 +6,7 @@ from itertools import pairwise
 from holdfast.config.load import parse_config
 from holdfast.estimator.density import Density
 from holdfast.event_log import EventLog
-from holdfast.state import EventKind, Outcome
+from holdfast.events import EventKind, Outcome
 
 CONFIG = """
 sensors:

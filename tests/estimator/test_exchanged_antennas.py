@@ -19,9 +19,9 @@ from motion import (
 )
 
 from holdfast.estimator.estimator import Estimator
+from holdfast.events import EventKind
 from holdfast.messages import GnssFix, Heading
 from holdfast.replay.held_out import HeldOutJudge
-from holdfast.state import EventKind
 
 DRIVE = FigureEight(start_s=4.0, ramp_s=4.0, speed=0.3)  # up to 8 m/s
 END_S = 25.0

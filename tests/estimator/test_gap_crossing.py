@@ -8,7 +8,7 @@ import pytest
 from motion import Drive, deviation, error, estimates, fixes, imu, in_order, machine, ns, run, scans
 
 from holdfast.evaluation.consistency import consistency
-from holdfast.state import EventKind
+from holdfast.events import EventKind
 
 GAP = (6.0, 7.5)
 END_S = 9.0

@@ -7,8 +7,8 @@ import pytest
 from motion import ARM_RIGHT, Drive, estimates, fixes, imu, in_order, machine, optimised, run, seconds
 
 from holdfast.calibration.learnt_table import learnt_rows
+from holdfast.events import EventKind
 from holdfast.integrity.learnt_snapshot import LearntSnapshot
-from holdfast.state import EventKind
 
 DRIVE = Drive(radius_m=4.0, speed=0.5)  # it turns by 0.5 rad/s
 END_S, LOST_S = 60.0, 40.0

@@ -4,7 +4,7 @@ import pytest
 from motion import at, machine
 
 from holdfast.estimator.health import HealthMonitor
-from holdfast.state import Health
+from holdfast.events import Health
 
 SECOND_NS = 1_000_000_000
 CONFIG = machine(right=True, more={"wheels": {"kind": "twist", "mount": at([0.0, 0.0, 0.0])}})

@@ -9,11 +9,11 @@ from motion import ARM, Drive, G, at, fixes, imu, machine, ns, poses
 from rig import position
 
 from holdfast.estimator.initialisation import Initialising
+from holdfast.events import Outcome
 from holdfast.geometry.world import World
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.odometry import TrackPose
 from holdfast.sensors.registry import sensors_of
-from holdfast.state import Outcome
 
 STILL = Drive(start_s=100.0)
 MARKER = {"marker": {"kind": "pose", "mount": at([0.0, 0.0, 0.0])}}

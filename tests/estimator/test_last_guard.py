@@ -9,9 +9,10 @@ from motion import ARM, Drive, deviation, estimates, fixes, imu, in_order, machi
 
 from holdfast.errors import ConfigError
 from holdfast.estimator.estimator import Estimator
+from holdfast.events import EventKind
 from holdfast.graph.window import Window
 from holdfast.sensors.registry import sensors_of
-from holdfast.state import EventKind, is_finite
+from holdfast.state import is_finite
 
 DRIVE = Drive()
 NAN = np.full(3, np.nan)

@@ -25,8 +25,8 @@ from motion import (
 from holdfast.estimator.imu_path import receive
 from holdfast.estimator.optimiser import Optimiser
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind, Outcome
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
-from holdfast.state import EventKind, Outcome
 
 DRIVE = Drive()
 LONG = StopAndGo(radius_m=4.0, speed=0.35)

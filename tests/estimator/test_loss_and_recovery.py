@@ -23,8 +23,8 @@ from motion import (
 )
 
 from holdfast.estimator.estimator import Estimator
+from holdfast.events import EventKind, Health, Outcome
 from holdfast.messages import Heading
-from holdfast.state import EventKind, Health, Outcome
 
 OUTAGE = (8.0, 14.0)  # twice the lag
 END_S = 18.0

@@ -21,7 +21,7 @@ from motion import (
     seconds,
 )
 
-from holdfast.state import EventKind
+from holdfast.events import EventKind
 
 ROAD = Drive(start_s=4.0, ramp_s=4.0, radius_m=20.0, speed=0.3, tilt=0.0, heave_m=0.0)  # 6 m/s
 SWINGING = StopAndGo(start_s=4.0, radius_m=20.0, speed=0.3)  # 2 to 10 m/s

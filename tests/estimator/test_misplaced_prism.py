@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from motion import ARM, Drive, at, deviation, estimates, fixes, imu, in_order, machine, ns, prisms, run, scans, seconds
 
-from holdfast.state import EventKind
+from holdfast.events import EventKind
 
 ROAD = Drive(start_s=-6.0, ramp_s=4.0, radius_m=8.0, speed=0.2, tilt=0.0, heave_m=0.0)  # 1.6 m/s
 PRISM = {"kind": "prism", "mount": at(ARM), "correlation_s": 0.0}

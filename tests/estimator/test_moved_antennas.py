@@ -18,11 +18,11 @@ from motion import (
 )
 
 from holdfast.estimator.estimator import Estimator
+from holdfast.events import EventKind
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT
 from holdfast.sensors.lever_arm import GNSS_ARM
 from holdfast.sensors.registry import sensors_of
 from holdfast.smoothing.batch_smoother import BatchSmoother
-from holdfast.state import EventKind
 
 RTK, CONSUMER = (0.01, 0.01, 0.02), (0.4, 0.4, 0.8)
 END_S, SETTLED_S = 50.0, 25.0

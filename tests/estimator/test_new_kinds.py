@@ -29,7 +29,7 @@ from motion import (
     velocities,
 )
 
-from holdfast.state import EventKind, Health, Outcome
+from holdfast.events import EventKind, Health, Outcome
 
 CURVE = Drive(tilt=0.3)
 ROAD = Drive(radius_m=15.0, speed=0.2, tilt=0.0, roll_rad=0.0, pitch_rad=0.0, heave_m=0.0)  # 3 m/s, x axis ahead

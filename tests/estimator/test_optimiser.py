@@ -9,10 +9,10 @@ from motion import DATUM, Drive, G, fixes, imu, in_order, machine, ns, optimised
 from holdfast.estimator.imu_path import receive
 from holdfast.estimator.optimiser import Optimiser
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind, Health, Outcome
 from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, gravity
 from holdfast.messages import Heading, JointAngle
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.state import EventKind, Health, Outcome
 
 DRIVE = Drive()
 ELSEWHERE = Geodetic(10.0, 20.0, 3000.0)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from motion import Drive, deviation, estimates, fixes, imu, in_order, machine, ns, run, scans
 
+from holdfast.events import EventKind
 from holdfast.graph.window import Window
-from holdfast.state import EventKind
 
 
 def driven(failures, monkeypatch, from_s=5.0, end_s=11.0):

@@ -8,7 +8,7 @@ import pytest
 from motion import UP, deviation, estimates, fixes, imu, in_order, machine, ns, run, seconds
 
 from holdfast.estimator.estimator import Estimator
-from holdfast.state import Outcome
+from holdfast.events import Outcome
 
 
 @dataclass(frozen=True)

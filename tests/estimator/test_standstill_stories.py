@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from motion import UP, deviation, estimates, fixes, imu, in_order, machine, ns, run, seconds
 
+from holdfast.events import Outcome
 from holdfast.graph.smoother import Smoother
-from holdfast.state import Outcome
 
 RTK, CONSUMER = (0.01, 0.01, 0.02), (0.4, 0.4, 0.8)
 STOPPED_M_S = 0.03  # three sigma of a zero-velocity factor

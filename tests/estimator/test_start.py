@@ -23,8 +23,8 @@ from motion import (
     seconds,
 )
 
+from holdfast.events import EventKind, Outcome
 from holdfast.messages import Heading
-from holdfast.state import EventKind, Outcome
 
 STANDING = Drive(start_s=100.0)
 TRUTH = STANDING.nav(0.0)

@@ -13,11 +13,11 @@ from holdfast.estimator.initialisation import Initialising
 from holdfast.estimator.successor import Successor
 from holdfast.estimator.tracking import Tracking
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind, Health, Outcome
 from holdfast.integrity.lever_arms import LeverArms
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.registry import sensors_of
-from holdfast.state import EventKind, Health, Outcome
 
 DRIVE = Drive(start_s=-3.0)
 NO_SLIP = {"rear": {"kind": "nonholonomic", "topic": None, "mount": at([0.0, 0.0, 0.0]), "sigma_m_s": 10.0}}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from motion import Drive, estimates, fix_at, fixes, imu, in_order, machine, run, seconds, velocities
 
-from holdfast.state import EventKind
+from holdfast.events import EventKind
 
 ROAD = Drive(start_s=4.0, ramp_s=4.0, radius_m=40.0, speed=0.2, tilt=0.0, heave_m=0.0)  # 8 m/s
 CLAIM = 0.5, 0.5, 1.0

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from motion import T_I_L, StopAndGo, error, estimates, fixes, imu, in_order, link, machine, ns, run, scans
 
-from holdfast.state import EventKind
+from holdfast.events import EventKind
 
 DRIVE = StopAndGo(radius_m=4.0, speed=0.35)  # 0.4 to 2.4 m/s
 SHAKES_M, PER_PHASE = np.array([0.0012, -0.0012, 0.0005]), 200.0

@@ -22,8 +22,8 @@ from motion import (
 )
 from test_begun_anew import largest_step_m
 
+from holdfast.events import EventKind, Health, Outcome
 from holdfast.messages import Heading
-from holdfast.state import EventKind, Health, Outcome
 
 SWINGING = StopAndGo(radius_m=5.0, speed=0.7)
 DRIVE = Drive(start_s=9.0, ramp_s=4.0, radius_m=15.0, speed=0.1, tilt=0.0, heave_m=0.0)  # 1.5 m/s

@@ -6,8 +6,8 @@ import pytest
 from motion import ARM, Drive, apart, machine, ns
 from rig import Rig, position
 
+from holdfast.events import Outcome
 from holdfast.sensors.odometry import TrackPose
-from holdfast.state import Outcome
 
 DRIVE = Drive(start_s=-3.0)
 PAPER = {"main_odometry": "relative", "fallback_odometry": "frozen"}

@@ -6,10 +6,10 @@ import pytest
 from motion import NOT_TURNED, Drive, apart, machine, ns
 from rig import SIGMAS, smoother_of, truth
 
+from holdfast.events import Outcome
 from holdfast.graph.odometry_track import OdometryTrack
 from holdfast.sensors.odometry import OdometryNoise, TrackPose
 from holdfast.sensors.registry import sensors_of
-from holdfast.state import Outcome
 
 DRIVE = Drive(start_s=-3.0)
 MODES = ("anchored", "relative", "frozen")

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from motion import ns
 
+from holdfast.events import Outcome
 from holdfast.integrity.consensus import Consensus, agreeing
 from holdfast.sensors.sensor import Position
-from holdfast.state import Outcome
 
 REFUSED = Outcome.INNOVATION
 

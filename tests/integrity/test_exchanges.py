@@ -5,9 +5,9 @@ from itertools import pairwise
 import numpy as np
 
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind, Outcome
 from holdfast.integrity.exchanges import ENOUGH, Exchange, Exchanges, ExchangeTest
 from holdfast.sensors.sensor import Position
-from holdfast.state import EventKind, Outcome
 
 AT = {"left": np.array([0.0, 1.0, 2.0]), "right": np.array([0.0, -1.0, 2.0]), "mast": np.array([0.0, 0.0, 4.0])}
 PERIOD_NS = 100_000_000

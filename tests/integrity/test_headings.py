@@ -8,9 +8,9 @@ import pytest
 from motion import Drive, machine, ns
 from rig import Rig
 
+from holdfast.events import EventKind, Outcome
 from holdfast.sensors.heading import AxisYaw
 from holdfast.sensors.noise import Colour
-from holdfast.state import EventKind, Outcome
 
 DRIVE = Drive(start_s=-3.0)
 

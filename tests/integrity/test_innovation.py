@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import pytest
 
 from holdfast.config.sensors import JudgedConfig
+from holdfast.events import Outcome
 from holdfast.integrity.innovation import Change, InnovationGate
-from holdfast.state import Outcome
 
 SECOND_NS = 1_000_000_000
 SETTINGS = JudgedConfig(kind="any", gate_sigma=3.0, lose_after=3, regain_after=4)

@@ -5,11 +5,11 @@ import pytest
 from motion import ARM, Drive, at, machine, ns, twists
 from rig import Rig, position
 
+from holdfast.events import EventKind, Outcome
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.states import JudgedSensor
 from holdfast.sensors.height import PointHeight
 from holdfast.sensors.sensor import Joint
-from holdfast.state import EventKind, Outcome
 
 DRIVE = Drive(start_s=-3.0)
 LASER = {"kind": "height", "mount": at(ARM), "sigma_m": 0.01, "correlation_s": 0.0}

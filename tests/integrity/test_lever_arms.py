@@ -9,11 +9,11 @@ from motion import ARM, ARM_RIGHT, Drive, at, machine, ns
 from rig import truth
 
 from holdfast.event_log import EventLog
+from holdfast.events import Outcome
 from holdfast.integrity.lever_arms import LeverArms, variance_along
 from holdfast.messages import Heading
 from holdfast.sensors.registry import sensors_of
 from holdfast.sensors.sensor import Position, State
-from holdfast.state import Outcome
 
 BASELINE = ARM_RIGHT - ARM
 ACROSS = np.cross(BASELINE, [0.0, 0.0, 1.0]) / np.linalg.norm(np.cross(BASELINE, [0.0, 0.0, 1.0]))

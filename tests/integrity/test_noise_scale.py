@@ -8,10 +8,10 @@ from motion import ARM, Drive, at, machine, ns
 from rig import Rig, position
 
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind, Outcome
 from holdfast.integrity.noise_scale import HIGHEST, LOWEST, NoiseScale
 from holdfast.sensors.noise import FREE_VARIANCE
 from holdfast.sensors.sensor import Innovation, Position, State
-from holdfast.state import EventKind, Outcome
 
 KNOWN = State(gtsam.NavState(), np.eye(9) * 1e-12)
 UNKNOWN = State(gtsam.NavState(), np.eye(9) * 100.0)

@@ -8,8 +8,8 @@ import pytest
 from motion import ARM, Drive, machine, ns
 from rig import Rig, position
 
+from holdfast.events import EventKind, Outcome
 from holdfast.sensors.odometry import TrackPose
-from holdfast.state import EventKind, Outcome
 
 DRIVE = Drive(start_s=-3.0)
 CAMERA = {"camera": {"kind": "odometry", "frame": "lidar"}}

@@ -10,13 +10,13 @@ import pytest
 from motion import ARM, ARM_RIGHT, Drive, imu, jumped_gyroscope, machine, ns, seconds
 from rig import Rig, position
 
+from holdfast.events import EventKind
 from holdfast.graph.odometry_track import believed_calibration
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.integrity.noise_review import NoiseReview
 from holdfast.integrity.odometry_learning import LOWEST_TILT
 from holdfast.sensors.heading import AxisYaw
 from holdfast.sensors.odometry import LearntNoise, TrackPose
-from holdfast.state import EventKind
 
 END_S = 60.0
 DRIVE = Drive(start_s=-3.0)

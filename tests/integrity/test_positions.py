@@ -7,9 +7,9 @@ import pytest
 from motion import ARM, ARM_RIGHT, Drive, machine, ns
 from rig import Rig, position
 
+from holdfast.events import EventKind, Outcome
 from holdfast.integrity.receiver import Trust
 from holdfast.sensors.noise import Colour
-from holdfast.state import EventKind, Outcome
 
 DRIVE = Drive(start_s=-3.0)
 

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from motion import EPOCH_NS
 
 from holdfast.config.model import GateConfig
+from holdfast.events import Outcome
 from holdfast.integrity.receiver import HOLD_BACK, UNEXPECTED_S, Prediction, ReceiverGate, Trust, predict
 from holdfast.sensors.position import position_innovation
 from holdfast.sensors.sensor import Position, State
-from holdfast.state import Outcome
 
 NAV = gtsam.NavState(gtsam.Rot3.Yaw(np.pi / 2), np.array([10.0, 20.0, 30.0]), np.zeros(3))
 ARM = np.array([2.0, 0.0, 0.0])  # in W: 2 m to the north

@@ -5,10 +5,10 @@ import pytest
 from motion import ARM, Drive, machine, ns
 from rig import Rig, position
 
+from holdfast.events import EventKind, Outcome
 from holdfast.integrity.receiver import Trust
 from holdfast.sensors.heading import AxisYaw
 from holdfast.sensors.odometry import TrackPose
-from holdfast.state import EventKind, Outcome
 
 DRIVE = Drive(start_s=-3.0)
 KINDS = {

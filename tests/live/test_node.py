@@ -8,12 +8,13 @@ from bags import HUMBLE, fix, imu
 
 from holdfast.cli.live import _show
 from holdfast.config.load import parse_config
+from holdfast.events import Event, EventKind
 from holdfast.live.dds import Sample
 from holdfast.live.line_limit import PERIOD_NS
 from holdfast.live.node import LiveNode
 from holdfast.live.watch import Finding
 from holdfast.recording.subscriptions import subscriptions
-from holdfast.state import NOTHING, Event, EventKind
+from holdfast.state import NOTHING
 
 CONFIG = "sensors:\n  imu: {kind: imu, topic: /imu/data}\n"
 T0 = 1_700_000_000_000_000_000

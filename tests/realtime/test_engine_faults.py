@@ -14,12 +14,12 @@ from engine import bring_up, play, sigmas_m, stamps_of, wait_for, with_settings
 
 from holdfast.errors import ConfigError, EstimatorError
 from holdfast.estimator.estimator import Estimator
+from holdfast.events import Health
 from holdfast.geometry.earth import Geodetic
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntOdometry, LearntScale, LearntSnapshot
 from holdfast.messages import GnssFix, Heading, ImuSample, SensorPose
 from holdfast.realtime.engine import RealtimeEstimator
 from holdfast.realtime.layout import REQUESTS
-from holdfast.state import Health
 
 BEGIN_S = 4.0  # quick has started long before
 

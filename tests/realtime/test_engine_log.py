@@ -4,10 +4,10 @@ import gtsam
 import numpy as np
 
 from holdfast.event_log import EventLog
+from holdfast.events import Event, EventKind, Outcome
 from holdfast.realtime.event_log import EngineLog
 from holdfast.realtime.records import pack_nav
 from holdfast.realtime.reports import Report
-from holdfast.state import Event, EventKind, Outcome
 
 GNSS = ("gnss", Outcome.USED)
 LOST = Event(1, EventKind.GNSS_LOST, "", "no receiver is trusted")

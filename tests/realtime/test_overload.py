@@ -8,10 +8,10 @@ from engine import bring_up
 from holdfast.config.load import parse_config
 from holdfast.errors import ConfigError
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind, Outcome
 from holdfast.realtime.engine import RealtimeEstimator
 from holdfast.realtime.memory import Word
 from holdfast.realtime.overload import Overload
-from holdfast.state import EventKind, Outcome
 
 CONFIG = """
 sensors:

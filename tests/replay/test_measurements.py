@@ -10,6 +10,7 @@ from small_drive import holdfast
 
 from holdfast.errors import RecordingError
 from holdfast.event_log import EventLog, MeasurementRecord
+from holdfast.events import Outcome
 from holdfast.replay.measurements import (
     MAX_ROWS_PER_S,
     MEASUREMENTS,
@@ -17,7 +18,6 @@ from holdfast.replay.measurements import (
     innovation_scores,
     read_measurements,
 )
-from holdfast.state import Outcome
 
 START_NS = 1_600_000_000_000_000_000
 

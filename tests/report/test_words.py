@@ -2,8 +2,8 @@
 
 import pytest
 
+from holdfast.events import EventKind, Health, Outcome
 from holdfast.report.words import in_words
-from holdfast.state import EventKind, Health, Outcome
 
 GATED = ("innovation", "too_fast", "baseline", "low_status", "no_covariance", "large_covariance", "walking", "late")
 

@@ -11,12 +11,12 @@ from motion import ARM, Drive, fix_at, tilted_circle
 from numeric import PLACED, assert_derivatives, assert_jacobians, random_state, residual
 
 from holdfast.config.sensors import GnssConfig
+from holdfast.events import Outcome
 from holdfast.geometry.world import World
 from holdfast.messages import FixStatus
 from holdfast.sensors.gnss import GnssModel
 from holdfast.sensors.lever_arm import doubtful_arm
 from holdfast.sensors.sensor import Position
-from holdfast.state import Outcome
 
 X = gtsam.symbol("x", 0)
 GOOD = fix_at(Drive(), 0.0)

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from numeric import PLACED, assert_derivatives, random_state, solved
 
 from holdfast.config.sensors import GnssVelocityConfig
+from holdfast.events import Outcome
 from holdfast.messages import GnssVelocity
 from holdfast.sensors.gnss_velocity import GnssVelocityModel
 from holdfast.sensors.noise import FREE_VARIANCE
 from holdfast.sensors.sensor import Innovation, Role, State, Velocity
-from holdfast.state import Outcome
 
 ARM = np.array([-1.0, 0.4, 2.0])
 FLOORS = np.array([0.05, 0.05, 0.1])

@@ -11,11 +11,11 @@ from motion import machine
 from numeric import PLACED, X, assert_derivatives, random_state, solved
 
 from holdfast.config.sensors import HeadingConfig
+from holdfast.events import Outcome
 from holdfast.messages import Heading
 from holdfast.sensors.heading import AxisYaw, HeadingModel
 from holdfast.sensors.registry import sensors_of
 from holdfast.sensors.sensor import State
-from holdfast.state import Outcome
 
 BASELINE = np.array([0.1, -1.9, 0.15])
 ARMS = {"gnss": np.array([1.0, 2.0, 3.0]), "gnss_right": np.array([1.0, 2.0, 3.0]) + BASELINE}

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from numeric import PLACED, assert_derivatives, random_state, solved
 
 from holdfast.config.sensors import HeightConfig
+from holdfast.events import Outcome
 from holdfast.messages import Height
 from holdfast.sensors.height import HeightModel, PointHeight
 from holdfast.sensors.sensor import State
-from holdfast.state import Outcome
 
 ARM = np.array([0.5, -2.0, 1.0])
 CONFIG = HeightConfig(kind="height", topic="/laser")

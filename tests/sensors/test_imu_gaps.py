@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from motion import Drive, imu, machine, ns
 
+from holdfast.events import Outcome
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.state import Outcome
 
 CONFIG = machine().imu
 DRIVING = Drive(start_s=-3.0)

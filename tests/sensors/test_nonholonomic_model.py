@@ -12,10 +12,10 @@ from numeric import PLACED, assert_derivatives, random_state, solved
 from slewing import machine as slewing_machine
 
 from holdfast.config.sensors import NonholonomicConfig
+from holdfast.events import Outcome
 from holdfast.sensors.mount import Mount
 from holdfast.sensors.nonholonomic import NonholonomicModel
 from holdfast.sensors.sensor import State
-from holdfast.state import Outcome
 
 CONFIG = NonholonomicConfig(kind="nonholonomic", slip_ratio=0.0)
 ANGLES = np.radians([1.0, 1.0])

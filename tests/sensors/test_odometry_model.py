@@ -12,10 +12,10 @@ from numeric import PLACED, assert_jacobians, residual
 
 from holdfast.config.sensors import OdometryConfig
 from holdfast.errors import EstimatorError
+from holdfast.events import Outcome
 from holdfast.messages import SensorPose
 from holdfast.point_cloud import Layout, PointCloud
 from holdfast.sensors.odometry import CONFIGURED, MAX_SCALE, OdometryModel, OdometryNoise, is_possible
-from holdfast.state import Outcome
 
 XI, XJ = gtsam.symbol("x", 0), gtsam.symbol("x", 1)
 CONFIG = OdometryConfig(kind="odometry", topic="/lidar", robust_loss={"kind": "none"})

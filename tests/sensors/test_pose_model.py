@@ -11,9 +11,9 @@ from motion import NOT_TURNED
 from numeric import PLACED, assert_derivatives, random_state, solved
 
 from holdfast.config.sensors import PoseConfig
+from holdfast.events import Outcome
 from holdfast.messages import SensorPose
 from holdfast.sensors.pose import FramePose, PoseModel
-from holdfast.state import Outcome
 
 T_I_S = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.3, -0.5, 1.2), np.array([0.6, -0.4, 1.5]))
 CONFIG = PoseConfig(kind="pose", topic="/pose")

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from numeric import PLACED, X, assert_derivatives, assert_jacobians, random_state, residual
 
 from holdfast.config.sensors import PrismConfig
+from holdfast.events import Outcome
 from holdfast.geometry.world import World
 from holdfast.messages import PointPosition
 from holdfast.sensors.prism import PrismModel
 from holdfast.sensors.sensor import Position
-from holdfast.state import Outcome
 
 ARM = np.array([0.2, -0.3, 2.4])
 CONFIG = PrismConfig(kind="prism", topic="/prism")

@@ -1,4 +1,4 @@
-"""What all sensors share: innovations, claims, factors and stamps."""
+"""What all sensors share: innovations, claims and factors."""
 
 import gtsam
 import numpy as np
@@ -6,31 +6,10 @@ import pytest
 from numeric import C, X, random_state
 
 from holdfast.config.sensors import JudgedConfig
-from holdfast.sensors.sensor import (
-    FUTURE_NS,
-    RECENT,
-    Innovation,
-    StampFilter,
-    State,
-    claimed_covariance,
-    innovation_factor,
-)
-from holdfast.state import Outcome
+from holdfast.events import Outcome
+from holdfast.sensors.sensor import Innovation, State, claimed_covariance, innovation_factor
 
 SECOND_NS = 1_000_000_000
-
-
-def test_a_stamp_a_second_ahead_of_those_before_of_its_sensor_is_a_clock_jump():
-    """It would wait for the IMU and enter where the machine is a second later."""
-    stamps, reached_ns = StampFilter(), 100 * SECOND_NS
-    for k in range(5):
-        now_ns = reached_ns + k * SECOND_NS
-        assert stamps.check("gnss", now_ns - 50_000_000, now_ns, now_ns, now_ns) is Outcome.USED
-        assert stamps.check("slow", now_ns + 700_000_000, now_ns, now_ns, now_ns) is Outcome.USED  # it was ever ahead
-    now_ns = reached_ns + 5 * SECOND_NS
-    assert stamps.check("gnss", now_ns + 950_000_000, now_ns, now_ns, now_ns) is Outcome.CLOCK_JUMP
-    assert stamps.check("gnss", now_ns, now_ns, now_ns, now_ns) is Outcome.USED
-    assert stamps.check("slow", now_ns + 950_000_000, now_ns, now_ns, now_ns) is Outcome.USED
 
 
 def test_the_nis_adds_what_is_unsure_of_state_parameter_and_measurement():
@@ -99,45 +78,3 @@ def test_a_claim_is_lifted_to_the_floor_where_it_is_below_and_keeps_its_correlat
 @pytest.mark.parametrize("claim", [None, np.zeros((2, 2)), np.diag([1.0, -1.0]), np.full((2, 2), np.inf)])
 def test_the_floor_stands_for_a_claim_that_is_none(claim):
     np.testing.assert_allclose(claimed_covariance(claim, np.array([0.1, 0.2])), np.diag([0.01, 0.04]))
-
-
-# --- stamps -----------------------------------------------------------------------------------------------------------
-
-
-def test_a_stamp_is_used_once_by_each_sensor():
-    stamps = StampFilter()
-    outcomes = [stamps.check(sensor, 5, 5, 5, 5) for sensor in ("gnss", "gnss", "lidar")]
-    assert outcomes == [Outcome.USED, Outcome.DUPLICATE, Outcome.USED]
-
-
-def test_a_duplicate_is_found_among_the_recent_stamps_in_any_order():
-    stamps = StampFilter()
-    for k in range(RECENT):
-        stamps.check("gnss", 1000 - k, 0, 1000, 0)
-    assert stamps.check("gnss", 1000, 0, 1000, 0) is Outcome.DUPLICATE
-    stamps.check("gnss", 2000, 0, 2000, 0)
-    assert stamps.check("gnss", 1000, 0, 2000, 0) is Outcome.USED  # forgotten: the work per message is bounded
-
-
-@pytest.mark.parametrize(("ahead_ns", "outcome"), [(FUTURE_NS, Outcome.USED), (FUTURE_NS + 1, Outcome.CLOCK_JUMP)])
-def test_a_stamp_that_is_far_ahead_of_the_imu_is_an_error_of_a_clock(ahead_ns, outcome):
-    reached_ns = 100 * SECOND_NS
-    assert StampFilter().check("gnss", reached_ns + ahead_ns, 7, reached_ns, 7) is outcome
-
-
-def test_a_silence_of_the_imu_explains_a_stamp_that_is_ahead_of_it():
-    reached_ns = 100 * SECOND_NS
-    stamp_ns = reached_ns + 30 * SECOND_NS
-    assert StampFilter().check("gnss", stamp_ns, 30 * SECOND_NS, reached_ns, 0) is Outcome.USED
-    assert StampFilter().check("gnss", stamp_ns, 20 * SECOND_NS, reached_ns, 0) is Outcome.CLOCK_JUMP
-
-
-def test_before_the_first_sample_of_the_imu_no_stamp_is_ahead():
-    assert StampFilter().check("gnss", 10**18, 0, 0, 0) is Outcome.USED
-
-
-def test_a_stamp_that_was_refused_may_come_again():
-    stamps = StampFilter()
-    stamp_ns = 10 * SECOND_NS
-    assert stamps.check("gnss", stamp_ns, 0, SECOND_NS, 0) is Outcome.CLOCK_JUMP
-    assert stamps.check("gnss", stamp_ns, 0, stamp_ns, 0) is Outcome.USED

@@ -13,11 +13,11 @@ from numeric import PLACED, assert_derivatives, random_state, solved
 from slewing import machine as slewing_machine
 
 from holdfast.config.sensors import TwistConfig
+from holdfast.events import Outcome
 from holdfast.messages import Twist
 from holdfast.sensors.mount import Mount
 from holdfast.sensors.sensor import State
 from holdfast.sensors.twist import BodyVelocity, TwistModel
-from holdfast.state import Outcome
 
 AXLE = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.1, -0.2, 0.7), np.array([-1.0, 0.4, -0.8]))
 CONFIG = TwistConfig(kind="twist", topic="/wheels", slip_ratio=0.0)

@@ -8,9 +8,9 @@ import pytest
 from motion import Drive, fixes, imu, in_order, machine, ns, scans, seconds, twists
 
 from holdfast.estimator.estimator import Estimator
+from holdfast.events import Outcome
 from holdfast.smoothing.batch_smoother import BatchSmoother
 from holdfast.smoothing.segment import Segment
-from holdfast.state import Outcome
 
 END_S = 40.0
 MOTION = Drive()

@@ -9,8 +9,8 @@ from typing import Any
 
 from holdfast.api.trajectory import Trajectory
 from holdfast.arguments import path_of
+from holdfast.events import Event
 from holdfast.extras import needing
-from holdfast.state import Event
 
 
 @dataclass(frozen=True, slots=True, eq=False)

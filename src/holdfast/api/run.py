@@ -19,6 +19,7 @@ from holdfast.config.load import config_of, load_config
 from holdfast.config.model import Config
 from holdfast.config.review import check_possible
 from holdfast.errors import ConfigError
+from holdfast.events import Event, EventKind
 from holdfast.measured_fields import got, has_double, is_number
 from holdfast.output_folder import naming_the_output, replaced
 from holdfast.recording.source import open_recording
@@ -26,7 +27,6 @@ from holdfast.recording.subscriptions import available, subscriptions
 from holdfast.replay.held_out import HoldOut, check_sensors
 from holdfast.replay.results import read_events
 from holdfast.smoothing.batch_smoother import OVERLAP_S, WINDOW_S, check_lengths
-from holdfast.state import Event, EventKind
 
 AnyPath = str | PathLike[str]
 AnyConfig = Config | Mapping[str, Any] | AnyPath

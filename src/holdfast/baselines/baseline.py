@@ -8,9 +8,10 @@ import gtsam
 
 from holdfast.baselines.intake import Intake
 from holdfast.config.model import Config
+from holdfast.events import Event, Outcome
 from holdfast.geometry.earth import Geodetic
 from holdfast.messages import Message
-from holdfast.state import Event, Outcome, Output
+from holdfast.state import Output
 
 IDENTITY = gtsam.Pose3()  # T_W_O of a baseline: every correction is a step of its output
 

@@ -11,9 +11,10 @@ from holdfast.baselines.propagation import Propagation, Tuning
 from holdfast.baselines.rewind import B, Filter, Rewinder
 from holdfast.baselines.start import StandstillStart, Start
 from holdfast.config.model import Config
+from holdfast.events import EventKind, Outcome
 from holdfast.messages import ImuSample, Message
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.state import Estimate, EventKind, OptimisedState, Outcome, Output
+from holdfast.state import Estimate, OptimisedState, Output
 
 
 class FilterSystem(Generic[B]):

@@ -6,14 +6,15 @@ from typing import Any, NamedTuple, cast
 
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
+from holdfast.events import Event, EventKind, Outcome
 from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, gravity
 from holdfast.geometry.world import World
 from holdfast.messages import Array, Message
 from holdfast.sensors.heading import AxisYaw, HeadingModel
 from holdfast.sensors.odometry import OdometryModel, TrackPose
 from holdfast.sensors.registry import sensors_of
-from holdfast.sensors.sensor import Position, PositionSensor, Role, Sensor, StampFilter
-from holdfast.state import Event, EventKind, Outcome
+from holdfast.sensors.sensor import Position, PositionSensor, Role, Sensor
+from holdfast.sensors.stamp_filter import StampFilter
 
 
 class PositionFix(NamedTuple):

@@ -19,9 +19,9 @@ from holdfast.baselines.intake import Intake, Measurement, PositionFix
 from holdfast.baselines.propagation import Propagation, Tuning
 from holdfast.baselines.start import Start
 from holdfast.config.model import Config
+from holdfast.events import Outcome
 from holdfast.messages import Array
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
-from holdfast.state import Outcome
 
 NO_MOTION = gtsam.Pose3()
 POSE, BIAS, TRACK = slice(0, 6), slice(9, 15), slice(15, 21)

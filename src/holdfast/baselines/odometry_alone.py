@@ -13,10 +13,11 @@ from holdfast.baselines.intake import Intake, PositionFix
 from holdfast.baselines.start import StandstillStart, Start
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
+from holdfast.events import EventKind, Outcome
 from holdfast.messages import Array, ImuSample, Message
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
-from holdfast.state import Estimate, EventKind, Outcome, Output
+from holdfast.state import Estimate, Output
 
 
 def make_odometry_alone(config: Config) -> Baseline:

@@ -12,10 +12,10 @@ import gtsam
 
 from holdfast.baselines.intake import Measurement
 from holdfast.baselines.propagation import Propagation
+from holdfast.events import Outcome
 from holdfast.messages import Array
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.preintegration import Step
-from holdfast.state import Outcome
 
 
 class Belief(Protocol):

@@ -12,12 +12,12 @@ import numpy as np
 
 from holdfast.baselines.intake import Intake, PositionFix
 from holdfast.config.model import Config
+from holdfast.events import Outcome
 from holdfast.graph.first_guess import level_attitude
 from holdfast.messages import Array, Message
 from holdfast.sensors.heading import AxisYaw
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.standstill import ENGINE, fixes_stand, quiet_window, standstill_covariance
-from holdfast.state import Outcome
 
 KEPT_FIXES = 200
 STANDING_S = 3.0  # fixes have to stand for so long

@@ -19,8 +19,8 @@ from holdfast.baselines.intake import Intake, Measurement, PositionFix
 from holdfast.baselines.propagation import Propagation, Tuning
 from holdfast.baselines.start import Start
 from holdfast.config.model import Config
+from holdfast.events import Outcome
 from holdfast.messages import Array
-from holdfast.state import Outcome
 
 CHI_SQUARE_3 = 16.27  # one good fix in a thousand exceeds it
 ITERATIONS = 5

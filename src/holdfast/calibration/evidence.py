@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from holdfast.config.model import Config
 from holdfast.errors import EstimatorError
 from holdfast.estimator.estimator import Estimator
+from holdfast.events import EventKind, Health
 from holdfast.geometry.world import World
 from holdfast.lidar_odometry.replayed import ReplayedScans
 from holdfast.messages import Array, ImuSample, JointAngle, Message
@@ -27,7 +28,7 @@ from holdfast.sensors.heading import AxisYaw
 from holdfast.sensors.odometry import OdometryModel, TrackPose
 from holdfast.sensors.registry import sensors_of
 from holdfast.sensors.sensor import Position, Role
-from holdfast.state import EventKind, Health, Output
+from holdfast.state import Output
 
 CONSTANTS_EVERY = 20  # optimisations, after which what is known of the constants is read again
 LOST = Health.INITIALISING, Health.OPTIMISER_RESET, Health.FALLBACK, Health.RECOVERING

@@ -3,8 +3,8 @@
 from math import isfinite
 
 from holdfast.config.sensors import BaseImuConfig
+from holdfast.events import Outcome
 from holdfast.messages import Array, ImuSample
-from holdfast.state import Outcome
 
 
 class BaseGyro:

@@ -3,8 +3,8 @@
 from math import isfinite, radians
 
 from holdfast.config.sensors import JointConfig
+from holdfast.events import Outcome
 from holdfast.messages import JointAngle
-from holdfast.state import Outcome
 
 
 class JointModel:

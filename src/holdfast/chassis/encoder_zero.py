@@ -10,12 +10,12 @@ from holdfast.chassis.base_gyro import BaseGyro
 from holdfast.chassis.encoder import JointModel
 from holdfast.config.sensors import InertialConfig
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind
 from holdfast.kernel import layout
 from holdfast.messages import Array
 from holdfast.sensors.constants import LearntConstant
 from holdfast.sensors.learnt_joint import LearntJoint
 from holdfast.sensors.sensor import CHANGE_RAD
-from holdfast.state import EventKind
 
 REVIEW_NS = 1_000_000_000
 SIGMA = 4.0  # it is tested every second

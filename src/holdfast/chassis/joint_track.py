@@ -4,9 +4,9 @@ from bisect import bisect_left, insort
 from math import remainder, tau
 
 from holdfast.chassis.encoder import JointModel
+from holdfast.events import Outcome
 from holdfast.messages import JointAngle
 from holdfast.sensors.sensor import Joint
-from holdfast.state import Outcome
 
 MEMORY_NS = 30_000_000_000
 

@@ -13,11 +13,12 @@ from holdfast.chassis.encoder import JointModel
 from holdfast.chassis.turn_joint import ENCODERS, TurnJoint
 from holdfast.config.model import Config
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind, Outcome
 from holdfast.kernel import layout
 from holdfast.messages import Array, ImuSample, JointAngle
 from holdfast.sensors.learnt_joint import NOTHING_OF_JOINT, LearntJoint
 from holdfast.sensors.mount import Mount
-from holdfast.state import EncoderState, EventKind, Outcome
+from holdfast.state import EncoderState
 
 NO_JOINT = np.zeros(2, layout.JOINT), np.zeros(0, layout.ROTATION), np.zeros(0, layout.JOINT_READING)
 

@@ -16,13 +16,15 @@ from holdfast.chassis.encoder_zero import ZeroReport, fill_zero
 from holdfast.chassis.kept_joint import begin_with, learnt_joint
 from holdfast.config.model import Config
 from holdfast.event_log import EventLog
+from holdfast.events import Outcome
 from holdfast.kernel import layout
 from holdfast.kernel.joint_filter import ANY_RATE_RAD2_S2, LAG_SIGMA_S, LAG_WALK_S_SQRT_S, MAX_LAG_S
 from holdfast.kernel.turn_joint import ABSENT, CORRECTED_S, add_reading
-from holdfast.messages import ImuSample, JointAngle, as_doubles
+from holdfast.messages import ImuSample, JointAngle
+from holdfast.sensors.imu import as_doubles
 from holdfast.sensors.learnt_joint import NOTHING_OF_JOINT, LearntJoint
-from holdfast.sensors.sensor import StampFilter
-from holdfast.state import EncoderState, Outcome
+from holdfast.sensors.stamp_filter import StampFilter
+from holdfast.state import EncoderState
 
 MAX_WAITING = 4096
 ROTATIONS = 4096  # rows for what the joint has turned, some seconds

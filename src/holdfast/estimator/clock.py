@@ -13,9 +13,10 @@ from typing import Any, cast
 import gtsam
 
 from holdfast.event_log import EventLog, MeasurementRecord
+from holdfast.events import Event, EventKind
 from holdfast.messages import ImuSample, Message
 from holdfast.sensors.imu import CLOCK_JUMP_NS, ImuBuffer
-from holdfast.state import NOTHING, Event, EventKind, OptimisedState, Output
+from holdfast.state import NOTHING, OptimisedState, Output
 
 MAX_SILENCE_NS = 10_000_000_000  # of the IMU; the heading of the motion model is off by half a radian then
 CLOCKS = 4  # of the past that are remembered

@@ -8,7 +8,7 @@ from collections import defaultdict
 
 from holdfast.config.model import Config
 from holdfast.event_log import EventLog
-from holdfast.state import EventKind, Outcome
+from holdfast.events import EventKind, Outcome
 
 TELL_NS = 1_000_000_000
 SLOT = 4  # measurements to one slot of time: jitter may put two of them where one belongs

@@ -15,6 +15,7 @@ from holdfast.estimator.intake import Intake
 from holdfast.estimator.listener import Listener
 from holdfast.estimator.optimiser import Optimiser
 from holdfast.event_log import EventLog, MeasurementRecord
+from holdfast.events import Event, EventKind, Health, HealthReport, Outcome
 from holdfast.geometry.earth import Geodetic, LocalFrame, check_datum
 from holdfast.integrity.learnt_snapshot import LearntSnapshot, check_learnt
 from holdfast.measured_fields import got, is_stamp
@@ -22,7 +23,7 @@ from holdfast.messages import ImuSample, JointAngle, Message
 from holdfast.sensors.constants import Constant
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.registry import MessageKinds
-from holdfast.state import NOTHING, BaseState, Estimate, Event, EventKind, Health, HealthReport, Outcome, Output
+from holdfast.state import NOTHING, BaseState, Estimate, Output
 
 
 class Estimator(Intake):

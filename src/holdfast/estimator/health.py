@@ -4,7 +4,7 @@ from collections.abc import Collection
 
 from holdfast.config.model import Config
 from holdfast.config.sensors import DriftingConfig, InertialConfig, JointConfig, PositionConfig
-from holdfast.state import Health, HealthReport
+from holdfast.events import Health, HealthReport
 
 FUSED_NS = 1_000_000_000  # what entered so recently counts as being fused
 RESET_NS = 1_000_000_000  # a reset is reported for so long

@@ -9,6 +9,7 @@ from holdfast.config.model import Config
 from holdfast.estimator.clock import MAX_SILENCE_NS, Clock
 from holdfast.estimator.predictor import Predictor
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind, Outcome
 from holdfast.kernel.imu_path import (
     CHASSIS_IS_UNSOUND,
     ENCODER_FLAG,
@@ -23,10 +24,10 @@ from holdfast.kernel.imu_path import (
     process,
 )
 from holdfast.kernel.samples import IS_LINE, STEPPED
-from holdfast.messages import Array, ImuSample, JointAngle, Message, as_doubles
-from holdfast.sensors.imu import NEWEST, ImuBuffer
+from holdfast.messages import Array, ImuSample, JointAngle, Message
+from holdfast.sensors.imu import NEWEST, ImuBuffer, as_doubles
 from holdfast.sensors.learnt_joint import NOTHING_OF_JOINT, LearntJoint
-from holdfast.state import BaseState, Estimate, EventKind, OptimisedState, Outcome, Output
+from holdfast.state import BaseState, Estimate, OptimisedState, Output
 
 DOUBLE = np.dtype(np.float64)
 NO_FLAGS = -2  # what `process` never returns

@@ -25,6 +25,7 @@ from holdfast.estimator.odometry_tracks import OdometryTracks
 from holdfast.estimator.pose_as_point import PoseAsPoint
 from holdfast.estimator.standing_start import StandingStart
 from holdfast.estimator.velocity_check import Company, VelocityCheck
+from holdfast.events import Outcome
 from holdfast.graph.alignment import Jump
 from holdfast.graph.alignment_problem import Evidence, thin
 from holdfast.integrity.consensus import Departure, agreeing, first_of_shape
@@ -38,7 +39,7 @@ from holdfast.sensors.odometry import OdometryNoise
 from holdfast.sensors.preintegration import ImuNoise
 from holdfast.sensors.sensor import Measurement, Parameter, Position, Role, Sensor, Velocity, is_gnss, of_role
 from holdfast.sensors.standstill import ENGINE, quiet_window
-from holdfast.state import OptimisedState, Outcome
+from holdfast.state import OptimisedState
 
 PLAUSIBLE_FORCE_M_S2 = (7.0, 13.0)  # mean specific force of a machine on the ground
 TIMES_NEARER = 8.0  # to positions, an odometry is than the estimate that leaves them

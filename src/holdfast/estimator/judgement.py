@@ -8,13 +8,13 @@ from holdfast.config.model import GateConfig
 from holdfast.estimator.batch_clock import Offset
 from holdfast.estimator.successor import Beginning, Successor
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.integrity.odometries import Odometries
 from holdfast.integrity.positions import Contradiction, Positions
 from holdfast.integrity.states import States
 from holdfast.sensors.clock import GNSS_CLOCK
 from holdfast.sensors.sensor import Parameter, Role
-from holdfast.state import EventKind
 
 MISTAKEN = "it is late, of another sign or in other axes, as the positions show"
 CLOCK_NS = 5_000_000_000  # what the graph knows of the clock of GNSS is looked at this often

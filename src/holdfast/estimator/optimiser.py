@@ -12,14 +12,17 @@ from typing import TYPE_CHECKING
 from holdfast.chassis.encoder import JointModel
 from holdfast.chassis.joint_track import JointTrack
 from holdfast.config.model import Config
+from holdfast.estimator.assumptions import Assumptions
 from holdfast.estimator.density import Density
 from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import Received
 from holdfast.estimator.initialisation import Initialising
+from holdfast.estimator.stamp_check import StampCheck
 from holdfast.estimator.stamp_faults import StampFaults
 from holdfast.estimator.successor import Successor
 from holdfast.estimator.tracking import Tracking, Update
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind, Health, Outcome
 from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, gravity
 from holdfast.geometry.world import World
 from holdfast.integrity.exchanges import Exchanges
@@ -29,11 +32,10 @@ from holdfast.integrity.lever_arms import LeverArms
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.messages import GnssFix, JointAngle, Message
 from holdfast.sensors.constants import Constant
-from holdfast.sensors.gnss import GnssModel
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.registry import inputs_of, sensors_of
-from holdfast.sensors.sensor import Joint, Measurement, Position, Role, Sensor, StampFilter, of_role
-from holdfast.state import EventKind, Health, OptimisedState, Outcome
+from holdfast.sensors.sensor import Joint, Measurement, Position, Role, Sensor, of_role
+from holdfast.state import OptimisedState
 
 if TYPE_CHECKING:
     from holdfast.estimator.listener import Listener
@@ -75,7 +77,7 @@ class Optimiser:
         self._has_imu = True
         self._reported = Health.INITIALISING
         self._stamp_faults = StampFaults()
-        self._assumed: set[tuple[str, str]] = set()
+        self._assumptions = Assumptions(self._sensors, log)
         self.monitor = HealthMonitor(config)
         self.world = World()
         self.gravity = config.frames.gravity or STANDARD_GRAVITY_M_S2
@@ -93,9 +95,8 @@ class Optimiser:
         self.monitor.stop()
         if self._listener is not None:
             self._listener.stop()
-        self._stamps = StampFilter()
+        self._stamps = StampCheck(self._buffer, self._log, self._start_window_ns)
         self._lever_arms = LeverArms(self._sensors)
-        self._astray: Counter[str] = Counter()  # stamps in a row that contradict the IMU's clock, by sensor
         self._phase = self._initialising()
 
     def close(self) -> None:
@@ -208,7 +209,7 @@ class Optimiser:
         measurement = self._exchanges.named(self._sensors[name].convert(message, self.world))
         if self.world.frame is not frame:
             self._set_gravity()
-        outcome = measurement if isinstance(measurement, Outcome) else self._check_stamp(measurement, message)
+        outcome = measurement if isinstance(measurement, Outcome) else self._check_stamp(message, measurement.stamp_ns)
         if isinstance(measurement, Outcome) or outcome is not Outcome.USED:
             if isinstance(self._phase, Tracking):
                 self._phase.refuse(name, outcome)
@@ -216,7 +217,7 @@ class Optimiser:
                 self._phase.refuse(message, outcome)
             self._log.count(name, outcome)
             self._record(message, measurement, outcome)
-            if self._astray[name] <= 1 or outcome not in (Outcome.CLOCK_JUMP, Outcome.LATE):
+            if not self._stamps.is_told(name, outcome):
                 self._log.report(EventKind.REJECTED, message.stamp_ns, name, outcome)
             return None
         if isinstance(measurement, Position) and self._lever_arms.repeats(measurement):
@@ -226,7 +227,7 @@ class Optimiser:
         if self._density is not None and not self._density.admits(name, measurement.stamp_ns, message.arrival_ns):
             self._record(message, measurement, Outcome.OVERLOAD)
             return None
-        self._tell_assumption(message)
+        self._assumptions.tell(message)
         if self._listener is not None:
             self._listener.add(measurement, self._joint_at(measurement.stamp_ns))
         if isinstance(self._phase, Tracking):
@@ -247,34 +248,11 @@ class Optimiser:
         stamp_ns = message.stamp_ns + self._sensors[message.sensor].offset_ns
         self._log.record(stamp_ns, message.sensor, outcome, p_W_P=position)
 
-    def _tell_assumption(self, message: Message) -> None:
-        """Report once what is assumed of the fixes of a receiver."""
-        sensor = self._sensors[message.sensor]
-        if isinstance(sensor, GnssModel) and isinstance(message, GnssFix):
-            assumed = sensor.assumption(message)
-            if assumed and (message.sensor, assumed) not in self._assumed:
-                self._assumed.add((message.sensor, assumed))
-                self._log.report(EventKind.COVARIANCE_ASSUMED, message.stamp_ns, message.sensor, assumed)
-
-    def _check_stamp(self, measurement: Measurement, message: Message) -> Outcome:
-        name, stamp_ns = message.sensor, measurement.stamp_ns
-        reached_ns, reached_arrival_ns = self._buffer.latest_ns, self._buffer.arrival_ns
-        behind_ns = reached_ns + max(0, message.arrival_ns - reached_arrival_ns) - stamp_ns
+    def _check_stamp(self, message: Message, stamp_ns: int) -> Outcome:
         if not isinstance(self._phase, Tracking):
-            self._stamp_faults.note(name, message.stamp_ns, behind_ns if reached_ns else None)
-        outcome = self._stamps.check(name, stamp_ns, message.arrival_ns, reached_ns, reached_arrival_ns)
-        if outcome is Outcome.USED and reached_ns and behind_ns > self._start_window_ns:
-            outcome = Outcome.LATE
-        if outcome is Outcome.USED:
-            if self._astray.pop(name, 0) > 1:
-                self._log.report(EventKind.CLOCK_STEP, reached_ns, name, "stamps agree with the IMU's again")
-        elif outcome is not Outcome.DUPLICATE:
-            self._astray[name] += 1
-            if self._astray[name] == 2:
-                where = "ahead of" if behind_ns < 0 else "behind"
-                reason = f"stamps are {abs(behind_ns) * 1e-9:.3f} s {where} the IMU's: refused until they agree"
-                self._log.report(EventKind.CLOCK_STEP, reached_ns, name, reason)
-        return outcome
+            behind_ns = self._stamps.behind_ns(message, stamp_ns)
+            self._stamp_faults.note(message.sensor, message.stamp_ns, behind_ns)
+        return self._stamps.check(message, stamp_ns)
 
     # --- starting ----------------------------------------------------------------------------------------------------
 

@@ -14,8 +14,8 @@ from holdfast.chassis.kinematics import BaseKinematics
 from holdfast.config.model import Config
 from holdfast.kernel import imu_path as kernel
 from holdfast.kernel import layout
-from holdfast.messages import ImuSample, as_doubles
-from holdfast.sensors.imu import ImuBuffer
+from holdfast.messages import ImuSample
+from holdfast.sensors.imu import ImuBuffer, as_doubles
 from holdfast.sensors.preintegration import MOTION_CORRELATION_S, MOTION_INTEGRATION_SIGMA
 from holdfast.state import OptimisedState
 

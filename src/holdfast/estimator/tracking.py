@@ -17,6 +17,7 @@ from holdfast.estimator.standstill import STANDSTILL, StandstillUpdates
 from holdfast.estimator.successor import Successor
 from holdfast.estimator.wandering import Wandering
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind, Outcome
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import OptimiserError, Smoother
 from holdfast.integrity.calibration import Calibration
@@ -37,7 +38,7 @@ from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lever_arm import GNSS_ARM
 from holdfast.sensors.noise import Colour
 from holdfast.sensors.sensor import ConstraintSensor, Measurement, Role, Sensor, of_role
-from holdfast.state import EventKind, OptimisedState, Outcome
+from holdfast.state import OptimisedState
 
 Channel = Callable[[DualGraph, Any, int], Outcome]
 """Takes the graphs, a measurement and the time that the IMU has reached; says what became of the measurement."""

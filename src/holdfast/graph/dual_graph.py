@@ -14,12 +14,13 @@ from types import MappingProxyType
 import gtsam
 
 from holdfast.config.model import Config
+from holdfast.events import Outcome
 from holdfast.graph.odometry_track import Joined, OdometryTrack
 from holdfast.graph.smoother import Smoother
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.odometry import TrackPose
 from holdfast.sensors.sensor import Parameter
-from holdfast.state import OptimisedState, Outcome
+from holdfast.state import OptimisedState
 
 
 class _Graph:

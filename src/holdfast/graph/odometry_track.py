@@ -13,12 +13,12 @@ from typing import Literal, NamedTuple
 import gtsam
 import numpy as np
 
+from holdfast.events import Outcome
 from holdfast.graph.smoother import FREE, Smoother
 from holdfast.messages import Array
 from holdfast.sensors.odometry import STILL_M_S, OdometryNoise, TrackPose, is_possible, with_excess
 from holdfast.sensors.odometry_calibration import OdometryCalibration
 from holdfast.sensors.sensor import State
-from holdfast.state import Outcome
 
 EPOCH_NS, EPOCH_M, EPOCH_RAD = 1_000_000_000, 0.4, 0.1  # within which the track does not drift
 

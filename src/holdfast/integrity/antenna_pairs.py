@@ -5,12 +5,12 @@ from itertools import combinations
 
 import numpy as np
 
+from holdfast.events import Outcome
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.lever_arms import PAIRED_NS, are_the_same
 from holdfast.integrity.residual import residual
 from holdfast.integrity.yaw_learning import WITNESS_NS, Witness
 from holdfast.sensors.sensor import Position, PositionSensor
-from holdfast.state import Outcome
 
 LEAST_BASELINE_M = 0.3  # in the horizon
 

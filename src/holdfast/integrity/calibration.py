@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind
 from holdfast.graph.smoother import Smoother
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
@@ -15,7 +16,6 @@ from holdfast.sensors.lever_arm import ARM
 from holdfast.sensors.odometry import OdometryModel
 from holdfast.sensors.scale import SCALE
 from holdfast.sensors.sensor import Parameter, Sensor
-from holdfast.state import EventKind
 
 REVIEW_NS = 1_000_000_000
 SIGMA = 4.0  # it is tested every second

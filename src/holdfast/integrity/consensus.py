@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from holdfast.events import Outcome
 from holdfast.messages import Array
 from holdfast.sensors.sensor import Position
-from holdfast.state import Outcome
 
 MAX_ACCELERATION_M_S2 = 10.0  # what tyres and tracks hold
 SIGMA = 4.0

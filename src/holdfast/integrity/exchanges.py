@@ -9,11 +9,11 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind, Outcome
 from holdfast.integrity.learnt_snapshot import NAMES_ARE_RIGHT, LearntNames
 from holdfast.measured_fields import NEVER_NS
 from holdfast.sensors.heading import HeadingModel
 from holdfast.sensors.sensor import Measurement, Position, Sensor
-from holdfast.state import EventKind, Outcome
 
 ENOUGH, WITHIN_NS = 3, 5_000_000_000  # positions of either, and in which time, that are where the other is expected
 

@@ -9,13 +9,13 @@ from collections.abc import Mapping
 from math import remainder, tau
 
 from holdfast.event_log import EventLog
+from holdfast.events import Outcome
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.states import JudgedSensor
 from holdfast.integrity.yaw_learning import WITNESS_NS, Witness
 from holdfast.sensors.sensor import Measurement, StateSensor
-from holdfast.state import Outcome
 
 WITNESSES = 32  # how many are remembered
 

@@ -9,8 +9,8 @@ from collections import Counter
 from enum import StrEnum
 
 from holdfast.config.sensors import JudgedConfig
+from holdfast.events import Outcome
 from holdfast.sensors.sensor import Measurement
-from holdfast.state import Outcome
 
 MIN_SILENCE_S = 1.0
 PERIODS_OF_SILENCE = 3.0

@@ -14,13 +14,14 @@ import gtsam
 import numpy as np
 
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind
 from holdfast.messages import Array
 from holdfast.sensors.gnss import GnssModel
 from holdfast.sensors.heading import HeadingModel
 from holdfast.sensors.lever_arm import doubtful_arm
 from holdfast.sensors.noise import correlation_inflation
 from holdfast.sensors.sensor import Position, PositionSensor, Role, Sensor, of_role
-from holdfast.state import EventKind, OptimisedState
+from holdfast.state import OptimisedState
 
 MEMORY_S = 10.0
 DECIDED_AFTER_S = 5.0

@@ -3,10 +3,10 @@
 from math import log
 
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind
 from holdfast.integrity.learnt_snapshot import WRONG, Factor, LearntScale, accelerometer_factor, gyroscope_factor
 from holdfast.integrity.odometries import Odometries
 from holdfast.measured_fields import NEVER_NS
-from holdfast.state import EventKind
 
 REVIEW_NS = 10_000_000_000
 

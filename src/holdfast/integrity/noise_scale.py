@@ -5,11 +5,11 @@ from math import exp, log, sqrt
 import numpy as np
 
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind
 from holdfast.integrity.learnt_snapshot import LearntNoiseScale
 from holdfast.integrity.white_noise import WhiteNoise
 from holdfast.sensors.noise import FREE_VARIANCE
 from holdfast.sensors.sensor import Innovation, Measurement, State
-from holdfast.state import EventKind
 
 MEMORY_S = 20.0
 MEAN_S = 5.0  # over which innovations are averaged whose logarithm tells how much is claimed too much

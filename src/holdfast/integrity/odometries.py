@@ -12,6 +12,7 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind, Outcome
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.odometry_track import OdometryTrack, believed_calibration
 from holdfast.integrity.drift_monitor import Contradiction, DriftMonitor
@@ -26,7 +27,6 @@ from holdfast.sensors.constants import length_and_sigma
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
 from holdfast.sensors.scale import CHANGE as SCALE_CHANGE
 from holdfast.sensors.sensor import Parameter
-from holdfast.state import EventKind, Outcome
 
 DISTRUST = 3.0  # factor on the noise of an odometry that proves to be worse than configured
 NOT_MEASURED = "the IMU did not measure its motions, one after another"

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from holdfast.config.model import GateConfig
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind, Outcome
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.sensor_parameters import with_beliefs, with_parameters
 from holdfast.graph.smoother import Smoother
@@ -30,7 +31,6 @@ from holdfast.messages import Array
 from holdfast.sensors.coloured import NAV_SIZE, Compared, coloured, coloured_factor
 from holdfast.sensors.noise import WHITE, correlation_inflation, shared_inflation
 from holdfast.sensors.sensor import Position, PositionSensor, is_gnss
-from holdfast.state import EventKind, Outcome
 
 BETWEEN = 0.5  # of the way from an antenna to another, to which the gate must reach at most to tell them apart
 REVIEW_NS = 250_000_000  # used positions are reviewed this often

@@ -15,11 +15,11 @@ from math import inf, sqrt
 import numpy as np
 
 from holdfast.config.model import GateConfig
+from holdfast.events import Outcome
 from holdfast.integrity.innovation import PERIODS_OF_SILENCE
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.sensor import Innovation, Position, State
-from holdfast.state import Outcome
 
 HOLD_BACK = 4.0  # in units of the limit on NIS: twice the gate in sigma
 UNCHANGED = np.zeros((3, 3))

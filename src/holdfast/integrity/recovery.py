@@ -6,13 +6,13 @@ import gtsam
 
 from holdfast.config.model import GateConfig
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind, Outcome
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import OptimiserError, Smoother
 from holdfast.integrity.headings import Headings
 from holdfast.integrity.odometries import Odometries, Walk
 from holdfast.integrity.positions import Positions
 from holdfast.integrity.receiver import HOLD_BACK, Held, Trust
-from holdfast.state import EventKind, Outcome
 
 WALK_FACTOR = 2.0  # fixes that walked must be consistent for longer: at first they still look right
 GATE_NIS = 4.0

@@ -2,10 +2,10 @@
 
 from typing import Any
 
+from holdfast.events import Outcome
 from holdfast.graph.sensor_parameters import with_beliefs
 from holdfast.graph.smoother import Smoother
 from holdfast.sensors.sensor import Innovation, Joint, PositionSensor, StateSensor
-from holdfast.state import Outcome
 
 
 def residual(

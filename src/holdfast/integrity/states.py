@@ -6,6 +6,7 @@ from itertools import pairwise
 import gtsam
 
 from holdfast.event_log import EventLog
+from holdfast.events import EventKind, Outcome
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.sensor_parameters import with_parameters
 from holdfast.graph.smoother import Smoother
@@ -16,7 +17,6 @@ from holdfast.measured_fields import NEVER_NS
 from holdfast.sensors.coloured import Compared, coloured, coloured_factor
 from holdfast.sensors.noise import Colour, correlation_inflation, shared_inflation
 from holdfast.sensors.sensor import ConstraintSensor, Innovation, Joint, Measurement, Role, State, StateSensor
-from holdfast.state import EventKind, Outcome
 
 LOWEST_VELOCITY = 0.25  # of the variance that a receiver claims of its Doppler velocity
 

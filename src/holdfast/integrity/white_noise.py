@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from holdfast.events import Outcome
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.learnt_snapshot import LearntNoiseScale
 from holdfast.sensors.noise import Colour
 from holdfast.sensors.sensor import Comparing, Measurement, State
-from holdfast.state import Outcome
 
 MAX_INTERVAL_NS = 250_000_000  # over which the IMU knows the motion better than the measurements
 PRIOR, ENOUGH, MEMORY = 5, 60, 300  # differences

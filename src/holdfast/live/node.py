@@ -7,6 +7,7 @@ from time import monotonic_ns, time_ns
 from typing import Any
 
 from holdfast.config.model import Config
+from holdfast.events import Event, EventKind
 from holdfast.geometry.earth import Geodetic, is_on_earth
 from holdfast.live.dds import Network, Sample
 from holdfast.live.feed import Feed, Record
@@ -23,7 +24,6 @@ from holdfast.realtime.engine import RealtimeEstimator
 from holdfast.recording.source import Subscription
 from holdfast.replay.datum_check import DatumCheck
 from holdfast.ros.messages import OK, WARN, Status, estimator_status
-from holdfast.state import Event, EventKind
 
 REVIEW_NS = 1_000_000_000
 STOP_WITHIN_S = 0.1

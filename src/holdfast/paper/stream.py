@@ -5,10 +5,10 @@ from collections.abc import Collection, Iterable, Iterator
 from heapq import heappop, heappush
 
 from holdfast.config.model import Config
+from holdfast.events import Outcome
 from holdfast.messages import Message
 from holdfast.paper.study import Disturbance
 from holdfast.replay.published import Localiser
-from holdfast.state import Outcome
 
 RECEIVER = {"gnss", "heading"}
 SECOND_NS = 1_000_000_000

@@ -17,6 +17,7 @@ from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import ImuPath, Received
 from holdfast.estimator.intake import Intake
 from holdfast.event_log import EventLog
+from holdfast.events import Event, EventKind, Health, HealthReport, Outcome
 from holdfast.geometry.earth import Geodetic, LocalFrame, check_datum
 from holdfast.integrity.learnt_snapshot import LearntSnapshot, check_learnt
 from holdfast.kernel.imu_path import HAS_NEWS
@@ -33,7 +34,7 @@ from holdfast.realtime.supervisor import START_S, Supervisor
 from holdfast.realtime.worker import Settings
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.registry import MessageKinds, inputs_of
-from holdfast.state import NOTHING, Event, EventKind, Health, HealthReport, OptimisedState, Outcome, Output
+from holdfast.state import NOTHING, OptimisedState, Output
 
 FLUSH_S = 30.0
 SPARE_ROWS = 64  # of the ring of measurements, kept for requests

@@ -6,9 +6,9 @@ from collections.abc import Iterable
 import gtsam
 
 from holdfast.event_log import EventLog
+from holdfast.events import Event, EventKind, Outcome
 from holdfast.realtime.records import unpack_nav
 from holdfast.realtime.reports import Report
-from holdfast.state import Event, EventKind, Outcome
 
 
 class EngineLog:

@@ -7,8 +7,8 @@ from contextlib import suppress
 from struct import Struct
 from typing import NamedTuple
 
+from holdfast.events import Event, Outcome
 from holdfast.integrity.learnt_snapshot import LearntSnapshot
-from holdfast.state import Event, Outcome
 
 _LENGTH = Struct("<I")
 CHUNK = 1 << 16

@@ -21,6 +21,7 @@ from holdfast.estimator.imu_path import receive
 from holdfast.estimator.optimiser import Optimiser
 from holdfast.estimator.tracking import Update
 from holdfast.event_log import EventLog
+from holdfast.events import Outcome
 from holdfast.geometry.earth import Geodetic
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.measured_fields import NEVER_NS
@@ -32,7 +33,7 @@ from holdfast.realtime.placement import place_optimiser
 from holdfast.realtime.records import Published, Records, Request, pack_nav
 from holdfast.realtime.reports import Outbox, Report
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.state import OptimisedState, Outcome
+from holdfast.state import OptimisedState
 
 POLL_S = 0.001  # while a measurement waits for the IMU, whose samples wake nobody
 IDLE_S = 0.05

@@ -12,6 +12,7 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
 from holdfast.evaluation import quaternions
+from holdfast.events import Outcome
 from holdfast.geometry.rotations import quaternions_xyzw
 from holdfast.messages import Array
 from holdfast.recording.covariance_csv import CovarianceWriter, beside
@@ -20,7 +21,6 @@ from holdfast.replay.published import by_sensor
 from holdfast.sensors.constants import Constant
 from holdfast.smoothing.batch_smoother import BatchSmoother
 from holdfast.smoothing.block import Block, Work
-from holdfast.state import Outcome
 
 CAUSAL = "causal"  # folder of the run from which the optimum starts
 BIASES, REFUSED = "biases.csv", "refused.csv"

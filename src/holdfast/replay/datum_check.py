@@ -5,11 +5,11 @@ from math import asin, degrees
 import numpy as np
 
 from holdfast.config.model import Config
+from holdfast.events import Outcome
 from holdfast.geometry.earth import SEMI_MAJOR_AXIS_M, Geodetic, LocalFrame
 from holdfast.messages import GnssFix, Message
 from holdfast.sensors.gnss import GnssModel
 from holdfast.sensors.registry import sensors_of
-from holdfast.state import Outcome
 
 FAR_M = 100_000.0  # up is 0.9 deg off there
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
+from holdfast.events import Outcome
 from holdfast.geometry.earth import LocalFrame
 from holdfast.geometry.world import World
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
@@ -24,7 +25,7 @@ from holdfast.sensors.clock import has_estimated_clock, with_estimated_clock
 from holdfast.sensors.registry import sensors_of
 from holdfast.sensors.sensor import Position, PositionSensor, Role, State
 from holdfast.smoothing.block import Block
-from holdfast.state import Estimate, OptimisedState, Outcome
+from holdfast.state import Estimate, OptimisedState
 
 MAX_DELAY_NS = 20_000_000_000  # positions that arrive later than this are not judged
 UNKNOWN = np.full((9, 9), np.nan)

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 
 from holdfast.config.model import Config
+from holdfast.events import Outcome
 from holdfast.replay.published import by_sensor
-from holdfast.state import Outcome
 
 KEYS: Mapping[str, tuple[str, ...]] = {  # outcome -> the keys of a sensor's section that decide it
     Outcome.LARGE_COVARIANCE: ("max_sigma_m",),

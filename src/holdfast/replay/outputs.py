@@ -13,6 +13,7 @@ import gtsam
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
 from holdfast.event_log import MeasurementRecord
+from holdfast.events import Event
 from holdfast.measured_fields import NEVER_NS
 from holdfast.recording.mcap_writer import McapWriter
 from holdfast.recording.tum import TumWriter
@@ -28,7 +29,7 @@ from holdfast.ros.messages import (
     estimator_status,
 )
 from holdfast.ros.rows import Poses, Rows
-from holdfast.state import BaseState, Estimate, Event, Output
+from holdfast.state import BaseState, Estimate, Output
 
 BLOCK = 64  # estimates that are written at once, and may be lost if the run is killed
 ESTIMATES, EVENTS, SUMMARY = "estimates.mcap", "events.jsonl", "summary.json"

@@ -14,12 +14,13 @@ from holdfast.estimator.estimator import Estimator
 from holdfast.evaluation.evidence import Chassis, Published
 from holdfast.evaluation.smoothness import Inertial
 from holdfast.evaluation.states import States
+from holdfast.events import Event, EventKind, Outcome
 from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, gravity
 from holdfast.geometry.rotations import quaternions_xyzw
 from holdfast.messages import Array, ImuSample, Message
 from holdfast.replay.runner import Timing
 from holdfast.ros.rows import table, turned
-from holdfast.state import BaseState, Estimate, Event, EventKind, OptimisedState, Outcome, Trajectory
+from holdfast.state import BaseState, Estimate, OptimisedState, Trajectory
 
 PROGRESS_MESSAGES = 1000
 TRUST = {

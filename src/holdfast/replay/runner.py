@@ -13,6 +13,7 @@ from holdfast.config.model import Config
 from holdfast.errors import EstimatorError
 from holdfast.estimator.estimator import Estimator
 from holdfast.event_log import MeasurementRecord
+from holdfast.events import EventKind, Health, Outcome
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.messages import Message
 from holdfast.replay.datum_check import DatumCheck
@@ -23,7 +24,7 @@ from holdfast.replay.outputs import Outputs
 from holdfast.report.track import JudgedTrack
 from holdfast.smoothing.batch_smoother import BatchSmoother
 from holdfast.smoothing.block import Block
-from holdfast.state import Estimate, EventKind, Health, Outcome, Output
+from holdfast.state import Estimate, Output
 
 if TYPE_CHECKING:  # starting processes is left to whoever wants them
     from holdfast.realtime.engine import RealtimeEstimator

@@ -7,11 +7,12 @@ import numpy as np
 
 from holdfast.chassis.covariances import BaseUncertainty
 from holdfast.config.model import Config
+from holdfast.events import Health, HealthReport, Outcome
 from holdfast.ros.cdr import OdometryEncoder, ros_time
 from holdfast.ros.frame_transforms import FrameTransforms
 from holdfast.ros.outputs import base_odometry, odometry, seen_from
 from holdfast.ros.rows import Rows
-from holdfast.state import Estimate, Health, HealthReport, Outcome
+from holdfast.state import Estimate
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"

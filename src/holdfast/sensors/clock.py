@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 import gtsam
 import numpy as np
 
+from holdfast.events import Outcome
 from holdfast.messages import Array
 from holdfast.sensors.sensor import (
     Innovation,
@@ -27,7 +28,6 @@ from holdfast.sensors.sensor import (
     innovation_factor,
     is_gnss,
 )
-from holdfast.state import Outcome
 
 Kind = TypeVar("Kind", bound=Measurement)
 CLOCK, GNSS_CLOCK = "clock", "clock of GNSS"

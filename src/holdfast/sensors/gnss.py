@@ -10,6 +10,7 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig, PrismConfig
+from holdfast.events import Outcome
 from holdfast.geometry.earth import Geodetic
 from holdfast.geometry.world import World
 from holdfast.messages import Array, FixStatus, GnssFix, Message
@@ -28,7 +29,6 @@ from holdfast.sensors.sensor import (
     lever_arm,
     register,
 )
-from holdfast.state import Outcome
 
 MAX_ALTITUDE_M = 1e5
 STATUS_SIGMA_M = {  # east, north, up, from datasheets: RTK fixed, corrected by satellite, alone

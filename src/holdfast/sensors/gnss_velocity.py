@@ -6,6 +6,7 @@ import gtsam
 import numpy as np
 
 from holdfast.config.sensors import GnssVelocityConfig
+from holdfast.events import Outcome
 from holdfast.geometry.world import World
 from holdfast.messages import Array, GnssVelocity, Message
 from holdfast.sensors.noise import FREE_VARIANCE
@@ -19,7 +20,6 @@ from holdfast.sensors.sensor import (
     lever_arm,
     register,
 )
-from holdfast.state import Outcome
 
 MAX_SPEED_M_S = 515.0  # beyond, receivers are not allowed to report
 UP_RATIO = 2.0  # of the vertical sigma to the horizontal one: all satellites are above

@@ -12,11 +12,11 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig, HeadingConfig
 from holdfast.errors import ConfigError
+from holdfast.events import Outcome
 from holdfast.geometry.world import World
 from holdfast.messages import Array, Heading, Message
 from holdfast.sensors.noise import FREE_TILT_RAD, FREE_VARIANCE, Colour
 from holdfast.sensors.sensor import Innovation, Role, State, StateSensor, lever_arm, register
-from holdfast.state import Outcome
 
 MAX_SIGMA_RAD = 1.0  # a heading that is less sure says nothing
 MIN_HORIZONTAL = 0.2  # fraction of the axis that must lie in the horizon

@@ -8,10 +8,10 @@ import gtsam
 import numpy as np
 
 from holdfast.config.sensors import HeightConfig
+from holdfast.events import Outcome
 from holdfast.geometry.world import World
 from holdfast.messages import Array, Height, Message
 from holdfast.sensors.sensor import Innovation, Parameter, Role, State, StateSensor, lever_arm, register
-from holdfast.state import Outcome
 
 MAX_HEIGHT_M = 1e5
 

@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from holdfast.config.sensors import InertialConfig
+from holdfast.errors import MessageError
+from holdfast.events import Outcome
 from holdfast.kernel import layout
 from holdfast.kernel.density import LENGTH, find_density
 from holdfast.kernel.inertial_motion import add_up
@@ -26,10 +28,10 @@ from holdfast.kernel.samples import (
     forget_before,
     take_in,
 )
+from holdfast.measured_fields import REAL_KINDS, got
 from holdfast.messages import Array, ImuSample
 from holdfast.sensors.preintegration import Density, Step
 from holdfast.sensors.rate_forecast import RateForecast
-from holdfast.state import Outcome
 
 CLOCK_JUMP_NS = 250_000_000  # a stamp that differs from its arrival by this much more than those before is suspect
 SUSPECTS_ACCEPTED = 3
@@ -38,6 +40,19 @@ NEWEST, BEFORE, ARRIVAL = (
     layout.BUFFER.names.index(name)  # type: ignore[union-attr]
     for name in ("newest_ns", "before_ns", "arrival_ns")
 )
+
+
+def as_doubles(reading: Array, field: str) -> Array:
+    """Return a reading of an `ImuSample` as an array of float64.
+
+    Raises:
+        MessageError: it is not made of numbers.
+    """
+    found = np.asarray(reading)
+    if found.dtype.kind not in REAL_KINDS:
+        must_be = ImuSample.QUANTITIES[field]
+        raise MessageError(f"ImuSample.{field}: must be {must_be}, {got(reading)}")
+    return np.asarray(found, np.float64)
 
 
 class Added(NamedTuple):

@@ -8,11 +8,11 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.config.sensors import NonholonomicConfig
+from holdfast.events import Outcome
 from holdfast.geometry.world import World
 from holdfast.messages import Message
 from holdfast.sensors.mount import Mount
 from holdfast.sensors.sensor import CHANGE_RAD, ConstraintSensor, Innovation, Parameter, Role, State, register
-from holdfast.state import Outcome
 
 
 @dataclass(frozen=True, slots=True, eq=False)

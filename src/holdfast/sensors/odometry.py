@@ -11,13 +11,13 @@ import numpy as np
 
 from holdfast.config.sensors import DriftingConfig, OdometryConfig, ScansConfig
 from holdfast.errors import EstimatorError
+from holdfast.events import Outcome
 from holdfast.geometry.world import World
 from holdfast.messages import Array, Message, SensorPose
 from holdfast.sensors.noise import FREE_VARIANCE, noise_model
 from holdfast.sensors.odometry_calibration import OdometryCalibration
 from holdfast.sensors.odometry_claim import claimed_excess
 from holdfast.sensors.sensor import STEADY, Role, mounting, pose_of, register
-from holdfast.state import Outcome
 
 MAX_SPEED_M_S = 100.0
 MAX_RATE_RAD_S = 10.0

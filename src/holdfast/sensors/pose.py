@@ -8,6 +8,7 @@ import gtsam
 import numpy as np
 
 from holdfast.config.sensors import PoseConfig
+from holdfast.events import Outcome
 from holdfast.geometry.world import World
 from holdfast.messages import Array, Message, SensorPose
 from holdfast.sensors.sensor import (
@@ -21,7 +22,6 @@ from holdfast.sensors.sensor import (
     pose_of,
     register,
 )
-from holdfast.state import Outcome
 
 LINEAR_SIGMAS = np.array([1e3, 1e3, 1e3, 0.2])  # in m and rad: a frame that is known so well is linearised there
 

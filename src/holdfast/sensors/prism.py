@@ -8,6 +8,7 @@ import gtsam
 import numpy as np
 
 from holdfast.config.sensors import PrismConfig
+from holdfast.events import Outcome
 from holdfast.geometry.world import World
 from holdfast.messages import Array, Message, PointPosition
 from holdfast.sensors.position import position_factor, position_innovation
@@ -22,7 +23,6 @@ from holdfast.sensors.sensor import (
     lever_arm,
     register,
 )
-from holdfast.state import Outcome
 
 MAX_DISTANCE_M = 1e5
 

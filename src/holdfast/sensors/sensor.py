@@ -5,7 +5,6 @@ A new kind is one file with a class that has one of them, which it ends with `re
 from nothing.
 """
 
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -17,15 +16,11 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.config.sensors import JudgedConfig, RobustLoss, SensorConfig
+from holdfast.events import Outcome
 from holdfast.geometry.world import World
 from holdfast.messages import Array, GnssFix, Message, SensorPose
 from holdfast.sensors.noise import UNBOUNDED, Colour, noise_model
-from holdfast.state import Outcome
 
-RECENT = 64  # stamps per sensor among which a duplicate is looked for
-FUTURE_NS = 1_000_000_000  # further ahead of the IMU's clock a stamp is an error
-LEAD_NS = 500_000_000  # further ahead than its sensor's stamps use to be, too
-LEAD_STEP_NS = 10_000_000  # by which what they use to be falls with each message
 STEADY: Array = np.zeros(6)  # [rad/s, m/s], of a twist that does not change
 CHANGE_RAD, CHANGE_M = radians(0.25), 0.01  # by which a mount gives until the next day
 MAX_DISTANCE_M = 1e6  # of a pose from the origin of its frame
@@ -374,31 +369,3 @@ def lever_arm(name: str, config: Config) -> Array:
 def mounting(name: str, config: Config) -> gtsam.Pose3:
     """Return the pose T_I_S of a sensor in the IMU's frame."""
     return gtsam.Pose3(config.T_I(config.frame_of(name)))
-
-
-class StampFilter:
-    """Duplicates, and stamps that are ahead of the IMU's clock; one for all sensors."""
-
-    def __init__(self) -> None:
-        self._recent: dict[str, deque[int]] = {}
-        self._newest: dict[str, int] = {}
-        self._leads: dict[str, int] = {}  # by how much stamps of a sensor use to be ahead at most
-
-    def check(self, sensor: str, stamp_ns: int, arrival_ns: int, reached_ns: int, reached_arrival_ns: int) -> Outcome:
-        """Say whether a stamp, time offset applied, can be right; the IMU has reached a time, and when it arrived.
-
-        A stamp is in the future if it is further ahead than silence of the IMU and the habit of its sensor explain.
-        """
-        recent = self._recent.setdefault(sensor, deque(maxlen=RECENT))
-        newest_ns = self._newest.get(sensor, stamp_ns - 1)
-        if stamp_ns <= newest_ns and stamp_ns in recent:
-            return Outcome.DUPLICATE
-        if reached_ns > 0:
-            lead_ns = stamp_ns - reached_ns - max(0, arrival_ns - reached_arrival_ns)
-            usual_ns = max(0, self._leads.get(sensor, FUTURE_NS))
-            if lead_ns > min(FUTURE_NS, usual_ns + LEAD_NS):
-                return Outcome.CLOCK_JUMP
-            self._leads[sensor] = max(lead_ns, usual_ns - LEAD_STEP_NS) if sensor in self._leads else lead_ns
-        recent.append(stamp_ns)
-        self._newest[sensor] = max(stamp_ns, newest_ns)
-        return Outcome.USED

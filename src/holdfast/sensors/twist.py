@@ -6,11 +6,11 @@ from typing import ClassVar
 import numpy as np
 
 from holdfast.config.sensors import TwistConfig
+from holdfast.events import Outcome
 from holdfast.geometry.world import World
 from holdfast.messages import Array, Message, Twist
 from holdfast.sensors.mount import Mount
 from holdfast.sensors.sensor import Innovation, Parameter, Role, State, StateSensor, claimed_covariance, register
-from holdfast.state import Outcome
 
 MAX_SPEED_M_S = 100.0
 SCALE_CHANGE = 0.005  # by which rolling radii change until the next day

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from holdfast.covariances import Covariances
+from holdfast.events import Outcome
 from holdfast.messages import Array
 from holdfast.sensors.constants import Constant
-from holdfast.state import Outcome
 
 
 @dataclass(frozen=True, slots=True, eq=False)

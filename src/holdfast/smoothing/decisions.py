@@ -14,6 +14,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from holdfast.events import Outcome
 from holdfast.graph.batch import Batch
 from holdfast.graph.sensor_parameters import with_parameters
 from holdfast.graph.smoother import Smoother
@@ -24,7 +25,6 @@ from holdfast.sensors.coloured import NAV_SIZE, SlowError, coloured, coloured_fa
 from holdfast.sensors.noise import UNBOUNDED, Colour, correlation_inflation
 from holdfast.sensors.position import Motion, predicted_position
 from holdfast.sensors.sensor import Innovation, Joint, Measurement, Role, Sensor, State
-from holdfast.state import Outcome
 
 SHAPES = (1.0, 8.0, 64.0)
 """mu of one round after the other: from a loss that is almost quadratic to one that is truncated."""

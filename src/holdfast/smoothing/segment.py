@@ -13,6 +13,7 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.covariances import Covariances
 from holdfast.estimator.standstill import Standing
+from holdfast.events import Outcome
 from holdfast.graph.batch import Batch, Solved
 from holdfast.graph.nodes import Link
 from holdfast.graph.odometry_track import OdometryTrack, believed_calibration
@@ -28,7 +29,7 @@ from holdfast.smoothing.closures import CONTRADICTED, Closer, Stretch, close
 from holdfast.smoothing.decisions import SHAPES, Candidate, candidate, enter_all, refused_runs, weight_of
 from holdfast.smoothing.recorded import Recorded
 from holdfast.smoothing.track import track_of
-from holdfast.state import OptimisedState, Outcome
+from holdfast.state import OptimisedState
 
 APART_NS = 100_000_000  # covariances at nodes that are closer together tell nothing new
 BELIEVED = 0.5  # a measurement of less weight counts as refused

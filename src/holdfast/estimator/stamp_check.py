@@ -1,0 +1,55 @@
+"""Which stamps of the sensors beside the IMU can be right, by the IMU's clock, and since when those of one cannot."""
+
+from collections import Counter
+
+from holdfast.event_log import EventLog
+from holdfast.events import EventKind, Outcome
+from holdfast.messages import Message
+from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.stamp_filter import StampFilter
+
+
+class StampCheck:
+    """Checks stamps, and tells when those of a sensor go astray and when they agree again.
+
+    Args:
+        buffer: of the IMU's samples.
+        log: where events go.
+        late_ns: by which a measurement may be behind the IMU at its arrival.
+    """
+
+    def __init__(self, buffer: ImuBuffer, log: EventLog, late_ns: int) -> None:
+        self._buffer, self._log, self._late_ns = buffer, log, late_ns
+        self._filter = StampFilter()
+        self._astray: Counter[str] = Counter()  # stamps in a row that contradict the IMU's clock, by sensor
+
+    def behind_ns(self, message: Message, stamp_ns: int) -> int | None:
+        """Return by how much a stamp is behind the IMU's clock at its arrival; None where no sample has come."""
+        reached_ns = self._buffer.latest_ns
+        if not reached_ns:
+            return None
+        return reached_ns + max(0, message.arrival_ns - self._buffer.arrival_ns) - stamp_ns
+
+    def check(self, message: Message, stamp_ns: int) -> Outcome:
+        """Say whether the stamp of a message, time offset applied, can be right."""
+        name, buffer = message.sensor, self._buffer
+        outcome = self._filter.check(name, stamp_ns, message.arrival_ns, buffer.latest_ns, buffer.arrival_ns)
+        behind_ns = self.behind_ns(message, stamp_ns) or 0
+        if outcome is Outcome.USED and behind_ns > self._late_ns:
+            outcome = Outcome.LATE
+        if outcome is Outcome.USED:
+            if self._astray.pop(name, 0) > 1:
+                self._report(name, "stamps agree with the IMU's again")
+        elif outcome is not Outcome.DUPLICATE:
+            self._astray[name] += 1
+            if self._astray[name] == 2:
+                apart = f"{abs(behind_ns) * 1e-9:.3f} s {'ahead of' if behind_ns < 0 else 'behind'}"
+                self._report(name, f"stamps are {apart} the IMU's: refused until they agree")
+        return outcome
+
+    def is_told(self, name: str, outcome: Outcome) -> bool:
+        """Whether an event has told already why the stamps of a sensor are refused."""
+        return self._astray[name] > 1 and outcome in (Outcome.CLOCK_JUMP, Outcome.LATE)
+
+    def _report(self, name: str, reason: str) -> None:
+        self._log.report(EventKind.CLOCK_STEP, self._buffer.latest_ns, name, reason)
