@@ -32,7 +32,7 @@ class Run:
         self.rng, self.log, self.t = np.random.default_rng(seed), EventLog("imu"), 0.0
         self.changes_s = []
 
-    def go(self, duration_s, off=None, sigma=RTK, claimed=None, correlation_s=0.0):
+    def go(self, duration_s, off=None, sigma=RTK, claimed=None, *, correlation_s=0.0, turned_rad=0.25):
         for _ in range(round(duration_s * self.hz)):
             self.t += 1.0 / self.hz
             attitude = gtsam.Rot3.RzRyRx(0.1, -0.05, 0.3 * self.t)
@@ -42,7 +42,9 @@ class Run:
                 covariance = np.diag(np.square(claimed or sigma))
                 positions.append(Position(ns(self.t), name, p_W, covariance, correlation_s))
                 for other in positions[:-1]:
-                    self.arms.note(positions[-1], other, attitude.compose(gtsam.Rot3.Yaw(0.25)))  # by a wrong heading
+                    self.arms.note(
+                        positions[-1], other, attitude.compose(gtsam.Rot3.Yaw(turned_rad))
+                    )  # a wrong heading
             if self.arms.review(ns(self.t), self.log):
                 self.changes_s.append(self.t)
         return self
@@ -71,6 +73,22 @@ def test_a_wrong_arm_is_found_within_seconds_and_both_antennas_are_named(off, na
 def test_the_doubt_of_an_arm_that_is_off_across_the_baseline_is_by_how_much_it_is_off():
     run = Run().go(10.0, {"gnss": 0.5 * ACROSS})
     assert run.doubts["gnss"] == pytest.approx(0.5, abs=0.05)
+
+
+@pytest.mark.parametrize("turned_deg", [20.0, 60.0, 120.0])
+def test_a_heading_that_was_wrong_and_is_mended_makes_no_baseline_shorter(turned_deg):
+    """The means of what is turned by 60 deg half of the time are 1.64 m long where the antennas are 1.9 m apart."""
+    run = Run().go(3.0, turned_rad=np.radians(turned_deg)).go(30.0, turned_rad=0.0)
+    assert not run.doubts and not run.log.events
+
+
+def test_a_receiver_that_has_just_stopped_to_lie_does_not_make_its_arm_wrong():
+    """From when on an arm is in doubt is a matter of chance; that it is while fixes are right is not."""
+    lie = {"gnss": 0.5 * ALONG}
+    first_s = Run().go(2.0).go(30.0, lie).changes_s[0]
+    assert first_s > 5.0
+    run = Run().go(2.0).go(first_s - 2.0 - 0.1, lie).go(30.0)
+    assert not run.doubts and not run.log.events
 
 
 @pytest.mark.parametrize("seed", range(5))

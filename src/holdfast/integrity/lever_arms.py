@@ -9,6 +9,7 @@ from collections.abc import Collection, Mapping, Set
 from enum import Enum
 from itertools import combinations
 from math import atan2, exp, hypot, radians, sqrt
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -57,6 +58,27 @@ def variance_along(vector: Array, covariance: Array) -> float:
     return float(axis @ covariance @ axis)
 
 
+class Length(NamedTuple):
+    """How long a mean vector is, and what may have made it so.
+
+    Attributes:
+        m: the length.
+        sigma_m: of it.
+        lengthened_m: by how much noise across it may lengthen it.
+        shortened_m: by how much it is shorter than the vectors, which point in more directions than their noise tells:
+            an attitude that was wrong and is mended turns what is far apart enough.
+    """
+
+    m: float
+    sigma_m: float
+    lengthened_m: float
+    shortened_m: float
+
+    def excess_m(self, mounted_m: float) -> float:
+        """Return by how much it differs from another length beyond all that; negative if it does not."""
+        return max(self.m - mounted_m - self.lengthened_m, mounted_m - self.m - self.shortened_m) - SLACK_M
+
+
 class MeanBaseline:
     """Mean of the vector (3,) [m] between two antennas in I over the last seconds, weighed by information: (49)."""
 
@@ -64,14 +86,14 @@ class MeanBaseline:
         self._weight = 0.0
         self._sum, self._squares, self._claims = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
         self._last_ns: int | None = None
-        self.seen_s = 0.0
+        self.seen_s = self.newest_m = 0.0
 
     def add(self, between_I: Array, covariance_I: Array, stamp_ns: int, correlation_s: float) -> None:
         """Take in a vector (3,) between simultaneous fixes with its covariance (3, 3), in I."""
         since_s = MAX_INTERVAL_S if self._last_ns is None else abs(stamp_ns - self._last_ns) * 1e-9
         if self._last_ns is not None:
             self.seen_s += min(since_s, MAX_INTERVAL_S)
-        self._last_ns = stamp_ns
+        self._last_ns, self.newest_m = stamp_ns, float(np.linalg.norm(between_I))
         inflation = correlation_inflation(correlation_s, min(since_s, MAX_INTERVAL_S))
         weight = 1.0 / (inflation * variance_along(between_I, covariance_I))
         kept = exp(-since_s / MEMORY_S)
@@ -80,19 +102,21 @@ class MeanBaseline:
         self._squares = kept * self._squares + weight * np.outer(between_I, between_I)
         self._claims = kept * self._claims + weight * covariance_I
 
-    def length(self) -> tuple[float, float, float]:
-        """Return the length of the mean [m], its sigma, and by how much noise across it may lengthen it.
-
-        Noise is what the fixes claim, or what they show if that is more.
-        """
+    def length(self) -> Length:
+        """Return the length of the mean; noise is what the fixes claim, or what they show if that is more."""
         mean = self._sum / self._weight
         length_m = float(np.linalg.norm(mean))
         claimed, shown = self._claims / self._weight, self._squares / self._weight - np.outer(mean, mean)
         along, shown_along = variance_along(mean, claimed), variance_along(mean, shown)
-        across = max(float(np.trace(claimed)) - along, float(np.trace(shown)) - shown_along)
-        across_m = sqrt(max(across, 0.0) / along / self._weight)
-        lengthened_m = hypot(length_m, across_m) - length_m  # across^2 / 2 length, of a long one
-        return length_m, sqrt(max(1.0, shown_along / along) / self._weight), lengthened_m
+        across, shown_across = float(np.trace(claimed)) - along, float(np.trace(shown)) - shown_along
+        across_m = sqrt(max(across, shown_across, 0.0) / along / self._weight)
+        turned_m = sqrt(max(shown_across - across, 0.0))
+        return Length(
+            length_m,
+            sqrt(max(1.0, shown_along / along) / self._weight),
+            hypot(length_m, across_m) - length_m,  # across^2 / 2 length, of a long one
+            hypot(length_m, turned_m) - length_m,
+        )
 
 
 class Pair:
@@ -139,12 +163,13 @@ class Pair:
             return True
         if self.belief is Belief.RIGHT or self.mean.seen_s < DECIDED_AFTER_S:
             return False
-        length_m, sigma_m, lengthened_m = self.mean.length()
-        excess_m = abs(length_m - self.mounted_m) - SLACK_M - lengthened_m
-        if self.belief is Belief.OPEN and excess_m > SIGMA * sigma_m:
-            self.belief, self.distance_m = Belief.WRONG, length_m
+        length, newest_m = self.mean.length(), self.mean.newest_m
+        excess_m = length.excess_m(self.mounted_m)
+        is_still = abs(newest_m - length.m) < abs(newest_m - self.mounted_m)  # a lie that has just ended is none now
+        if self.belief is Belief.OPEN and is_still and excess_m > SIGMA * length.sigma_m:
+            self.belief, self.distance_m = Belief.WRONG, length.m
             return True
-        if sigma_m <= KNOWN_M and excess_m <= 0.0:
+        if max(length.sigma_m / KNOWN_M, length.shortened_m / SLACK_M) <= 1.0 and excess_m <= 0.0:
             self.belief, self.distance_m = Belief.RIGHT, self.mounted_m
             return True
         return False
