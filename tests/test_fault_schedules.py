@@ -34,6 +34,9 @@ ONCE_FAILED = {
 
 ONCE_BEGAN_ANEW = {
     384: "the IMU was silent for 14 s: a lidar was said to be turned, and a start at standstill took the last samples",
+    452: "two antennas seemed nearer to each other while the attitude that they are compared by was being mended",
+    810: "a receiver that had lied for 14 s made its arm wrong, which had been right for two",
+    920: "a lidar whose clock had stepped was witness to a gyroscope whose bias had not",
     436: "a lidar turned by half a circle while samples lay on a line: it was taken for its mount",
 }
 

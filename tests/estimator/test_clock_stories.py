@@ -135,6 +135,8 @@ STORIES |= {
         (step(HOUR_S, sensors=("gnss",)), step(HOUR_S, 8.0, ("imu", "lidar"))), 8.0
     ),
     "the lidar is an hour ahead for a while": Story((step(HOUR_S, sensors=("lidar",), end_s=BACK_S),), BACK_S),
+    "the lidar steps ahead by a tenth of a second": Story((step(0.1, sensors=("lidar",)),)),
+    "the lidar steps back by a tenth of a second": Story((step(-0.1, sensors=("lidar",)),)),
     "a leap second is inserted": Story((begin_to(STEP_S, np.inf, ALL, lambda t: t - 1.0),)),
     "a leap second is smeared": Story(
         (

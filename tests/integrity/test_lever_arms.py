@@ -84,11 +84,21 @@ def test_a_heading_that_was_wrong_and_is_mended_makes_no_baseline_shorter(turned
 
 def test_a_receiver_that_has_just_stopped_to_lie_does_not_make_its_arm_wrong():
     """From when on an arm is in doubt is a matter of chance; that it is while fixes are right is not."""
-    lie = {"gnss": 0.5 * ALONG}
-    first_s = Run().go(2.0).go(30.0, lie).changes_s[0]
+    lie = {"gnss": 0.1 * ALONG}
+    first_s = Run().go(1.0).go(60.0, lie).changes_s[0]
     assert first_s > 5.0
-    run = Run().go(2.0).go(first_s - 2.0 - 0.1, lie).go(30.0)
+    run = Run().go(1.0).go(first_s - 1.0 - 0.1, lie).go(30.0)
     assert not run.doubts and not run.log.events
+
+
+def test_an_arm_that_was_right_stays_right_however_long_its_receiver_lies():
+    run = Run().go(1.0).go(120.0, {"gnss": 0.8 * ALONG})
+    assert not run.doubts and not run.log.events
+
+
+def test_fixes_that_are_too_vague_to_tell_do_not_make_an_arm_right():
+    run = Run().go(5.0, {"gnss": 1.0 * ALONG}, sigma=FLOAT).go(20.0, {"gnss": 1.0 * ALONG})
+    assert set(run.doubts) == {"gnss", "gnss_right"}
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -8,7 +8,7 @@ e^2 / 2b only, and its direction, which is the heading, by e / b.
 from collections.abc import Collection, Mapping, Set
 from enum import Enum
 from itertools import combinations
-from math import atan2, exp, hypot, radians, sqrt
+from math import atan2, exp, hypot, inf, radians, sqrt
 from typing import NamedTuple
 
 import gtsam
@@ -33,6 +33,7 @@ LARGE_M = 0.5  # a gross error in measuring an arm
 KNOWN_M = 0.01  # sigma of a mean that can show two arms to be right
 MAX_ROTATION_SIGMA_RAD = radians(60.0)
 PAIRED_NS = 1_000_000  # in which even a fast machine moves by less than a fix is wrong
+RIGHT_IN_A_ROW = 3  # distances, which no arm that is off by twice what may be seen shows
 SAME_M, SAME_IN_A_ROW = 1e-3, 5  # two receivers of their own never agree so well so often
 
 
@@ -126,14 +127,21 @@ class Pair:
         self.mounted_m = self.distance_m = mounted_m
         self.belief = Belief.OPEN
         self.mean = MeanBaseline()
-        self._same_in_a_row = 0
+        self._same_in_a_row = self._right_in_a_row = 0
+        self._newest_within_m = inf  # how far a distance that is right may be off, of the newest
+        self._right_within_m = inf  # and of several in a row that were right: arms do not change
 
     def note(self, one: Position, other: Position, attitude: gtsam.Rot3) -> None:
         """Take in two simultaneous positions of a machine of some attitude, whose heading may be wrong."""
         R = attitude.matrix()
         correlation_s = max(one.correlation_s, other.correlation_s)
-        covariance_I = R.T @ (one.covariance + other.covariance) @ R
-        self.mean.add(R.T @ (other.p_W_P - one.p_W_P), covariance_I, one.stamp_ns, correlation_s)
+        between, covariance = other.p_W_P - one.p_W_P, one.covariance + other.covariance
+        self.mean.add(R.T @ between, R.T @ covariance @ R, one.stamp_ns, correlation_s)
+        within_m = self._newest_within_m = SIGMA * sqrt(variance_along(between, covariance)) + SLACK_M
+        is_right = abs(self.mean.newest_m - self.mounted_m) < within_m
+        self._right_in_a_row = self._right_in_a_row + 1 if is_right else 0
+        if self._right_in_a_row >= RIGHT_IN_A_ROW:
+            self._right_within_m = min(self._right_within_m, within_m)
 
     def counts_as_same(self, one: Position, other: Position) -> bool:
         """Count simultaneous positions at one place in a row; say whether these two are, whatever the attitude is."""
@@ -165,8 +173,10 @@ class Pair:
             return False
         length, newest_m = self.mean.length(), self.mean.newest_m
         excess_m = length.excess_m(self.mounted_m)
-        is_still = abs(newest_m - length.m) < abs(newest_m - self.mounted_m)  # a lie that has just ended is none now
-        if self.belief is Belief.OPEN and is_still and excess_m > SIGMA * length.sigma_m:
+        is_wrong = excess_m > SIGMA * length.sigma_m and abs(length.m - self.mounted_m) < 2.0 * self._right_within_m
+        # a lie that has just ended is none now, and one that grows is no arm
+        is_still = abs(newest_m - length.m) < min(abs(newest_m - self.mounted_m), self._newest_within_m)
+        if self.belief is Belief.OPEN and is_wrong and is_still:
             self.belief, self.distance_m = Belief.WRONG, length.m
             return True
         if max(length.sigma_m / KNOWN_M, length.shortened_m / SLACK_M) <= 1.0 and excess_m <= 0.0:

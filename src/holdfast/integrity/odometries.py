@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
-from enum import Enum
 from math import degrees
 from types import MappingProxyType
 from typing import NamedTuple
@@ -15,25 +14,20 @@ from holdfast.event_log import EventLog
 from holdfast.events import EventKind, Outcome
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.odometry_track import OdometryTrack, believed_calibration
-from holdfast.integrity.drift_monitor import Contradiction, DriftMonitor
-from holdfast.integrity.innovation import PERIODS_OF_SILENCE
+from holdfast.integrity.drift_monitor import Contradiction
 from holdfast.integrity.learnt_snapshot import LearntOdometry
-from holdfast.integrity.odometry_learning import OdometryLearning
-from holdfast.integrity.odometry_trust import AGREES_M, AGREES_RAD, OdometryTrust, Watched
+from holdfast.integrity.monitored_odometry import DISTRUST, Jumps, MonitoredOdometry
+from holdfast.integrity.odometry_trust import AGREES_M, AGREES_RAD, Watched
 from holdfast.integrity.yaw_learning import HeadingWitness
-from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.constants import length_and_sigma
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise, TrackPose
 from holdfast.sensors.scale import CHANGE as SCALE_CHANGE
 from holdfast.sensors.sensor import Parameter
 
-DISTRUST = 3.0  # factor on the noise of an odometry that proves to be worse than configured
 NOT_MEASURED = "the IMU did not measure its motions, one after another"
 TURNED = "its motions beside the fixes turn its mount further than the configuration is known to be wrong"
-AGAIN_NS = 5_000_000_000  # an odometry whose noise is trebled twice in this time is lost
 ERRS_NS = 5_000_000_000  # for so long a gyroscope is doubted
-JUMPS, JUMPS_NS = 4, 20_000_000_000  # so many jumps in this time are no jumps but noise
 
 
 FixWitness = Callable[[str, int], bool | None]
@@ -46,64 +40,6 @@ class Walk(NamedTuple):
     odometry: str
     pose: TrackPose
     found: Contradiction
-
-
-class Jumps(Enum):
-    """How often an odometry has jumped of late: too often to be as good as is configured, and on, with more noise."""
-
-    FEW, OFTEN, WILD = range(3)
-
-
-class _Odometry:
-    """One odometry, as long as one start of the estimator lasts."""
-
-    def __init__(self, model: OdometryModel, carried: LearntOdometry | None) -> None:
-        self.model = model
-        self.noise = OdometryNoise(model)
-        self.monitor = DriftMonitor(self.noise)
-        self.learning = OdometryLearning(self.noise, carried)
-        self.trust = OdometryTrust(model.calibration)
-        self.is_silent = False
-        self.contradicts_ns = NEVER_NS  # when it contradicted the IMU last, and the fixes said the same
-        self._heard_ns: int | None = None  # what the IMU had reached when a pose came last that was of use
-        self._period_ns = 0
-        self._jumps_ns: list[int] = []
-        self._trebled_ns = NEVER_NS
-
-    def note_jump(self, stamp_ns: int) -> Jumps:
-        """Note a jump; trust the odometry less if it jumps too often to be as good as is configured."""
-        self._jumps_ns = [jump for jump in self._jumps_ns if stamp_ns - jump < JUMPS_NS] + [stamp_ns]
-        if len(self._jumps_ns) < JUMPS:
-            return Jumps.FEW
-        self._jumps_ns.clear()
-        self.learning.trust_less(DISTRUST)
-        before, self._trebled_ns = self._trebled_ns, stamp_ns
-        return Jumps.WILD if stamp_ns - before < AGAIN_NS else Jumps.OFTEN
-
-    def lose(self) -> None:
-        """It is trusted no more: its jumps were no noise."""
-        self.trust.lose()
-        self._jumps_ns.clear()
-        self.forget_frame()
-
-    def forget_frame(self) -> None:
-        """The odometry has jumped or slipped, or the estimate was moved."""
-        self.monitor.forget_frame()
-        self.learning.forget_frame()
-
-    @property
-    def is_lost(self) -> bool:
-        return self.is_silent or self.trust.is_lost
-
-    def hear(self, now_ns: int) -> None:
-        """A pose came that is of use."""
-        if self._heard_ns is not None and now_ns > self._heard_ns:
-            self._period_ns = now_ns - self._heard_ns
-        self._heard_ns = now_ns
-
-    def falls_silent(self, now_ns: int) -> bool:
-        patience_ns = max(self.model.config.silence_s * 1e9, PERIODS_OF_SILENCE * self._period_ns)
-        return self._heard_ns is not None and now_ns - self._heard_ns > patience_ns
 
 
 class Odometries:
@@ -128,7 +64,7 @@ class Odometries:
         fixes: FixWitness,
         carried: Mapping[str, LearntOdometry] = MappingProxyType({}),
     ) -> None:
-        self._odometries = {name: _Odometry(model, carried.get(name)) for name, model in models.items()}
+        self._odometries = {name: MonitoredOdometry(model, carried.get(name)) for name, model in models.items()}
         self._mode = config.graph.main_odometry
         self._is_monitored = config.gate.drift_monitor
         self._log = log
@@ -220,15 +156,12 @@ class Odometries:
         if pose.excess is not None:
             odometry.forget_frame()  # it does not know its motion: it cannot contradict, nor be learnt from
         elif outcome is Outcome.USED and pose is graph.newest_pose(pose.sensor):
-            odometry.learning.learn_from_scan(graph.main, pose, self._headings)
-            # an error of the gyroscope shows against each of them
-            scales = (one.learning.gyroscope_scale for one in self._odometries.values())
-            graph.main.imu_noise.yaw_scale = min(scales)
+            self._learn(graph, odometry, pose)
         self._log.record(pose.stamp_ns, pose.sensor, outcome)
         return outcome
 
     def _unless_fixes_agree(
-        self, graph: DualGraph, odometry: _Odometry, pose: TrackPose, since_ns: int | None, now_ns: int
+        self, graph: DualGraph, odometry: MonitoredOdometry, pose: TrackPose, since_ns: int | None, now_ns: int
     ) -> int | None:
         """Return since when an odometry lies, that the IMU contradicts since a time; None while fixes may yet tell."""
         if since_ns is None:
@@ -238,7 +171,7 @@ class Odometries:
             odometry.contradicts_ns = now_ns
         return None if moves_as_fixes or (moves_as_fixes is None and not graph.is_lost) else since_ns
 
-    def _is_turned(self, graph: DualGraph, odometry: _Odometry, name: str) -> bool:
+    def _is_turned(self, graph: DualGraph, odometry: MonitoredOdometry, name: str) -> bool:
         calibration = odometry.model.calibration
         if calibration.prior is None or not calibration.is_mount_estimated:
             return False
@@ -250,6 +183,27 @@ class Odometries:
         self._mounts[name] = prior
         graph.begin_parameter_anew(name, prior)
 
+    def _learn(self, graph: DualGraph, odometry: MonitoredOdometry, pose: TrackPose) -> None:
+        """Learn from a pose that has joined its track, which is the newest."""
+        odometry.learning.learn_from_scan(graph.main, pose, self._headings)
+        # an error of the gyroscope shows against each of them
+        graph.main.imu_noise.yaw_scale = min(one.learning.gyroscope_scale for one in self._odometries.values())
+        if (early_s := odometry.learning.stepped_clock_s()) is not None:
+            self._step_clock(graph, odometry, pose.sensor, early_s)
+
+    def _step_clock(self, graph: DualGraph, odometry: MonitoredOdometry, name: str, early_s: float) -> None:
+        """Know of an odometry that its clock is another one from now on."""
+        calibration = odometry.model.calibration
+        known = graph.main.parameters.estimate(name)
+        if calibration.prior is None or known is None:
+            return
+        reason = f"its stamps are {abs(early_s):.2f} s {'early' if early_s > 0.0 else 'late'} now"
+        self._log.report(EventKind.CLOCK_STEP, graph.main.newest_ns, name, reason)
+        self._mount(graph, name, calibration.prior_by_clock(*known, early_s))
+        for smoother in graph.smoothers():
+            graph.begin_tracks_anew(smoother, name)
+        odometry.forget_frame()
+
     def go_on_from(self, graph: DualGraph, before: "Odometries") -> None:
         """Begin with what was found of mounts, and of noise that is larger than configured, before all began anew."""
         for name, one in before._odometries.items():
@@ -257,7 +211,7 @@ class Odometries:
         for name, prior in before._mounts.items():
             self._mount(graph, name, prior)
 
-    def _watch(self, graph: DualGraph, odometry: _Odometry, pose: TrackPose, now_ns: int) -> Outcome:
+    def _watch(self, graph: DualGraph, odometry: MonitoredOdometry, pose: TrackPose, now_ns: int) -> Outcome:
         """Compare how an odometry that is not trusted moves with how the estimate does, with fixes if there are any."""
         odometry.hear(now_ns)
         odometry.is_silent = False
@@ -357,9 +311,12 @@ class Odometries:
         return before
 
     def part_from_gyroscope(self, now_ns: int) -> bool:
-        """Whether all that are trusted have of late turned otherwise than the gyroscope, by far, or fixes say so."""
+        """Whether all that are trusted have of late turned otherwise than the gyroscope, by far, or fixes say so.
+
+        What is late turns otherwise, too, where the rate changes.
+        """
         trusted = [one for one in self._odometries.values() if not one.is_lost]
-        parted = (one.learning.parts_from_gyroscope or now_ns - one.contradicts_ns < ERRS_NS for one in trusted)
+        parted = (one.parts_from_gyroscope or now_ns - one.contradicts_ns < ERRS_NS for one in trusted)
         return bool(trusted) and all(parted)
 
     def forget_frames(self) -> None:

@@ -21,6 +21,7 @@ from holdfast.sensors.sensor import CHANGE_RAD, STEADY, Parameter
 
 KNOWN = 1e-7  # sigma [rad, s] of what is known
 FOUND_RAD = radians(3.0)  # so well motions must tell how a sensor is mounted; sigma of what they told
+STEPPED_S = 0.02  # sigma of what motions tell of a clock that has stepped
 TURNED = 5.0  # sigmas of a prior, by which an estimate of the mount is none
 AT_MOUNT_AND_CLOCK, AT_ARM, AT_SCALE = [0, 1, 2, 7], [3, 4, 5], [6]  # elements of what is believed, by parameter
 SIZE = 8
@@ -74,6 +75,15 @@ class OdometryCalibration:
         assert self.prior is not None
         sigmas = np.concatenate([np.maximum(self.prior.sigmas[:3], sigma_rad), self.prior.sigmas[3:]])
         return self.prior._replace(mean=np.concatenate([delta, self.prior.mean[3:]]), sigmas=sigmas)
+
+    def prior_by_clock(self, known: Array, sigmas: Array, early_s: float) -> Parameter:
+        """Return the prior of one whose stamps are early by so much from now on.
+
+        What is known (4,) of the mount and its sigmas (4,) stay.
+        """
+        assert self.prior is not None
+        mean, about = np.array([*known[:3], early_s]), np.array([*sigmas[:3], STEPPED_S])
+        return self.prior._replace(mean=mean, sigmas=np.maximum(about, KNOWN), if_right=None)
 
     def is_turned(self, prior: Parameter, belief: Array) -> bool:
         """Whether what is believed (8,) has left a prior, or the configured one, further than the mount is doubted.
