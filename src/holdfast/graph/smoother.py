@@ -39,7 +39,7 @@ NO_COVARIANCE = np.zeros((NAV_SIZE, NAV_SIZE))
 PARAMETER_THRESHOLD = 0.01  # 1 cm, 0.6 deg, 1 %: a sensor's parameter is relinearised when it has moved by more
 FORGET_NS = 1_000_000_000  # measurements that left the window are dropped this often
 MAX_VARIANCE = 1e6  # beyond it a covariance says no more, whatever its unit
-MAX_STEP_M_S, MAX_STEP_SIGMA = 10.0, 10.0  # of the newest velocity, in one optimisation
+MAX_STEP_M_S, MAX_STEP_M, MAX_STEP_SIGMA = 10.0, 10.0, 10.0  # of the newest node, in one optimisation
 FAULT_INFLATION = 4.0  # of the covariance, when the graph is re-anchored after a failed optimisation
 
 
@@ -353,15 +353,18 @@ class Smoother:
             OptimiserError: GTSAM failed; the window was started anew at the last good state, and the new factors lost.
         """
         horizon = self.newest_ns - self._lag_ns
-        expected, allowed_m_s = self._chain.nav(self.newest_ns).velocity(), self._velocity_step_m_s()
+        expected, allowed_m_s, allowed_m = self._chain.nav(self.newest_ns), *self._allowed_steps()
         try:
             self._slow_errors.keep(self._window, self.newest_ns)
             self._biases.prepare(self._window)
             self._window.solve(horizon)
             state, tail = self._read_newest()
-            step_m_s = float(np.linalg.norm(state.nav.velocity() - expected))
+            step_m_s = float(np.linalg.norm(state.nav.velocity() - expected.velocity()))
             if step_m_s > allowed_m_s:
                 raise ValueError(f"it diverges: the velocity steps by {step_m_s:.0f} m/s")
+            step_m = float(np.linalg.norm(state.nav.position() - expected.position()))
+            if step_m > allowed_m:
+                raise ValueError(f"it diverges: the position steps by {step_m:.0f} m")
         except Exception as error:  # of GTSAM, or of a sensor whose innovation it asked for
             self._reanchor()
             raise OptimiserError((str(error).strip() or repr(error)).splitlines()[0]) from error
@@ -385,9 +388,11 @@ class Smoother:
         check_solution(state, tail, self._greatest_bias)
         return state, tail
 
-    def _velocity_step_m_s(self) -> float:
-        """Return by how much one optimisation may change the newest velocity: more is no solution."""
-        return MAX_STEP_M_S + MAX_STEP_SIGMA * float(np.sqrt(max(0.0, np.trace(self._tail.node[6:, 6:]))))
+    def _allowed_steps(self) -> tuple[float, float]:
+        """Return by how much one optimisation may step the newest velocity [m/s] and position [m] if it converges."""
+        variances = np.diag(self._tail.node)
+        of_position, of_velocity = (float(np.sqrt(max(0.0, part.sum()))) for part in (variances[3:6], variances[6:]))
+        return MAX_STEP_M_S + MAX_STEP_SIGMA * of_velocity, MAX_STEP_M + MAX_STEP_SIGMA * of_position
 
     def _reanchor(self) -> None:
         """Start anew at the last good state; its covariance grows with every failure in a row, up to a bound."""
