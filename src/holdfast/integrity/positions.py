@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from math import hypot, inf
+from math import inf
 from typing import NamedTuple
 
 from holdfast.config.model import GateConfig
@@ -32,7 +32,7 @@ from holdfast.sensors.coloured import NAV_SIZE, Compared, coloured, coloured_fac
 from holdfast.sensors.noise import WHITE, correlation_inflation, shared_inflation
 from holdfast.sensors.sensor import Position, PositionSensor, is_gnss
 
-BETWEEN = 0.5  # of the way from an antenna to another, to which the gate must reach at most to tell them apart
+RATHER = 16.0  # of the NIS: a position is of the antenna that explains it by so much better
 REVIEW_NS = 250_000_000  # used positions are reviewed this often
 SLOW_S, LOWEST_SLOW = 1.0, 0.01  # most of such a claim is a slow error, by which neighbours are alike
 LEARNT_FROM = Outcome.USED, Outcome.INNOVATION
@@ -153,9 +153,10 @@ class Positions:
         found = self._compare(smoother, key, position)
         innovation, state = found.innovation, found.state
         prediction = predict(innovation, state)
+        others = self._expected_instead(smoother, position, prediction) if name in self._antennas else []
         if name in self._antennas:
-            others = self._expected_instead(smoother, position, prediction)
-            self._exchanged += self._exchange_test.note(position, others, is_expected=prediction.nis <= gate.limit)
+            is_at_home = prediction.nis <= gate.limit and not others
+            self._exchanged += self._exchange_test.note(position, others, is_expected=is_at_home)
         worse = None
         if self._config.baseline:
             worse = self._baseline.contradicted(position, prediction.nis, state.nav.attitude())
@@ -163,7 +164,8 @@ class Positions:
             self.gates[worse.sensor].refuse(Outcome.BASELINE)
             if worse in self.used.of(worse.sensor):
                 self.take_out(graph.main, worse, Outcome.BASELINE)
-        outcome = gate.judge(position, prediction, now_ns=now_ns, baseline_agrees=worse is not position)
+        is_apart = worse is not position and not others  # from the other antennas, as it is mounted
+        outcome = gate.judge(position, prediction, now_ns=now_ns, baseline_agrees=is_apart)
         is_refused = outcome not in (Outcome.USED, Outcome.QUARANTINED)
         is_expected = prediction.nis <= gate.limit
         self._consensus[name].add(position, outcome, innovation.y, is_expected=is_expected)
@@ -192,18 +194,14 @@ class Positions:
         return outcome
 
     def _expected_instead(self, smoother: Smoother, position: Position, prediction: Prediction) -> list[str]:
-        """Return the other antennas that are expected where a position is, and its own is not."""
-        limit, found = self.gates[position.sensor].limit, list[str]()
-        if prediction.nis <= limit:
+        """Return the other antennas that are expected where a position is, far rather than its own."""
+        enough, found = min(self.gates[position.sensor].limit, prediction.nis - RATHER), list[str]()
+        if enough <= 0.0:
             return found
-        reach_m = prediction.smallest_visible_m(limit)
         for name in self._antennas - {position.sensor}:
-            apart_m = hypot(*(self._sensors[name].p_I_P - self._sensors[position.sensor].p_I_P))
-            if reach_m > BETWEEN * apart_m:
-                continue  # the estimate expects either
             sensor = self._sensors[name]
             state = with_beliefs(smoother, sensor, smoother.state_at(position.stamp_ns))
-            if predict(sensor.innovation(position, state), state).nis <= limit:
+            if predict(sensor.innovation(position, state), state).nis <= enough:
                 found.append(name)
         return found
 
