@@ -3,9 +3,9 @@
 `python benchmarks/fault_schedules.py --count 1000`: each schedule is simulated, recorded and replayed; no exception, no
 number that is none, and no step of the odometry frame may come of it. Clocks step, sensors flood, have twins and send
 garbage on top of what `--mild` leaves. With `--mild` it is counted, too, how often an estimate began anew that was
-right, within its covariance of the truth (NEES). It is a failure where something was there that could tell: a receiver
-to which nothing happened. Where all that came were positions that lied, or a start in two steps has come to its second,
-a line says so.
+right, within its covariance of the truth (NEES), and whether one was far off and did not know. It is a failure where
+something was there that could tell: a receiver to which nothing happened. Where all that came were positions that lied,
+or a start in two steps has come to its second, a line says so.
 
 With `--realtime` the engine takes the recording at `--rate` times its pace while its optimiser is killed at random, and
 no answer may come later than 5 ms. What this process waits for a processor that others keep busy is no fault of the
@@ -43,7 +43,6 @@ from holdfast.recording.subscriptions import subscriptions
 from holdfast.replay.published import PublishedRecorder
 from holdfast.sim.configuration import configuration_data
 from holdfast.sim.readings import generator
-from holdfast.sim.scenario import Scenario
 from holdfast.sim.schedules import DURATION_S, hostile_schedule, random_schedule
 from holdfast.sim.sensors.gnss import SimulatedGnss
 from holdfast.sim.simulation import START_NS, Simulation
@@ -55,6 +54,8 @@ LATE_NS = 5_000_000
 SCHEDSTAT = Path("/proc/thread-self/schedstat")
 SOUND = 0.997  # of estimates that are right are nearer to the truth, by their covariance
 RECENT_S = 1.0  # before an estimate begins anew, a receiver to which nothing happened could tell that it need not
+FAR_M, FAR_SIGMA = 10.0, 10.0  # off, more than an estimate may be that does not know
+MENDED_S = 5.0  # after which a receiver that is right has brought it back
 EVERY = 50  # schedules that are done, a line says so
 NOTE = "(no failure) "  # begins a line that is none
 NO_WITNESS, SETTLED = f"{NOTE}no receiver was right: ", f"{NOTE}second step of a start: "
@@ -70,7 +71,7 @@ def complaints(
         seed: of the schedule.
         preset: of the configuration.
         hostile: with what broken software does, too.
-        starts: also that an estimate which was right began anew.
+        starts: also that an estimate which was right began anew, or was far off and did not know.
         rate: run the engine at so many times the pace of the recording, and kill its optimiser; else the estimator.
     """
     scenario = (hostile_schedule if hostile else random_schedule)(seed)
@@ -86,38 +87,64 @@ def complaints(
                 recorder = estimate(Path(folder), config)
             else:
                 recorder, late = played(Path(folder), config, seed, rate)
-            begun = sound_starts(simulation, recorder) if starts else []
-            return [line for life in recorder.lives() for line in violations(life, START_NS)] + begun + late
+            errors = Errors(simulation, recorder) if starts else None
+            wrong = [] if errors is None else errors.sound_starts() + errors.lost()
+            return [line for life in recorder.lives() for line in violations(life, START_NS)] + wrong + late
         except Exception as error:
             at = traceback.extract_tb(error.__traceback__)[-1]
             return [f"{type(error).__name__} in {Path(at.filename).name}:{at.lineno} {at.name}: {error}".split("\n")[0]]
 
 
-def sound_starts(simulation: Simulation, recorder: PublishedRecorder) -> list[str]:
-    """Return a line for each time that an estimate began anew which was right; NOTE begins what is no failure."""
-    begun = [event for event in recorder.events if event.kind is EventKind.BEGUN_ANEW]
-    if not begun:
-        return []
-    published = recorder.published()
-    stamps_ns = published.world.poses.stamps_ns
-    errors = state_errors(published.world, States(*true_states(simulation, stamps_ns)))
-    is_right = nees(errors.tangent, published.covariances) < chi_square_quantile(SOUND, errors.tangent.shape[1])
-    lines, is_second = [], False
-    for event in begun:
-        row, at_s = max(int(np.searchsorted(stamps_ns, event.stamp_ns)) - 1, 0), (event.stamp_ns - START_NS) * 1e-9
-        if is_right[row]:
-            excuse = SETTLED if is_second else excuse_at(at_s, simulation.scenario)
-            off_m = np.linalg.norm(errors.position[row])
-            lines.append(f"{excuse}a sound estimate, {off_m:.2f} m off, began anew at {at_s:.2f} s: {event.reason}")
-        is_second = event.reason.endswith(IN_DOUBT)
-    return lines
+class Errors:
+    """What an estimate was off by beside what it said.
 
+    Args:
+        simulation: that was estimated.
+        recorder: of the estimate.
+    """
 
-def excuse_at(at_s: float, scenario: Scenario) -> str:
-    """Return why nothing could tell at a time that an estimate is right, or nothing if a receiver could."""
-    recent = [fault for fault in scenario.faults if fault.start_s <= at_s and fault.end_s >= at_s - RECENT_S]
-    suffering = {name for fault in recent for name in fault.sensors}
-    return "" if scenario.sensors_of(SimulatedGnss).keys() - suffering else NO_WITNESS
+    def __init__(self, simulation: Simulation, recorder: PublishedRecorder) -> None:
+        self._scenario, self._events = simulation.scenario, recorder.events
+        published = recorder.published()
+        self._stamps_ns, self._covariances = published.world.poses.stamps_ns, published.covariances
+        truth = States(*true_states(simulation, self._stamps_ns))
+        self._tangent = state_errors(published.world, truth).tangent
+        self._off_m = np.linalg.norm(self._tangent[:, 3:6], axis=1)
+
+    def sound_starts(self) -> list[str]:
+        """Return a line for each time that an estimate began anew which was right; NOTE begins what is no failure."""
+        is_right = nees(self._tangent, self._covariances) < chi_square_quantile(SOUND, self._tangent.shape[1])
+        lines, is_second = [], False
+        for event in self._events:
+            if event.kind is not EventKind.BEGUN_ANEW:
+                continue
+            row = max(int(np.searchsorted(self._stamps_ns, event.stamp_ns)) - 1, 0)
+            at_s = (event.stamp_ns - START_NS) * 1e-9
+            if is_right[row]:
+                excuse = SETTLED if is_second else self._excuse(at_s, RECENT_S)
+                off = f"a sound estimate, {self._off_m[row]:.2f} m off"
+                lines.append(f"{excuse}{off}, began anew at {at_s:.2f} s: {event.reason}")
+            is_second = event.reason.endswith(IN_DOUBT)
+        return lines
+
+    def lost(self) -> list[str]:
+        """Return a line if an estimate was far off and did not know; NOTE begins it where that is no failure."""
+        sigmas_m = np.sqrt(np.trace(self._covariances[:, 3:6, 3:6], axis1=1, axis2=2))
+        rows = np.flatnonzero((self._off_m > FAR_M) & (self._off_m > FAR_SIGMA * sigmas_m))
+        at_s = (self._stamps_ns[rows] - START_NS) * 1e-9
+        excuses = [self._excuse(one, MENDED_S) for one in at_s.tolist()]
+        if not excuses:
+            return []
+        mattering = [k for k, excuse in enumerate(excuses) if not excuse] or range(len(excuses))
+        worst = max(mattering, key=lambda k: self._off_m[rows[k]])
+        off = f"{self._off_m[rows[worst]]:.0f} m off, sigma {sigmas_m[rows[worst]]:.2f} m"
+        return [f"{excuses[worst]}{off} at {at_s[worst]:.2f} s"]
+
+    def _excuse(self, at_s: float, since_s: float) -> str:
+        """Return why nothing could tell at a time what is right, or nothing if a receiver could, since so long."""
+        recent = [fault for fault in self._scenario.faults if fault.start_s <= at_s and fault.end_s >= at_s - since_s]
+        suffering = {name for fault in recent for name in fault.sensors}
+        return "" if self._scenario.sensors_of(SimulatedGnss).keys() - suffering else NO_WITNESS
 
 
 def played(folder: Path, config: Config, seed: int, rate: float) -> tuple[PublishedRecorder, list[str]]:
