@@ -55,10 +55,12 @@ SCHEDSTAT = Path("/proc/thread-self/schedstat")
 SOUND = 0.997  # of estimates that are right are nearer to the truth, by their covariance
 RECENT_S = 1.0  # before an estimate begins anew, a receiver to which nothing happened could tell that it need not
 FAR_M, FAR_SIGMA = 10.0, 10.0  # off, more than an estimate may be that does not know
-MENDED_S = 5.0  # after which a receiver that is right has brought it back
+MENDED_S = 10.0  # in which a receiver that is right has brought it back
+DIVERGED_M = 1000.0  # off, where nothing that is measured is
 EVERY = 50  # schedules that are done, a line says so
 NOTE = "(no failure) "  # begins a line that is none
 NO_WITNESS, SETTLED = f"{NOTE}no receiver was right: ", f"{NOTE}second step of a start: "
+MENDED = f"{NOTE}found by itself: "
 KILLED_RATIO = 0.5  # of the runs in real time
 
 
@@ -130,15 +132,17 @@ class Errors:
     def lost(self) -> list[str]:
         """Return a line if an estimate was far off and did not know; NOTE begins it where that is no failure."""
         sigmas_m = np.sqrt(np.trace(self._covariances[:, 3:6, 3:6], axis1=1, axis2=2))
-        rows = np.flatnonzero((self._off_m > FAR_M) & (self._off_m > FAR_SIGMA * sigmas_m))
-        at_s = (self._stamps_ns[rows] - START_NS) * 1e-9
-        excuses = [self._excuse(one, MENDED_S) for one in at_s.tolist()]
-        if not excuses:
+        is_far = (self._off_m > FAR_M) & (self._off_m > FAR_SIGMA * sigmas_m)
+        if not is_far.any():
             return []
-        mattering = [k for k, excuse in enumerate(excuses) if not excuse] or range(len(excuses))
-        worst = max(mattering, key=lambda k: self._off_m[rows[k]])
-        off = f"{self._off_m[rows[worst]]:.0f} m off, sigma {sigmas_m[rows[worst]]:.2f} m"
-        return [f"{excuses[worst]}{off} at {at_s[worst]:.2f} s"]
+        worst = int(np.argmax(np.where(is_far, self._off_m, 0.0)))
+        at_s = (self._stamps_ns - START_NS) * 1e-9
+        near_s = at_s[~is_far]
+        before_s = near_s[near_s < at_s[worst]].max(initial=at_s[0])
+        after_s = near_s[near_s > at_s[worst]].min(initial=at_s[-1])
+        excuse = MENDED if after_s - before_s < MENDED_S else self._excuse(after_s, after_s - before_s)
+        excuse = "" if self._off_m[worst] > DIVERGED_M else excuse
+        return [f"{excuse}{self._off_m[worst]:.0f} m off for {after_s - before_s:.1f} s, sigma {sigmas_m[worst]:.2f} m"]
 
     def _excuse(self, at_s: float, since_s: float) -> str:
         """Return why nothing could tell at a time what is right, or nothing if a receiver could, since so long."""
