@@ -110,6 +110,16 @@ def early(messages: list[Message]) -> list[Message]:
     return changed(of_receiver, messages, lambda one: replace(one, stamp_ns=one.stamp_ns - EARLY_NS))
 
 
+def pauses(lasting_s: float) -> Fault:
+    """Nothing is recorded for some seconds of each minute, first after half of one."""
+
+    def missing(messages: list[Message]) -> list[Message]:
+        first_ns = messages[0].arrival_ns
+        return [one for one in messages if ((one.arrival_ns - first_ns) * 1e-9 + 30.0) % 60.0 < 60.0 - lasting_s]
+
+    return missing
+
+
 def drifts(messages: list[Message]) -> list[Message]:
     """A gyroscope whose bias drifts by 1 deg/s in five minutes, as one that warms up."""
     middle_ns = (messages[0].stamp_ns + messages[-1].stamp_ns) // 2
@@ -152,12 +162,15 @@ FAULTS: dict[str, Fault] = {
 
 
 OF_ALL: dict[str, Fault] = {
+    "nothing is recorded for 3 s in each minute": pauses(3.0),
+    "nothing is recorded for 10 s in each minute": pauses(10.0),
+    "nothing is recorded for 30 s in each minute": pauses(30.0),
     "stamps of GNSS 0.25 s early": early,
     "stamps of GNSS 0.25 s early, gyroscope's bias jumps by 3 deg/s": lambda messages: FAULTS[
         "gyroscope's bias jumps by 3 deg/s"
     ](early(messages)),
 }
-"""Those that change what judges, too: a fix that is held out has the clock that the estimator has found."""
+"""Those that change what judges, too: a fix that is held out may be missing, or has the clock that was found."""
 
 
 def judge(drive: Path, name: str) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """The heading before there is a state: from the first source that knows it, with its sigma."""
 
 from collections.abc import Mapping, Sequence
-from math import atan2, hypot, radians, sqrt
+from math import atan2, hypot, radians, remainder, sqrt, tau
 from typing import Any
 
 import gtsam
@@ -16,6 +16,8 @@ from holdfast.sensors.sensor import Position, PositionSensor
 MIN_BASELINE_M = 0.2  # horizontal; a shorter one tells no heading
 PAIRED_NS = 20_000_000  # fixes of a machine that stands
 MIN_SIGMA_RAD = 1e-3
+LATE_NS = 1_000_000_000  # since which a heading is one of now
+VAGUE_RAD = 0.35  # sigma of one that tells nothing
 PAIRS_S = 1.0  # of fixes of two antennas that are averaged
 Antennas = tuple[PositionSensor, PositionSensor]
 
@@ -64,6 +66,24 @@ class FirstHeading:
         if self._config.heading_deg is not None:
             return radians(self._config.heading_deg), radians(self._config.heading_sigma_deg)
         return baseline
+
+    def beside(self, now_ns: int, attitude: gtsam.Rot3) -> float | None:
+        """Return by how much an attitude must be turned about the vertical [rad] to be as is measured of late.
+
+        Headings and two antennas say so; None where they do not.
+        """
+        since_ns, found = now_ns - LATE_NS, list[tuple[float, float] | str | None]()
+        for heading in self._collected.newest_of(self._headings):
+            if heading.stamp_ns >= since_ns:
+                found.append(self._headings[heading.sensor].of_imu(heading, attitude))
+        if self._antennas is not None and (positions := self._collected.positions):
+            since_ns = max(since_ns, positions[-1].stamp_ns - PAIRED_NS)
+            found.append(baseline_heading(self._antennas, positions, since_ns, attitude))
+        told = [one for one in found if isinstance(one, tuple)]
+        if not told:
+            return None
+        by_rad, sigma_rad = min(told, key=lambda one: one[1])
+        return remainder(by_rad, tau) if sigma_rad < VAGUE_RAD else None
 
 
 def baseline_heading(

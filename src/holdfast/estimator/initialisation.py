@@ -95,6 +95,7 @@ class Initialising:
         self._collected = Collected(sensors, self._points, self._odometries, window_ns)
         self.biases = KnownBiases(imu, config.initialisation.standstill_s)
         heading = FirstHeading(config.initialisation, self._collected, self._antennas, self._headings, poses)
+        self._heading = heading
         self._standing = StandingStart(
             config, self._collected, gravity, points=self._points, heading=heading, biases=self.biases
         )
@@ -278,6 +279,10 @@ class Initialising:
         velocities, _ = self._credible_velocities(positions, max(stamp_ns, self._buffer.latest_ns))
         arm = self._points[positions[-1].sensor].p_I_P if positions else np.zeros(3)
         return course_of(positions, velocities, stamp_ns, arm)
+
+    def turned_beside(self, attitude: gtsam.Rot3) -> float | None:
+        """Return by how much an attitude of now must be turned about the vertical [rad] to be as is measured."""
+        return self._heading.beside(self._buffer.latest_ns, attitude)
 
     def specific_force(self, start_ns: int, end_ns: int) -> Array | None:
         """Return the mean specific force (3,) in a time [m/s^2], or None where the IMU was silent in it."""

@@ -254,7 +254,10 @@ class Tracking:
             for smoother in self.graph.smoothers():
                 smoother.mark_silent(received.line_since_ns)
         elif stamp - received.before_ns > self._buffer.max_gap_ns:
-            self._report_gap(received.before_ns, f"no samples for {(stamp - received.before_ns) * 1e-9:.3f} s")
+            gap_ns = stamp - received.before_ns
+            self._report_gap(received.before_ns, f"no samples for {gap_ns * 1e-9:.3f} s")
+            for channel in self._positions, self._headings, self._odometries, self._states:
+                channel.pass_over(gap_ns)
         published = self.graph.published
         if stamp <= published.newest.stamp_ns:
             return False  # a measurement in a silent stretch has led the state past this sample
@@ -306,6 +309,7 @@ class Tracking:
         if standing:
             self._log.count(STANDSTILL, Outcome.USED, len(standing))
         for smoother in self.graph.smoothers():
+            smoother.turn_vague(self.successor.start.turned_beside)
             self._optimise(smoother)
         for exchange in self._positions.newly_exchanged():
             self.successor.start.exchange(exchange)

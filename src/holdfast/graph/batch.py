@@ -60,6 +60,10 @@ class Batch:
         self._values.insert(key, value)
         self._stamps[key] = stamp_ns
 
+    def guess(self, key: int, value: Value) -> None:
+        """Begin with another value of a variable."""
+        self._values.update(key, value)
+
     @property
     def new(self) -> gtsam.Values:
         """The variables that wait for `solve`: none."""

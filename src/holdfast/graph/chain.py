@@ -149,6 +149,13 @@ class Chain:
         for milestone, is_gap in self._milestones(stamp_ns):
             yield self._append(milestone, is_gap)
 
+    def turn(self, by: gtsam.Rot3) -> None:
+        """Begin with another attitude, turned by so much in W, at the nodes that wait to be optimised."""
+        for stamp, nav in self._new.items():
+            turned = gtsam.NavState(by.compose(nav.attitude()), nav.position(), nav.velocity())
+            self._solver.guess(self.key(stamp), turned)
+            self._new[stamp] = turned
+
     def split(self, stamp_ns: int) -> None:
         """Make a node between two others: the link that spans it is replaced by two."""
         left_ns = self._nodes.before(stamp_ns)

@@ -40,6 +40,7 @@ PARAMETER_THRESHOLD = 0.01  # 1 cm, 0.6 deg, 1 %: a sensor's parameter is reline
 FORGET_NS = 1_000_000_000  # measurements that left the window are dropped this often
 MAX_VARIANCE = 1e6  # beyond it a covariance says no more, whatever its unit
 MAX_STEP_M_S, MAX_STEP_M, MAX_STEP_SIGMA = 10.0, 10.0, 10.0  # of the newest node, in one optimisation
+VAGUE_RAD = 0.35  # sigma of an attitude that is predicted, beyond which a step of Gauss-Newton may lead astray
 FAULT_INFLATION = 4.0  # of the covariance, when the graph is re-anchored after a failed optimisation
 
 
@@ -175,6 +176,20 @@ class Smoother:
                 for prediction in self._chain.extend(stamp):
                     self._tail = self._tail.moved(prediction)
         return self._chain.key(stamp)
+
+    def turn_vague(self, heading: Callable[[gtsam.Rot3], float | None]) -> None:
+        """Begin the next `optimise` at a heading that is measured if the one that is predicted is vague.
+
+        Gauss-Newton does not find back from a heading that a drop-out has left far off.
+
+        Args:
+            heading: by how much an attitude must be turned about the vertical to be as measured [rad], if it is.
+        """
+        if not self._chain.is_new(self.newest_ns) or self._tail.node[:3, :3].trace() < VAGUE_RAD**2:
+            return
+        by_rad = heading(self._chain.nav(self.newest_ns).attitude())
+        if by_rad is not None:
+            self._chain.turn(gtsam.Rot3.Yaw(by_rad))
 
     def key(self, stamp_ns: int) -> int:
         """Return the key of the node at a time, which must exist."""

@@ -28,6 +28,9 @@ class Solver(Protocol):
     def insert(self, key: int, value: Value, stamp_ns: int) -> None:
         """Add a variable that is used until a time, about which a factor must follow."""
 
+    def guess(self, key: int, value: Value) -> None:
+        """Begin with another value of a variable that waits for `solve`."""
+
     @property
     def new(self) -> gtsam.Values:
         """The variables that wait for `solve`; not to be written."""

@@ -76,6 +76,10 @@ class Window:
         self._values.insert(key, value)
         self._stamps[key] = stamp_ns
 
+    def guess(self, key: int, value: Value) -> None:
+        """Begin with another value of a variable that waits for `solve`."""
+        self._values.update(key, value)
+
     def keep(self, key: int, stamp_ns: int) -> None:
         """Keep a variable for as long as the time of a factor on it."""
         self._stamps[key] = max(stamp_ns, self._stamps[key])

@@ -94,6 +94,11 @@ class Headings:
                 self._log.recount(name, Outcome.QUARANTINED, outcomes[-1])
         return Outcome.USED in outcomes
 
+    def pass_over(self, gap_ns: int) -> None:
+        """Know that the IMU has not measured for so long."""
+        for judged in self._judged.values():
+            judged.gate.pass_over(gap_ns)
+
     def review(self, graph: DualGraph, now_ns: int) -> None:
         """Lose and regain headings, while the fixes of their receiver are trusted."""
         if not graph.is_lost:

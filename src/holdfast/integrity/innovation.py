@@ -50,6 +50,10 @@ class InnovationGate:
             self._period_s = (measurement.stamp_ns - self._last_ns) * 1e-9
         self._last_ns, self._received_ns = measurement.stamp_ns, now_ns
 
+    def pass_over(self, gap_ns: int) -> None:
+        """Know that the IMU has not measured for so long: nothing that could come then is missing."""
+        self._received_ns += gap_ns
+
     def hold(self, *, is_wrong: bool) -> None:
         """Lose the sensor while it is known to be wrong, whatever the state says."""
         self._is_held, self.is_lost = is_wrong, self.is_lost or is_wrong

@@ -68,6 +68,11 @@ class MonitoredOdometry:
         """Whether it has of late turned otherwise than the gyroscope, by far, and no clock explains it."""
         return self.learning.parts_from_gyroscope and not self.learning.may_be_late()
 
+    def pass_over(self, gap_ns: int) -> None:
+        """Know that the IMU has not measured for so long: no pose that could come then is missing."""
+        if self._heard_ns is not None:
+            self._heard_ns += gap_ns
+
     def hear(self, now_ns: int) -> None:
         """A pose came that is of use."""
         if self._heard_ns is not None and now_ns > self._heard_ns:

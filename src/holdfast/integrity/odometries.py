@@ -251,6 +251,11 @@ class Odometries:
             if prior is not None and known is not None and length_and_sigma(*known)[1] > enough:
                 graph.begin_parameter_anew(prior.name(name), prior)
 
+    def pass_over(self, gap_ns: int) -> None:
+        """Know that the IMU has not measured for so long."""
+        for one in self._odometries.values():
+            one.pass_over(gap_ns)
+
     def review(self, now_ns: int) -> None:
         """Lose the odometries that are silent."""
         for name, one in self._odometries.items():

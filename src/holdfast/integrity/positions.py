@@ -266,6 +266,11 @@ class Positions:
         for position in self.used.of():
             self.take_out(smoother, position, outcome)
 
+    def pass_over(self, gap_ns: int) -> None:
+        """Know that the IMU has not measured for so long."""
+        for gate in self.gates.values():
+            gate.pass_over(gap_ns)
+
     def review(self, smoother: Smoother) -> None:
         """After an optimisation of the main graph: take out the position that later ones contradict most."""
         self.used.forget_before(smoother.oldest_ns)

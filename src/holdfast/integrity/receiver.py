@@ -144,6 +144,10 @@ class ReceiverGate:
         self._wait(Held(position, prediction))
         return Outcome.QUARANTINED
 
+    def pass_over(self, gap_ns: int) -> None:
+        """Know that the IMU has not measured for so long: no position that could come then is missing."""
+        self._received_ns += gap_ns
+
     def refuse(self, outcome: Outcome) -> None:
         """Count a bad position, also one that the receiver itself reports as bad."""
         self._bad_in_a_row += 1

@@ -208,6 +208,11 @@ class States:
         judged = self._judged[measurement.sensor]
         return judged.judge(measurement, graph.published, graph.smoothers(), now_ns)
 
+    def pass_over(self, gap_ns: int) -> None:
+        """Know that the IMU has not measured for so long."""
+        for judged in self._judged.values():
+            judged.gate.pass_over(gap_ns)
+
     def review(self, graph: DualGraph, now_ns: int) -> None:
         """Lose and regain sensors."""
         for judged in self._judged.values():
