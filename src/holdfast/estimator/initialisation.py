@@ -17,13 +17,14 @@ from holdfast.config.sensors import GnssConfig
 from holdfast.estimator.batch_clock import Offset
 from holdfast.estimator.collected import Collected, between
 from holdfast.estimator.course import Course, course_of
-from holdfast.estimator.first_heading import Antennas, FirstHeading
+from holdfast.estimator.first_heading import LATE_NS, Antennas, FirstHeading
 from holdfast.estimator.fitting_batch import FittingBatch, FittingBatches
 from holdfast.estimator.fixes_in_motion import fixes_in_motion, turn
 from holdfast.estimator.known_biases import KnownBiases
 from holdfast.estimator.odometry_tracks import OdometryTracks
 from holdfast.estimator.pose_as_point import PoseAsPoint
 from holdfast.estimator.standing_start import StandingStart
+from holdfast.estimator.travel_direction import TravelDirection
 from holdfast.estimator.velocity_check import Company, VelocityCheck
 from holdfast.events import Outcome
 from holdfast.graph.alignment import Jump
@@ -99,6 +100,7 @@ class Initialising:
         self._standing = StandingStart(
             config, self._collected, gravity, points=self._points, heading=heading, biases=self.biases
         )
+        self.travel = TravelDirection()
         self.misfit = inf  # of the last attempt: squared residuals over what is claimed
         self.doubtful: frozenset[str] = frozenset()  # odometries and receivers that the last attempt has left out
         self.found: dict[str, Parameter] = {}
@@ -281,8 +283,16 @@ class Initialising:
         return course_of(positions, velocities, stamp_ns, arm)
 
     def turned_beside(self, attitude: gtsam.Rot3) -> float | None:
-        """Return by how much an attitude of now must be turned about the vertical [rad] to be as is measured."""
-        return self._heading.beside(self._buffer.latest_ns, attitude)
+        """Return by how much an attitude of now must be turned about the vertical [rad] to be as is measured.
+
+        Headings and antennas tell, or the course of a machine that travels in one direction of its own.
+        """
+        now_ns = self._buffer.latest_ns
+        by_rad = self._heading.beside(now_ns, attitude)
+        velocities = between(self._collected.velocities, now_ns - LATE_NS, now_ns)
+        if by_rad is not None or not velocities:
+            return by_rad
+        return self.travel.turned_beside(attitude, velocities[-1].v_W_P)
 
     def specific_force(self, start_ns: int, end_ns: int) -> Array | None:
         """Return the mean specific force (3,) in a time [m/s^2], or None where the IMU was silent in it."""

@@ -65,7 +65,7 @@ class Judgement:
         if beginning is None and is_alone and ((is_astray := self._is_astray()) or is_turned):
             beginning = self._successor.after_jump(now_ns, has_witness=is_turned, is_astray=is_astray)
         if beginning is None:
-            beginning = self._with_moved_antennas(now_ns)
+            beginning = self._with_moved_antennas(now_ns) or self._successor.turned(self._graph.published.newest)
         if beginning is not None:
             sensor = "" if contradiction is None else contradiction.sensor
             self._log.report(EventKind.BEGUN_ANEW, now_ns, sensor, beginning.reason)

@@ -5,7 +5,8 @@ the estimate for long: position, velocity, heading and biases then begin anew, f
 the heading, else at the attitude as it is, held in doubt.
 """
 
-from math import cos, inf, radians
+from dataclasses import replace
+from math import cos, degrees, inf, radians
 from typing import NamedTuple
 
 import gtsam
@@ -27,6 +28,7 @@ TRIED_NS = 500_000_000  # whether the biases have jumped is looked at this often
 GROWN = 10.0  # a jump is believed if it is found again with so much more evidence
 IN_DOUBT = "the heading in doubt"  # ends the reason of what begins anew once more, as soon as its heading is told
 DOUBT_RAD = radians(60.0)  # of a heading that is kept
+VAGUE_GAP_RAD, TURNED_RAD = radians(20.0), radians(30.0)  # sigma of an attitude, and by how much it is turned
 TILT_DOUBT_RAD = radians(15.0)
 OVERTURNED_RAD = radians(60.0)  # of what the accelerometer feels from the vertical: no machine accelerates so
 FELT_NS, FELT_M_S2 = 500_000_000, (5.0, 15.0)  # over which it is asked, and what may be gravity
@@ -139,6 +141,21 @@ class Successor:
         self._tried_arms_ns = now_ns
         state = self.start.attempt_with_moved_antennas()
         return None if state is None else self._begun(state)
+
+    def turned(self, current: OptimisedState) -> Beginning | None:
+        """Return a state to begin from if a heading that is vague, as after a gap, is far beside a measured one."""
+        if np.trace(current.covariance[:3, :3]) < VAGUE_GAP_RAD**2:
+            return None
+        by_rad = self.start.turned_beside(current.nav.attitude())
+        if by_rad is None or abs(by_rad) < TURNED_RAD:
+            return None
+        attitude = gtsam.Rot3.Yaw(by_rad).compose(current.nav.attitude())
+        nav = gtsam.NavState(attitude, current.nav.position(), current.nav.velocity())
+        moved = self._moved(replace(current, nav=nav), doubt_biases=False)
+        if moved is None:
+            return None
+        self._is_in_doubt = True
+        return Beginning(moved, f"turned by {degrees(by_rad):.0f} deg to go with what is measured, {IN_DOUBT}")
 
     def _begun(self, state: OptimisedState) -> Beginning:
         jump = self.start.jump
