@@ -33,24 +33,32 @@ class Course(NamedTuple):
 def course_of(
     positions: Sequence[Position], velocities: Sequence[Velocity], stamp_ns: int, p_I_P: Array
 ) -> Course | None:
-    """Return where positions of one receiver, sorted by stamp, lead at a time; None if there are fewer than two.
+    """Return where positions of one receiver, sorted by stamp, lead at a time; None if they do not tell.
 
     The velocity is the newest that was measured, or else that of a line through the positions.
     """
-    if len(positions) < 2:
+    slope: Array
+    of_velocity: Array
+    if positions and velocities and velocities[-1].covariance.diagonal().max() < UNKNOWN_VARIANCE:
+        slope, of_velocity = velocities[-1].v_W_P, velocities[-1].covariance
+    elif len(positions) > 1:
+        slope, of_velocity = _line(positions)
+    else:
         return None
     last = positions[-1]
-    t = np.array([one.stamp_ns - last.stamp_ns for one in positions]) * 1e-9
-    spread = t - t.mean()
-    slope: Array = spread @ np.array([one.p_W_P for one in positions]) / (spread @ spread)
-    changing = (ACCELERATION_M_S2 * 0.5 * -t[0]) ** 2
-    of_velocity: Array = np.mean([one.covariance for one in positions], axis=0) / (spread @ spread)
-    of_velocity += np.eye(3) * changing
-    if velocities and velocities[-1].covariance.diagonal().max() < UNKNOWN_VARIANCE:
-        slope, of_velocity = velocities[-1].v_W_P, velocities[-1].covariance
     ahead_s = (stamp_ns - last.stamp_ns) * 1e-9
     of_position = last.covariance + of_velocity * ahead_s**2
     return Course(last.p_W_P + slope * ahead_s, slope, of_position, of_velocity, p_I_P)
+
+
+def _line(positions: Sequence[Position]) -> tuple[Array, Array]:
+    """Return the velocity (3,) of a line through positions, and its covariance (3, 3)."""
+    t = np.array([one.stamp_ns - positions[-1].stamp_ns for one in positions]) * 1e-9
+    spread = t - t.mean()
+    slope: Array = spread @ np.array([one.p_W_P for one in positions]) / (spread @ spread)
+    changing = (ACCELERATION_M_S2 * 0.5 * -t[0]) ** 2
+    noise: Array = np.mean([one.covariance for one in positions], axis=0) / (spread @ spread)
+    return slope, noise + np.eye(3) * changing
 
 
 def travel_m(fixes: Sequence[Position]) -> float:

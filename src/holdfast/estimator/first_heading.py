@@ -67,12 +67,12 @@ class FirstHeading:
             return radians(self._config.heading_deg), radians(self._config.heading_sigma_deg)
         return baseline
 
-    def beside(self, now_ns: int, attitude: gtsam.Rot3) -> float | None:
+    def beside(self, stamp_ns: int, attitude: gtsam.Rot3) -> float | None:
         """Return by how much an attitude must be turned about the vertical [rad] to be as is measured of late.
 
         Headings and two antennas say so; None where they do not.
         """
-        since_ns, found = now_ns - LATE_NS, list[tuple[float, float] | str | None]()
+        since_ns, found = stamp_ns - LATE_NS, list[tuple[float, float] | str | None]()
         for heading in self._collected.newest_of(self._headings):
             if heading.stamp_ns >= since_ns:
                 found.append(self._headings[heading.sensor].of_imu(heading, attitude))

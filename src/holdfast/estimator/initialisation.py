@@ -282,14 +282,13 @@ class Initialising:
         arm = self._points[positions[-1].sensor].p_I_P if positions else np.zeros(3)
         return course_of(positions, velocities, stamp_ns, arm)
 
-    def turned_beside(self, attitude: gtsam.Rot3) -> float | None:
-        """Return by how much an attitude of now must be turned about the vertical [rad] to be as is measured.
+    def turned_beside(self, stamp_ns: int, attitude: gtsam.Rot3) -> float | None:
+        """Return by how much an attitude at a time must be turned about the vertical [rad] to be as is measured.
 
         Headings and antennas tell, or the course of a machine that travels in one direction of its own.
         """
-        now_ns = self._buffer.latest_ns
-        by_rad = self._heading.beside(now_ns, attitude)
-        velocities = between(self._collected.velocities, now_ns - LATE_NS, now_ns)
+        by_rad = self._heading.beside(stamp_ns, attitude)
+        velocities = between(self._collected.velocities, stamp_ns - LATE_NS, stamp_ns)
         if by_rad is not None or not velocities:
             return by_rad
         return self.travel.turned_beside(attitude, velocities[-1].v_W_P)

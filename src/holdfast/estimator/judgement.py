@@ -50,8 +50,11 @@ class Judgement:
         self._positions, self._states, self._odometries = positions, states, odometries
         self._clock, self._told_clock_ns = clock, graph.published.newest_ns
 
-    def beginning(self, now_ns: int) -> Beginning | None:
-        """Return a state to begin anew from, if what was measured contradicts the estimate; report why."""
+    def beginning(self, now_ns: int, *, was_vague: bool = False) -> Beginning | None:
+        """Return a state to begin anew from, if what was measured contradicts the estimate; report why.
+
+        `was_vague` says that the attitude was before the last optimisation: that may have led it astray.
+        """
         is_turned = self._odometries.part_from_gyroscope(now_ns)
         has_witness = self._odometry_vouches(is_turned=is_turned)
         # else it is the positions that have begun to err
@@ -65,7 +68,9 @@ class Judgement:
         if beginning is None and is_alone and ((is_astray := self._is_astray()) or is_turned):
             beginning = self._successor.after_jump(now_ns, has_witness=is_turned, is_astray=is_astray)
         if beginning is None:
-            beginning = self._with_moved_antennas(now_ns) or self._successor.turned(self._graph.published.newest)
+            beginning = self._with_moved_antennas(now_ns)
+        if beginning is None and was_vague:
+            beginning = self._successor.turned(self._graph.published.newest)
         if beginning is not None:
             sensor = "" if contradiction is None else contradiction.sensor
             self._log.report(EventKind.BEGUN_ANEW, now_ns, sensor, beginning.reason)

@@ -5,7 +5,6 @@ the estimate for long: position, velocity, heading and biases then begin anew, f
 the heading, else at the attitude as it is, held in doubt.
 """
 
-from dataclasses import replace
 from math import cos, degrees, inf, radians
 from typing import NamedTuple
 
@@ -28,7 +27,7 @@ TRIED_NS = 500_000_000  # whether the biases have jumped is looked at this often
 GROWN = 10.0  # a jump is believed if it is found again with so much more evidence
 IN_DOUBT = "the heading in doubt"  # ends the reason of what begins anew once more, as soon as its heading is told
 DOUBT_RAD = radians(60.0)  # of a heading that is kept
-VAGUE_GAP_RAD, TURNED_RAD = radians(20.0), radians(30.0)  # sigma of an attitude, and by how much it is turned
+TURNED_RAD = radians(30.0)  # by which a vague heading is beside a measured one, at least, to begin anew
 TILT_DOUBT_RAD = radians(15.0)
 OVERTURNED_RAD = radians(60.0)  # of what the accelerometer feels from the vertical: no machine accelerates so
 FELT_NS, FELT_M_S2 = 500_000_000, (5.0, 15.0)  # over which it is asked, and what may be gravity
@@ -143,19 +142,14 @@ class Successor:
         return None if state is None else self._begun(state)
 
     def turned(self, current: OptimisedState) -> Beginning | None:
-        """Return a state to begin from if a heading that is vague, as after a gap, is far beside a measured one."""
-        if np.trace(current.covariance[:3, :3]) < VAGUE_GAP_RAD**2:
-            return None
-        by_rad = self.start.turned_beside(current.nav.attitude())
+        """Return a state to begin from if a heading that was vague, as after a gap, is far beside a measured one."""
+        by_rad = self.start.turned_beside(current.stamp_ns, current.nav.attitude())
         if by_rad is None or abs(by_rad) < TURNED_RAD:
             return None
-        attitude = gtsam.Rot3.Yaw(by_rad).compose(current.nav.attitude())
-        nav = gtsam.NavState(attitude, current.nav.position(), current.nav.velocity())
-        moved = self._moved(replace(current, nav=nav), doubt_biases=False)
-        if moved is None:
-            return None
+        state = _turned(current, gtsam.Rot3.Yaw(by_rad))
         self._is_in_doubt = True
-        return Beginning(moved, f"turned by {degrees(by_rad):.0f} deg to go with what is measured, {IN_DOUBT}")
+        state = self._moved(state, doubt_biases=False) or state
+        return Beginning(state, f"turned by {degrees(by_rad):.0f} deg to go with what is measured, {IN_DOUBT}")
 
     def _begun(self, state: OptimisedState) -> Beginning:
         jump = self.start.jump
@@ -215,3 +209,18 @@ class Successor:
         if up_W[2] > cos(OVERTURNED_RAD):
             return attitude
         return level_attitude(up_W).compose(attitude)
+
+
+def _turned(state: OptimisedState, by: gtsam.Rot3) -> OptimisedState:
+    """Return a state turned in W, its position and velocity as they are, its heading in doubt."""
+    attitude = by.compose(state.nav.attitude())
+    into_I = attitude.matrix().T @ state.nav.attitude().matrix()  # from I as it was
+    covariance = np.zeros((15, 15))
+    for first in 3, 6:
+        part = slice(first, first + 3)
+        covariance[part, part] = into_I @ state.covariance[part, part] @ into_I.T
+    covariance[9:, 9:] = state.covariance[9:, 9:]
+    in_W = np.diag([TILT_DOUBT_RAD**2, TILT_DOUBT_RAD**2, DOUBT_RAD**2])
+    covariance[:3, :3] = attitude.matrix().T @ in_W @ attitude.matrix()
+    nav = gtsam.NavState(attitude, state.nav.position(), state.nav.velocity())
+    return OptimisedState(state.stamp_ns, nav, state.bias, covariance, state.angular_velocity)

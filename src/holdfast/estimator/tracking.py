@@ -308,8 +308,9 @@ class Tracking:
         standing = self._standstill.add_to(self.graph.smoothers())
         if standing:
             self._log.count(STANDSTILL, Outcome.USED, len(standing))
+        was_vague = False
         for smoother in self.graph.smoothers():
-            smoother.turn_vague(self.successor.start.turned_beside)
+            was_vague |= smoother.turn_vague(self.successor.start.turned_beside)
             self._optimise(smoother)
         for exchange in self._positions.newly_exchanged():
             self.successor.start.exchange(exchange)
@@ -327,7 +328,7 @@ class Tracking:
             self.successor.start.travel.note(self.graph.published.newest)
         published = self.graph.published
         published.imu_noise.walk_scale = self.successor.walk_scale
-        beginning = self._judgement.beginning(now_ns)
+        beginning = self._judgement.beginning(now_ns, was_vague=was_vague)
         if beginning is not None:
             return Update(beginning.state, (), is_recovery=True, begins_anew=True)
         if is_recovery:

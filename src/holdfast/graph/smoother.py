@@ -177,19 +177,20 @@ class Smoother:
                     self._tail = self._tail.moved(prediction)
         return self._chain.key(stamp)
 
-    def turn_vague(self, heading: Callable[[gtsam.Rot3], float | None]) -> None:
-        """Begin the next `optimise` at a heading that is measured if the one that is predicted is vague.
+    def turn_vague(self, heading: Callable[[int, gtsam.Rot3], float | None]) -> bool:
+        """Begin the next `optimise` at a heading that is measured if the one that is predicted is vague; say whether.
 
         Gauss-Newton does not find back from a heading that a drop-out has left far off.
 
         Args:
-            heading: by how much an attitude must be turned about the vertical to be as measured [rad], if it is.
+            heading: by how much an attitude must be turned about the vertical at a time, to be as measured [rad].
         """
         if not self._chain.is_new(self.newest_ns) or self._tail.node[:3, :3].trace() < VAGUE_RAD**2:
-            return
-        by_rad = heading(self._chain.nav(self.newest_ns).attitude())
+            return False
+        by_rad = heading(self.newest_ns, self._chain.nav(self.newest_ns).attitude())
         if by_rad is not None:
             self._chain.turn(gtsam.Rot3.Yaw(by_rad))
+        return True
 
     def key(self, stamp_ns: int) -> int:
         """Return the key of the node at a time, which must exist."""
