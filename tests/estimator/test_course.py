@@ -24,9 +24,11 @@ def doppler(t, velocity, sigma=0.05):
     return Velocity(ns(t), "doppler", np.array(velocity), np.eye(3) * sigma**2)
 
 
-def test_fewer_than_two_positions_lead_nowhere():
-    assert course_of([], [], ns(1.0), ARM) is None
-    assert course_of(positions([0.5]), [doppler(0.5, SPEED)], ns(1.0), ARM) is None
+def test_fewer_than_two_positions_lead_nowhere_without_a_velocity():
+    assert course_of([], [doppler(0.5, SPEED)], ns(1.0), ARM) is None
+    assert course_of(positions([0.5]), [], ns(1.0), ARM) is None
+    led = course_of(positions([0.5]), [doppler(0.5, SPEED)], ns(1.0), ARM)
+    assert np.allclose(led.p_W_P, positions([1.0])[0].p_W_P) and np.allclose(led.v_W_P, SPEED)
 
 
 def test_it_is_carried_on_to_the_time_that_is_asked_for():

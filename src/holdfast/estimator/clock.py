@@ -18,7 +18,7 @@ from holdfast.messages import ImuSample, Message
 from holdfast.sensors.imu import CLOCK_JUMP_NS, ImuBuffer
 from holdfast.state import NOTHING, OptimisedState, Output
 
-MAX_SILENCE_NS = 60_000_000_000  # of the IMU
+MAX_SILENCE_NS = 60_000_000_000  # of the IMU that is crossed: after more, where the machine was tells nothing of it
 CLOCKS = 4  # of the past that are remembered
 AGE_STEP_NS = 10_000_000  # by which one message may change how old those of its sensor use to be
 

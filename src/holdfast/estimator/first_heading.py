@@ -8,10 +8,11 @@ import gtsam
 import numpy as np
 
 from holdfast.config.model import InitialisationConfig
-from holdfast.estimator.collected import Collected
+from holdfast.estimator.collected import Collected, between
+from holdfast.estimator.travel_direction import TravelDirection
 from holdfast.integrity.lever_arms import SAME_M
 from holdfast.sensors.heading import yaw_of
-from holdfast.sensors.sensor import Position, PositionSensor
+from holdfast.sensors.sensor import Position, PositionSensor, Velocity
 
 MIN_BASELINE_M = 0.2  # horizontal; a shorter one tells no heading
 PAIRED_NS = 20_000_000  # fixes of a machine that stands
@@ -31,6 +32,9 @@ class FirstHeading:
         antennas: two whose lever arms are not in doubt, if there are.
         headings: models of sensors of heading, by name.
         poses: models of sensors of absolute poses, by name.
+
+    Attributes:
+        travel: in which of its own directions the machine travels.
     """
 
     def __init__(
@@ -43,6 +47,7 @@ class FirstHeading:
     ) -> None:
         self._config, self._collected = config, collected
         self._antennas, self._headings, self._poses = antennas, headings, poses
+        self.travel = TravelDirection()
 
     def at_standstill(self, now_ns: int, level: gtsam.Rot3) -> tuple[float, float] | str | None:
         """Return the heading of the IMU's x axis and its sigma [rad], or why there is none if there should be.
@@ -67,23 +72,29 @@ class FirstHeading:
             return radians(self._config.heading_deg), radians(self._config.heading_sigma_deg)
         return baseline
 
-    def beside(self, stamp_ns: int, attitude: gtsam.Rot3) -> float | None:
-        """Return by how much an attitude must be turned about the vertical [rad] to be as is measured of late.
+    def beside(self, stamp_ns: int, attitude: gtsam.Rot3, velocities: Sequence[Velocity]) -> float | None:
+        """Return by how much an attitude at a time must be turned about the vertical [rad] to be as is measured.
 
-        Headings and two antennas say so; None where they do not.
+        Headings and two antennas say so, or the course of a machine that travels in one direction of its own; None
+        where nothing has of late.
+
+        Args:
+            stamp_ns: the time.
+            attitude: then.
+            velocities: that have proven right.
         """
         since_ns, found = stamp_ns - LATE_NS, list[tuple[float, float] | str | None]()
         for heading in self._collected.newest_of(self._headings):
             if heading.stamp_ns >= since_ns:
                 found.append(self._headings[heading.sensor].of_imu(heading, attitude))
         if self._antennas is not None and (positions := self._collected.positions):
-            since_ns = max(since_ns, positions[-1].stamp_ns - PAIRED_NS)
-            found.append(baseline_heading(self._antennas, positions, since_ns, attitude))
-        told = [one for one in found if isinstance(one, tuple)]
-        if not told:
-            return None
-        by_rad, sigma_rad = min(told, key=lambda one: one[1])
-        return remainder(by_rad, tau) if sigma_rad < VAGUE_RAD else None
+            paired_ns = max(since_ns, positions[-1].stamp_ns - PAIRED_NS)
+            found.append(baseline_heading(self._antennas, positions, paired_ns, attitude))
+        told = [one for one in found if isinstance(one, tuple) and one[1] < VAGUE_RAD]
+        if told:
+            return remainder(min(told, key=lambda one: one[1])[0], tau)
+        recent = between(velocities, since_ns, stamp_ns)
+        return self.travel.turned_beside(attitude, recent[-1].v_W_P) if recent else None
 
 
 def baseline_heading(

@@ -17,14 +17,13 @@ from holdfast.config.sensors import GnssConfig
 from holdfast.estimator.batch_clock import Offset
 from holdfast.estimator.collected import Collected, between
 from holdfast.estimator.course import Course, course_of
-from holdfast.estimator.first_heading import LATE_NS, Antennas, FirstHeading
+from holdfast.estimator.first_heading import Antennas, FirstHeading
 from holdfast.estimator.fitting_batch import FittingBatch, FittingBatches
 from holdfast.estimator.fixes_in_motion import fixes_in_motion, turn
 from holdfast.estimator.known_biases import KnownBiases
 from holdfast.estimator.odometry_tracks import OdometryTracks
 from holdfast.estimator.pose_as_point import PoseAsPoint
 from holdfast.estimator.standing_start import StandingStart
-from holdfast.estimator.travel_direction import TravelDirection
 from holdfast.estimator.velocity_check import Company, VelocityCheck
 from holdfast.events import Outcome
 from holdfast.graph.alignment import Jump
@@ -95,12 +94,10 @@ class Initialising:
         window_ns = round(config.initialisation.window_s * 1e9)
         self._collected = Collected(sensors, self._points, self._odometries, window_ns)
         self.biases = KnownBiases(imu, config.initialisation.standstill_s)
-        heading = FirstHeading(config.initialisation, self._collected, self._antennas, self._headings, poses)
-        self._heading = heading
+        self._heading = FirstHeading(config.initialisation, self._collected, self._antennas, self._headings, poses)
         self._standing = StandingStart(
-            config, self._collected, gravity, points=self._points, heading=heading, biases=self.biases
+            config, self._collected, gravity, points=self._points, heading=self._heading, biases=self.biases
         )
-        self.travel = TravelDirection()
         self.misfit = inf  # of the last attempt: squared residuals over what is claimed
         self.doubtful: frozenset[str] = frozenset()  # odometries and receivers that the last attempt has left out
         self.found: dict[str, Parameter] = {}
@@ -283,15 +280,13 @@ class Initialising:
         return course_of(positions, velocities, stamp_ns, arm)
 
     def turned_beside(self, stamp_ns: int, attitude: gtsam.Rot3) -> float | None:
-        """Return by how much an attitude at a time must be turned about the vertical [rad] to be as is measured.
+        """Return by how much an attitude at a time must be turned about the vertical [rad] to be as is measured."""
+        proven = self._collected.velocities_of(self._velocity_check.proven)
+        return self._heading.beside(stamp_ns, attitude, proven)
 
-        Headings and antennas tell, or the course of a machine that travels in one direction of its own.
-        """
-        by_rad = self._heading.beside(stamp_ns, attitude)
-        velocities = between(self._collected.velocities, stamp_ns - LATE_NS, stamp_ns)
-        if by_rad is not None or not velocities:
-            return by_rad
-        return self.travel.turned_beside(attitude, velocities[-1].v_W_P)
+    def note_travel(self, state: OptimisedState) -> None:
+        """Learn from an estimate in which of its own directions the machine travels."""
+        self._heading.travel.note(state)
 
     def specific_force(self, start_ns: int, end_ns: int) -> Array | None:
         """Return the mean specific force (3,) in a time [m/s^2], or None where the IMU was silent in it."""

@@ -325,7 +325,7 @@ class Tracking:
         self._noise_review.review(self._odometries, self._positions.learnt_accelerometer(), now_ns)
         self.successor.calm(now_ns)
         if not self.graph.is_lost:
-            self.successor.start.travel.note(self.graph.published.newest)
+            self.successor.start.note_travel(self.graph.published.newest)
         published = self.graph.published
         published.imu_noise.walk_scale = self.successor.walk_scale
         beginning = self._judgement.beginning(now_ns, was_vague=was_vague)
