@@ -1,6 +1,6 @@
 """Every exception that Holdfast raises on purpose.
 
-A rejected or late measurement is no error: it is a counted, typed outcome (see `holdfast.state.Event`).
+A rejected or late measurement is no error: it is a counted, typed outcome (see `holdfast.events.Event`).
 """
 
 from holdfast.printable import one_line
