@@ -14,11 +14,12 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.graph.biases import Biases
 from holdfast.graph.chain import Chain, Motion
-from holdfast.graph.nodes import BIAS, FRAME, NODE, Link, to_grid
-from holdfast.graph.parameters import MAX_SIZE, REFRESHED_NS, Parameters, parameter_letter
+from holdfast.graph.nodes import FRAME, Link, to_grid
+from holdfast.graph.parameters import REFRESHED_NS, Parameters
 from holdfast.graph.prior import joint_prior
-from holdfast.graph.slow_errors import SLOW, SlowErrors, sizes_of
-from holdfast.graph.solution import check_solution
+from holdfast.graph.relinearisation import thresholds
+from holdfast.graph.slow_errors import SlowErrors, sizes_of
+from holdfast.graph.solution import check_solution, check_step
 from holdfast.graph.solver import Placed, Solver
 from holdfast.graph.tail import BIAS_END, Tail, node_beside
 from holdfast.graph.window import Window
@@ -33,13 +34,10 @@ from holdfast.sensors.sensor import Joint, Measurement, Parameter, State
 from holdfast.state import OptimisedState, is_finite
 
 SETTLE_MARGIN_NS = 1_000_000_000  # a node is read this long before it leaves the window; updates are not further apart
-LINEAR = 1e6  # a threshold that is never reached
 FREE = FREE_VARIANCE**0.5  # sigma of what a factor says nothing about
 NO_COVARIANCE = np.zeros((NAV_SIZE, NAV_SIZE))
-PARAMETER_THRESHOLD = 0.01  # 1 cm, 0.6 deg, 1 %: a sensor's parameter is relinearised when it has moved by more
 FORGET_NS = 1_000_000_000  # measurements that left the window are dropped this often
 MAX_VARIANCE = 1e6  # beyond it a covariance says no more, whatever its unit
-MAX_STEP_M_S, MAX_STEP_M, MAX_STEP_SIGMA = 10.0, 10.0, 10.0  # of the newest node, in one optimisation
 VAGUE_RAD = 0.35  # sigma of an attitude that is predicted, beyond which a step of Gauss-Newton may lead astray
 FAULT_INFLATION = 4.0  # of the covariance, when the graph is re-anchored after a failed optimisation
 
@@ -80,14 +78,14 @@ class Smoother:
         arm: Parameter | None = None,
     ) -> None:
         imu = config.imu
-        self._config = config.graph
         self._lag_ns = round(config.graph.lag_s * 1e9)
         self.imu = buffer
         self.imu_noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
         model = MotionModel(config.motion_model, gravity)
         self._motion = Motion(buffer, self.imu_noise, model, config.graph.nodes == "imu", known)
         self._greatest_bias = np.repeat([imu.accelerometer_range, imu.gyroscope_range], 3)
-        self._new_solver = new_solver or (lambda: Window(self._relinearize_thresholds()))
+        attitude_rad = config.graph.relinearize_threshold_rad
+        self._new_solver = new_solver or (lambda: Window(thresholds(attitude_rad, self._slow_errors.size)))
         self.parameters = Parameters(max(REFRESHED_NS, self._lag_ns // 3), carried, found)
         self._biases = Biases(config, self.parameters, self.imu_noise)
         self._slow_sizes = sizes_of(config)
@@ -124,19 +122,6 @@ class Smoother:
         other._measured = {key: (one, counterpart(placed)) for key, one, placed in held}
         other._slow_errors = self._slow_errors.copy()
         return other
-
-    def _relinearize_thresholds(self) -> gtsam.ISAM2ThresholdMap:
-        """Relinearise for a change of attitude; position, velocity and bias enter (almost) linearly."""
-        attitude = self._config.relinearize_threshold_rad
-        thresholds = gtsam.ISAM2ThresholdMap()
-        for letter in NODE, FRAME:
-            thresholds.insert((letter, np.repeat([attitude, 50.0 * attitude, 50.0 * attitude], 3)))
-        thresholds.insert((BIAS, np.repeat([20.0 * attitude, attitude], 3)))
-        for size in range(1, MAX_SIZE + 1):
-            thresholds.insert((parameter_letter(size), np.full(size, PARAMETER_THRESHOLD)))
-        if self._slow_errors.size:
-            thresholds.insert((SLOW, np.full(self._slow_errors.size, LINEAR)))
-        return thresholds
 
     @property
     def newest_ns(self) -> int:
@@ -369,18 +354,13 @@ class Smoother:
             OptimiserError: GTSAM failed; the window was started anew at the last good state, and the new factors lost.
         """
         horizon = self.newest_ns - self._lag_ns
-        expected, allowed_m_s, allowed_m = self._chain.nav(self.newest_ns), *self._allowed_steps()
+        expected, covariance = self._chain.nav(self.newest_ns), self._tail.node
         try:
             self._slow_errors.keep(self._window, self.newest_ns)
             self._biases.prepare(self._window)
             self._window.solve(horizon)
             state, tail = self._read_newest()
-            step_m_s = float(np.linalg.norm(state.nav.velocity() - expected.velocity()))
-            if step_m_s > allowed_m_s:
-                raise ValueError(f"it diverges: the velocity steps by {step_m_s:.0f} m/s")
-            step_m = float(np.linalg.norm(state.nav.position() - expected.position()))
-            if step_m > allowed_m:
-                raise ValueError(f"it diverges: the position steps by {step_m:.0f} m")
+            check_step(state.nav, expected, covariance)
         except Exception as error:  # of GTSAM, or of a sensor whose innovation it asked for
             self._reanchor()
             raise OptimiserError((str(error).strip() or repr(error)).splitlines()[0]) from error
@@ -403,12 +383,6 @@ class Smoother:
         state = OptimisedState(stamp, nav, bias, tail.state, self._chain.angular_velocity(stamp, nav, bias))
         check_solution(state, tail, self._greatest_bias)
         return state, tail
-
-    def _allowed_steps(self) -> tuple[float, float]:
-        """Return by how much one optimisation may step the newest velocity [m/s] and position [m] if it converges."""
-        variances = np.diag(self._tail.node)
-        of_position, of_velocity = (float(np.sqrt(max(0.0, part.sum()))) for part in (variances[3:6], variances[6:]))
-        return MAX_STEP_M_S + MAX_STEP_SIGMA * of_velocity, MAX_STEP_M + MAX_STEP_SIGMA * of_position
 
     def _reanchor(self) -> None:
         """Start anew at the last good state; its covariance grows with every failure in a row, up to a bound."""
