@@ -6,6 +6,7 @@ import pytest
 from motion import ns
 
 from holdfast.estimator.travel_direction import TravelDirection
+from holdfast.sensors.sensor import Velocity
 from holdfast.state import OptimisedState
 
 LEVEL = gtsam.Rot3()
@@ -25,8 +26,9 @@ def learnt(courses, **how):
     return travel
 
 
-def towards(course_rad, speed_m_s=5.0):
-    return speed_m_s * np.array([np.cos(course_rad), np.sin(course_rad), 0.0])
+def towards(course_rad, speed_m_s=5.0, sigma_m_s=0.1):
+    velocity = speed_m_s * np.array([np.cos(course_rad), np.sin(course_rad), 0.0])
+    return Velocity(ns(0.0), "doppler", velocity, np.eye(3) * sigma_m_s**2)
 
 
 MOUNTS = pytest.mark.parametrize("mount", [LEVEL, gtsam.Rot3.RzRyRx(1.5, 0.2, -0.4), gtsam.Rot3.Pitch(1.55)])
@@ -63,4 +65,6 @@ def test_one_that_goes_all_ways_or_hardly_at_all_is_not_told(travel):
 
 
 def test_a_slow_one_has_no_course():
-    assert learnt([0.0] * 60).turned_beside(gtsam.Rot3(), towards(1.0, speed_m_s=0.5)) is None
+    travel = learnt([0.0] * 60)
+    assert travel.turned_beside(gtsam.Rot3(), towards(1.0, speed_m_s=0.5)) is None
+    assert travel.turned_beside(gtsam.Rot3(), towards(1.0, speed_m_s=3.0, sigma_m_s=1.0)) is None

@@ -94,7 +94,7 @@ class FirstHeading:
         if told:
             return remainder(min(told, key=lambda one: one[1])[0], tau)
         recent = between(velocities, since_ns, stamp_ns)
-        return self.travel.turned_beside(attitude, recent[-1].v_W_P) if recent else None
+        return self.travel.turned_beside(attitude, recent[-1]) if recent else None
 
 
 def baseline_heading(

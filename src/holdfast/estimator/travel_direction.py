@@ -1,14 +1,15 @@
 """In which of its own directions a machine travels, as cars do: then its course tells how it heads."""
 
-from math import atan2, exp, hypot, remainder, tau
+from math import atan2, exp, hypot, remainder, sqrt, tau
 
 import gtsam
 import numpy as np
 
 from holdfast.messages import Array
+from holdfast.sensors.sensor import Velocity
 from holdfast.state import OptimisedState
 
-LEAST_M_S = 1.0  # of a machine whose course is one
+LEAST_M_S, SIGMA = 1.0, 4.0  # of a machine whose course is one, and so many sigmas of it
 KNOWN_RAD = 0.1  # sigma of an attitude from which is learnt
 MEMORY_S, ENOUGH_S = 60.0, 5.0
 STEADY = 0.9  # resultant of unit vectors: they spread by 26 deg, as where the IMU is far from the axle
@@ -35,13 +36,14 @@ class TravelDirection:
         self._sum = kept * self._sum + since_s * np.array([np.cos(angle), np.sin(angle)])
         self._weight_s = kept * self._weight_s + since_s
 
-    def turned_beside(self, attitude: gtsam.Rot3, velocity: Array) -> float | None:
-        """Return by how much an attitude must be turned about the vertical [rad] to go with a velocity (3,) [m/s].
+    def turned_beside(self, attitude: gtsam.Rot3, measured: Velocity) -> float | None:
+        """Return by how much an attitude must be turned about the vertical [rad] to go with a velocity.
 
-        None where the machine is slow, or goes in no direction of its own.
+        None where the machine is too slow for a course, or goes in no direction of its own.
         """
         is_steady = self._weight_s > ENOUGH_S and hypot(*self._sum) > STEADY * self._weight_s
-        if not is_steady or hypot(velocity[0], velocity[1]) < LEAST_M_S:
+        velocity, sigma_m_s = measured.v_W_P, sqrt(measured.covariance.diagonal()[:2].max())
+        if not is_steady or hypot(velocity[0], velocity[1]) < max(LEAST_M_S, SIGMA * sigma_m_s):
             return None
         ahead = atan2(self._sum[1], self._sum[0])
         return remainder(_course(velocity) - ahead - self._heading(attitude), tau)
