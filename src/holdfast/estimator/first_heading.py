@@ -72,16 +72,10 @@ class FirstHeading:
             return radians(self._config.heading_deg), radians(self._config.heading_sigma_deg)
         return baseline
 
-    def beside(self, stamp_ns: int, attitude: gtsam.Rot3, velocities: Sequence[Velocity]) -> float | None:
+    def beside(self, stamp_ns: int, attitude: gtsam.Rot3) -> float | None:
         """Return by how much an attitude at a time must be turned about the vertical [rad] to be as is measured.
 
-        Headings and two antennas say so, or the course of a machine that travels in one direction of its own; None
-        where nothing has of late.
-
-        Args:
-            stamp_ns: the time.
-            attitude: then.
-            velocities: that have proven right.
+        Headings and two antennas say so; None where they have not of late.
         """
         since_ns, found = stamp_ns - LATE_NS, list[tuple[float, float] | str | None]()
         for heading in self._collected.newest_of(self._headings):
@@ -91,9 +85,17 @@ class FirstHeading:
             paired_ns = max(since_ns, positions[-1].stamp_ns - PAIRED_NS)
             found.append(baseline_heading(self._antennas, positions, paired_ns, attitude))
         told = [one for one in found if isinstance(one, tuple) and one[1] < VAGUE_RAD]
-        if told:
-            return remainder(min(told, key=lambda one: one[1])[0], tau)
-        recent = between(velocities, since_ns, stamp_ns)
+        return remainder(min(told, key=lambda one: one[1])[0], tau) if told else None
+
+    def beside_course(self, stamp_ns: int, attitude: gtsam.Rot3, velocities: Sequence[Velocity]) -> float | None:
+        """Return the same as the course of a machine says that travels in one direction of its own.
+
+        Args:
+            stamp_ns: the time.
+            attitude: then.
+            velocities: that have proven right.
+        """
+        recent = between(velocities, stamp_ns - LATE_NS, stamp_ns)
         return self.travel.turned_beside(attitude, recent[-1]) if recent else None
 
 

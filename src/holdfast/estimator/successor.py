@@ -27,7 +27,7 @@ TRIED_NS = 500_000_000  # whether the biases have jumped is looked at this often
 GROWN = 10.0  # a jump is believed if it is found again with so much more evidence
 IN_DOUBT = "the heading in doubt"  # ends the reason of what begins anew once more, as soon as its heading is told
 DOUBT_RAD = radians(60.0)  # of a heading that is kept
-TURNED_RAD = radians(30.0)  # by which a vague heading is beside a measured one, at least, to begin anew
+TURNED_RAD = radians(30.0)  # by which a vague heading is beside the course, at least, to begin anew
 TILT_DOUBT_RAD = radians(15.0)
 OVERTURNED_RAD = radians(60.0)  # of what the accelerometer feels from the vertical: no machine accelerates so
 FELT_NS, FELT_M_S2 = 500_000_000, (5.0, 15.0)  # over which it is asked, and what may be gravity
@@ -142,14 +142,17 @@ class Successor:
         return None if state is None else self._begun(state)
 
     def turned(self, current: OptimisedState) -> Beginning | None:
-        """Return a state to begin from if a heading that was vague, as after a gap, is far beside a measured one."""
-        by_rad = self.start.turned_beside(current.stamp_ns, current.nav.attitude())
+        """Return a state to begin from if a heading that was vague, as after a gap, is far beside the course.
+
+        Of headings and antennas the graph itself makes what they are worth.
+        """
+        by_rad = self.start.turned_beside_course(current.stamp_ns, current.nav.attitude())
         if by_rad is None or abs(by_rad) < TURNED_RAD:
             return None
         state = _turned(current, gtsam.Rot3.Yaw(by_rad))
         self._is_in_doubt = True
         state = self._moved(state, doubt_biases=False) or state
-        return Beginning(state, f"turned by {degrees(by_rad):.0f} deg to go with what is measured, {IN_DOUBT}")
+        return Beginning(state, f"turned by {degrees(by_rad):.0f} deg to go with the course, {IN_DOUBT}")
 
     def _begun(self, state: OptimisedState) -> Beginning:
         jump = self.start.jump
