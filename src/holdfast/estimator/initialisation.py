@@ -279,18 +279,14 @@ class Initialising:
         arm = self._points[positions[-1].sensor].p_I_P if positions else np.zeros(3)
         return course_of(positions, velocities, stamp_ns, arm)
 
-    def turned_beside(self, stamp_ns: int, attitude: gtsam.Rot3) -> float | None:
-        """Return by how much an attitude at a time must be turned about the vertical [rad] to be as is measured.
+    def turned_beside(self, stamp_ns: int, attitude: gtsam.Rot3, *, by_course: bool = False) -> float | None:
+        """Return by how much an attitude must be turned about the vertical [rad] to be as headings or antennas measure.
 
-        Headings and two antennas say so, else the course.
+        Where they do not, or `by_course` alone is asked for, as the course says of one that has a direction of travel.
         """
-        by_rad = self._heading.beside(stamp_ns, attitude)
-        return self.turned_beside_course(stamp_ns, attitude) if by_rad is None else by_rad
-
-    def turned_beside_course(self, stamp_ns: int, attitude: gtsam.Rot3) -> float | None:
-        """Return the same as the course says alone, of a machine that travels in one direction of its own."""
+        by_rad = None if by_course else self._heading.beside(stamp_ns, attitude)
         proven = self._collected.velocities_of(self._velocity_check.proven)
-        return self._heading.beside_course(stamp_ns, attitude, proven)
+        return self._heading.beside_course(stamp_ns, attitude, proven) if by_rad is None else by_rad
 
     def note_travel(self, state: OptimisedState) -> None:
         """Learn from an estimate in which of its own directions the machine travels."""

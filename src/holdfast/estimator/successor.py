@@ -146,7 +146,7 @@ class Successor:
 
         Of headings and antennas the graph itself makes what they are worth.
         """
-        by_rad = self.start.turned_beside_course(current.stamp_ns, current.nav.attitude())
+        by_rad = self.start.turned_beside(current.stamp_ns, current.nav.attitude(), by_course=True)
         if by_rad is None or abs(by_rad) < TURNED_RAD:
             return None
         state = _turned(current, gtsam.Rot3.Yaw(by_rad))

@@ -10,7 +10,7 @@ from holdfast.state import OptimisedState
 
 GREATEST_VARIANCE = 1e16  # no position on the Earth is as uncertain, and its squares are still numbers
 LEAST_EIGENVALUE = 1e-12  # of correlations: what is smaller is lost in rounding; half a minute of IMU alone has 3e-4
-GREATEST_SPEED_M_S = 1e4  # what is faster leaves the Earth
+GREATEST_SPEED_M_S = 400.0  # what is faster is none of the machines that carry such an IMU
 MAX_STEP_M_S, MAX_STEP_M, MAX_STEP_SIGMA = 10.0, 10.0, 10.0  # of the newest node, in one optimisation
 
 
