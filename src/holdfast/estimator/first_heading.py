@@ -1,24 +1,21 @@
 """The heading before there is a state: from the first source that knows it, with its sigma."""
 
 from collections.abc import Mapping, Sequence
-from math import atan2, hypot, radians, remainder, sqrt, tau
+from math import atan2, hypot, radians, sqrt
 from typing import Any
 
 import gtsam
 import numpy as np
 
 from holdfast.config.model import InitialisationConfig
-from holdfast.estimator.collected import Collected, between
-from holdfast.estimator.travel_direction import TravelDirection
+from holdfast.estimator.collected import Collected
 from holdfast.integrity.lever_arms import SAME_M
 from holdfast.sensors.heading import yaw_of
-from holdfast.sensors.sensor import Position, PositionSensor, Velocity
+from holdfast.sensors.sensor import Position, PositionSensor
 
 MIN_BASELINE_M = 0.2  # horizontal; a shorter one tells no heading
 PAIRED_NS = 20_000_000  # fixes of a machine that stands
 MIN_SIGMA_RAD = 1e-3
-LATE_NS = 1_000_000_000  # since which a heading is one of now
-VAGUE_RAD = 0.35  # sigma of one that tells nothing
 PAIRS_S = 1.0  # of fixes of two antennas that are averaged
 Antennas = tuple[PositionSensor, PositionSensor]
 
@@ -32,9 +29,6 @@ class FirstHeading:
         antennas: two whose lever arms are not in doubt, if there are.
         headings: models of sensors of heading, by name.
         poses: models of sensors of absolute poses, by name.
-
-    Attributes:
-        travel: in which of its own directions the machine travels.
     """
 
     def __init__(
@@ -47,7 +41,6 @@ class FirstHeading:
     ) -> None:
         self._config, self._collected = config, collected
         self._antennas, self._headings, self._poses = antennas, headings, poses
-        self.travel = TravelDirection()
 
     def at_standstill(self, now_ns: int, level: gtsam.Rot3) -> tuple[float, float] | str | None:
         """Return the heading of the IMU's x axis and its sigma [rad], or why there is none if there should be.
@@ -71,32 +64,6 @@ class FirstHeading:
         if self._config.heading_deg is not None:
             return radians(self._config.heading_deg), radians(self._config.heading_sigma_deg)
         return baseline
-
-    def beside(self, stamp_ns: int, attitude: gtsam.Rot3) -> float | None:
-        """Return by how much an attitude at a time must be turned about the vertical [rad] to be as is measured.
-
-        Headings and two antennas say so; None where they have not of late.
-        """
-        since_ns, found = stamp_ns - LATE_NS, list[tuple[float, float] | str | None]()
-        for heading in self._collected.newest_of(self._headings):
-            if heading.stamp_ns >= since_ns:
-                found.append(self._headings[heading.sensor].of_imu(heading, attitude))
-        if self._antennas is not None and (positions := self._collected.positions):
-            paired_ns = max(since_ns, positions[-1].stamp_ns - PAIRED_NS)
-            found.append(baseline_heading(self._antennas, positions, paired_ns, attitude))
-        told = [one for one in found if isinstance(one, tuple) and one[1] < VAGUE_RAD]
-        return remainder(min(told, key=lambda one: one[1])[0], tau) if told else None
-
-    def beside_course(self, stamp_ns: int, attitude: gtsam.Rot3, velocities: Sequence[Velocity]) -> float | None:
-        """Return the same as the course of a machine says that travels in one direction of its own.
-
-        Args:
-            stamp_ns: the time.
-            attitude: then.
-            velocities: that have proven right.
-        """
-        recent = between(velocities, stamp_ns - LATE_NS, stamp_ns)
-        return self.travel.turned_beside(attitude, recent[-1]) if recent else None
 
 
 def baseline_heading(

@@ -16,6 +16,7 @@ from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig
 from holdfast.estimator.batch_clock import Offset
 from holdfast.estimator.collected import Collected, between
+from holdfast.estimator.compass import Compass
 from holdfast.estimator.course import Course, course_of
 from holdfast.estimator.first_heading import Antennas, FirstHeading
 from holdfast.estimator.fitting_batch import FittingBatch, FittingBatches
@@ -64,6 +65,7 @@ class Initialising:
 
     Attributes:
         found: the same, and what was found since.
+        compass: tells by how much an attitude is beside what is measured.
     """
 
     def __init__(
@@ -94,15 +96,16 @@ class Initialising:
         window_ns = round(config.initialisation.window_s * 1e9)
         self._collected = Collected(sensors, self._points, self._odometries, window_ns)
         self.biases = KnownBiases(imu, config.initialisation.standstill_s)
-        self._heading = FirstHeading(config.initialisation, self._collected, self._antennas, self._headings, poses)
+        heading = FirstHeading(config.initialisation, self._collected, self._antennas, self._headings, poses)
         self._standing = StandingStart(
-            config, self._collected, gravity, points=self._points, heading=self._heading, biases=self.biases
+            config, self._collected, gravity, points=self._points, heading=heading, biases=self.biases
         )
         self.misfit = inf  # of the last attempt: squared residuals over what is claimed
         self.doubtful: frozenset[str] = frozenset()  # odometries and receivers that the last attempt has left out
         self.found: dict[str, Parameter] = {}
         self._limit_rad = radians(config.initialisation.max_heading_sigma_deg)
         self._velocity_check = VelocityCheck(self._points, of_role(sensors, Role.VELOCITY))
+        self.compass = Compass(self._collected, self._antennas, self._headings, self._velocity_check)
         self._last_try_ns = NEVER_NS
         noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
         self._batches = FittingBatches(buffer, noise, self._points, of_role(sensors, Role.VELOCITY), self._odometries)
@@ -278,19 +281,6 @@ class Initialising:
         velocities, _ = self._credible_velocities(positions, max(stamp_ns, self._buffer.latest_ns))
         arm = self._points[positions[-1].sensor].p_I_P if positions else np.zeros(3)
         return course_of(positions, velocities, stamp_ns, arm)
-
-    def turned_beside(self, stamp_ns: int, attitude: gtsam.Rot3, *, by_course: bool = False) -> float | None:
-        """Return by how much an attitude must be turned about the vertical [rad] to be as headings or antennas measure.
-
-        Where they do not, or `by_course` alone is asked for, as the course says of one that has a direction of travel.
-        """
-        by_rad = None if by_course else self._heading.beside(stamp_ns, attitude)
-        proven = self._collected.velocities_of(self._velocity_check.proven)
-        return self._heading.beside_course(stamp_ns, attitude, proven) if by_rad is None else by_rad
-
-    def note_travel(self, state: OptimisedState) -> None:
-        """Learn from an estimate in which of its own directions the machine travels."""
-        self._heading.travel.note(state)
 
     def specific_force(self, start_ns: int, end_ns: int) -> Array | None:
         """Return the mean specific force (3,) in a time [m/s^2], or None where the IMU was silent in it."""

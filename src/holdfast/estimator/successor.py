@@ -15,6 +15,7 @@ from holdfast.estimator.initialisation import Initialising
 from holdfast.graph.alignment import FITS, VAGUE_RAD, Jump
 from holdfast.graph.first_guess import level_attitude
 from holdfast.measured_fields import NEVER_NS
+from holdfast.messages import Array
 from holdfast.sensors.lever_arm import GNSS_ARM
 from holdfast.sensors.sensor import Measurement
 from holdfast.state import OptimisedState
@@ -146,7 +147,7 @@ class Successor:
 
         Of headings and antennas the graph itself makes what they are worth.
         """
-        by_rad = self.start.turned_beside(current.stamp_ns, current.nav.attitude(), by_course=True)
+        by_rad = self.start.compass.beside_course(current.stamp_ns, current.nav.attitude())
         if by_rad is None or abs(by_rad) < TURNED_RAD:
             return None
         state = _turned(current, gtsam.Rot3.Yaw(by_rad))
@@ -194,8 +195,7 @@ class Successor:
         bias, covariance[9:, 9:] = current.bias, current.covariance[9:, 9:]
         if doubt_biases:
             bias, covariance[9:, 9:] = self.start.biases.prior.bias, np.diag(self.start.biases.prior.sigmas**2)
-        in_W = np.diag([TILT_DOUBT_RAD**2, TILT_DOUBT_RAD**2, DOUBT_RAD**2])
-        covariance[:3, :3] = current.covariance[:3, :3] + R.T @ in_W @ R
+        covariance[:3, :3] = current.covariance[:3, :3] + _doubt(attitude)
         across = gtsam.SO3.Hat(course.p_I_P)
         covariance[3:6, 3:6] = R.T @ course.of_position @ R + across @ covariance[:3, :3] @ across.T
         covariance[6:9, 6:9] = R.T @ course.of_velocity @ R
@@ -214,6 +214,13 @@ class Successor:
         return level_attitude(up_W).compose(attitude)
 
 
+def _doubt(attitude: gtsam.Rot3) -> Array:
+    """Return the covariance (3, 3) of an attitude that is in doubt, in its own axes [rad^2]."""
+    R, in_W = attitude.matrix(), np.diag([TILT_DOUBT_RAD**2, TILT_DOUBT_RAD**2, DOUBT_RAD**2])
+    doubt: Array = R.T @ in_W @ R
+    return doubt
+
+
 def _turned(state: OptimisedState, by: gtsam.Rot3) -> OptimisedState:
     """Return a state turned in W, its position and velocity as they are, its heading in doubt."""
     attitude = by.compose(state.nav.attitude())
@@ -223,7 +230,6 @@ def _turned(state: OptimisedState, by: gtsam.Rot3) -> OptimisedState:
         part = slice(first, first + 3)
         covariance[part, part] = into_I @ state.covariance[part, part] @ into_I.T
     covariance[9:, 9:] = state.covariance[9:, 9:]
-    in_W = np.diag([TILT_DOUBT_RAD**2, TILT_DOUBT_RAD**2, DOUBT_RAD**2])
-    covariance[:3, :3] = attitude.matrix().T @ in_W @ attitude.matrix()
+    covariance[:3, :3] = _doubt(attitude)
     nav = gtsam.NavState(attitude, state.nav.position(), state.nav.velocity())
     return OptimisedState(state.stamp_ns, nav, state.bias, covariance, state.angular_velocity)

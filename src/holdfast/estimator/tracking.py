@@ -310,7 +310,7 @@ class Tracking:
             self._log.count(STANDSTILL, Outcome.USED, len(standing))
         was_vague = False
         for smoother in self.graph.smoothers():
-            was_vague |= smoother.turn_vague(self.successor.start.turned_beside)
+            was_vague |= smoother.turn_vague(self.successor.start.compass.beside)
             self._optimise(smoother)
         for exchange in self._positions.newly_exchanged():
             self.successor.start.exchange(exchange)
@@ -325,7 +325,7 @@ class Tracking:
         self._noise_review.review(self._odometries, self._positions.learnt_accelerometer(), now_ns)
         self.successor.calm(now_ns)
         if not self.graph.is_lost:
-            self.successor.start.note_travel(self.graph.published.newest)
+            self.successor.start.compass.travel.note(self.graph.published.newest)
         published = self.graph.published
         published.imu_noise.walk_scale = self.successor.walk_scale
         beginning = self._judgement.beginning(now_ns, was_vague=was_vague)

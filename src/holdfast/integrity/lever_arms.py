@@ -87,16 +87,16 @@ class MeanBaseline:
         self._weight = 0.0
         self._sum, self._squares, self._claims = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
         self._last_ns: int | None = None
-        self.seen_s = self.newest_m = 0.0
+        self.seen_s = self.newest_m = self.newest_sigma_m = 0.0
 
     def add(self, between_I: Array, covariance_I: Array, stamp_ns: int, correlation_s: float) -> None:
         """Take in a vector (3,) between simultaneous fixes with its covariance (3, 3), in I."""
         since_s = MAX_INTERVAL_S if self._last_ns is None else abs(stamp_ns - self._last_ns) * 1e-9
         if self._last_ns is not None:
             self.seen_s += min(since_s, MAX_INTERVAL_S)
-        self._last_ns, self.newest_m = stamp_ns, float(np.linalg.norm(between_I))
-        inflation = correlation_inflation(correlation_s, min(since_s, MAX_INTERVAL_S))
-        weight = 1.0 / (inflation * variance_along(between_I, covariance_I))
+        variance = variance_along(between_I, covariance_I)
+        self._last_ns, self.newest_m, self.newest_sigma_m = stamp_ns, float(np.linalg.norm(between_I)), sqrt(variance)
+        weight = 1.0 / (correlation_inflation(correlation_s, min(since_s, MAX_INTERVAL_S)) * variance)
         kept = exp(-since_s / MEMORY_S)
         self._weight = kept * self._weight + weight
         self._sum = kept * self._sum + weight * between_I
@@ -135,9 +135,9 @@ class Pair:
         """Take in two simultaneous positions of a machine of some attitude, whose heading may be wrong."""
         R = attitude.matrix()
         correlation_s = max(one.correlation_s, other.correlation_s)
-        between, covariance = other.p_W_P - one.p_W_P, one.covariance + other.covariance
-        self.mean.add(R.T @ between, R.T @ covariance @ R, one.stamp_ns, correlation_s)
-        within_m = self._newest_within_m = SIGMA * sqrt(variance_along(between, covariance)) + SLACK_M
+        covariance_I = R.T @ (one.covariance + other.covariance) @ R
+        self.mean.add(R.T @ (other.p_W_P - one.p_W_P), covariance_I, one.stamp_ns, correlation_s)
+        within_m = self._newest_within_m = SIGMA * self.mean.newest_sigma_m + SLACK_M
         is_right = abs(self.mean.newest_m - self.mounted_m) < within_m
         self._right_in_a_row = self._right_in_a_row + 1 if is_right else 0
         if self._right_in_a_row >= RIGHT_IN_A_ROW:

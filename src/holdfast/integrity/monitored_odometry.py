@@ -66,7 +66,7 @@ class MonitoredOdometry:
     @property
     def parts_from_gyroscope(self) -> bool:
         """Whether it has of late turned otherwise than the gyroscope, by far, and no clock explains it."""
-        return self.learning.parts_from_gyroscope and not self.learning.may_be_late()
+        return self.learning.parts_from_gyroscope and not self.learning.clock_trace.may_be_late
 
     def pass_over(self, gap_ns: int) -> None:
         """Know that the IMU has not measured for so long: no pose that could come then is missing."""

@@ -188,7 +188,7 @@ class Odometries:
         odometry.learning.learn_from_scan(graph.main, pose, self._headings)
         # an error of the gyroscope shows against each of them
         graph.main.imu_noise.yaw_scale = min(one.learning.gyroscope_scale for one in self._odometries.values())
-        if (early_s := odometry.learning.stepped_clock_s()) is not None:
+        if (early_s := odometry.learning.clock_trace.stepped_s) is not None:
             self._step_clock(graph, odometry, pose.sensor, early_s)
 
     def _step_clock(self, graph: DualGraph, odometry: MonitoredOdometry, name: str, early_s: float) -> None:

@@ -67,6 +67,9 @@ class OdometryLearning:
     Args:
         noise: of the odometry, which is told what is learnt.
         carried: what was learnt before.
+
+    Attributes:
+        clock_trace: whether its clock has stepped.
     """
 
     def __init__(self, noise: OdometryNoise, carried: LearntOdometry | None = None) -> None:
@@ -77,7 +80,7 @@ class OdometryLearning:
         self._scans: deque[tuple[TrackPose, InertialMotion | None]] = deque(maxlen=3)
         self.parts_from_gyroscope = False  # whether it has turned otherwise of late
         self._first: TrackPose | None = None  # of the step that has begun
-        self._clock_trace = ClockTrace()
+        self.clock_trace = ClockTrace()
         self._steps: deque[_Step] = deque(maxlen=max(ROTATION_SPANS) + 1)
         self._before: tuple[TrackPose, gtsam.Rot3] | None = None
         self._places: deque[_Place] = deque(maxlen=max(TRANSLATION_SPANS) + 1)
@@ -116,14 +119,6 @@ class OdometryLearning:
         """How many times larger the gyroscope's noise is than configured, about the vertical."""
         return self._yaw.gyroscope_scale
 
-    def stepped_clock_s(self) -> float | None:
-        """Return by how much its stamps are early, if that is another clock than is believed; None where it is not."""
-        return self._clock_trace.stepped_s()
-
-    def may_be_late(self) -> bool:
-        """Whether it parts from the gyroscope as what has another clock than is believed."""
-        return self._clock_trace.may_be_late()
-
     def forget_frame(self) -> None:
         """The odometry has jumped, or the estimate: nothing before is to be compared with what comes."""
         self._waiting.clear()
@@ -131,7 +126,7 @@ class OdometryLearning:
         self._forget_steps()
         self._places.clear()
         self._first = self._before = None
-        self._clock_trace.clear()
+        self.clock_trace.clear()
 
     def forget_after(self, stamp_ns: int) -> None:
         """The estimate went astray after a time."""
@@ -274,7 +269,7 @@ class OdometryLearning:
         turned = gtsam.Rot3(measured.R)
         rates = (smoother.imu.angular_velocity(one.stamp_ns + _early_ns(believed)) for one in (last, first))
         beyond = gtsam.Rot3.Logmap(turned.between(motion.rotation()))
-        self._clock_trace.add(beyond, np.subtract(*rates), float(believed[-1]))
+        self.clock_trace.add(beyond, np.subtract(*rates), float(believed[-1]))
         step = _Step(
             before.by_gyroscope * turned,
             before.by_odometry * motion.rotation(),

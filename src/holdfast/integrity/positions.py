@@ -153,8 +153,9 @@ class Positions:
         found = self._compare(smoother, key, position)
         innovation, state = found.innovation, found.state
         prediction = predict(innovation, state)
-        others = self._expected_instead(smoother, position, prediction) if name in self._antennas else []
+        others = list[str]()
         if name in self._antennas:
+            others = self._expected_instead(smoother, position, prediction)
             is_at_home = prediction.nis <= gate.limit and not others
             self._exchanged += self._exchange_test.note(position, others, is_expected=is_at_home)
         worse = None
