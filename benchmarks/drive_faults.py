@@ -6,11 +6,13 @@ velocities and clocks in all of it, and the fixes that are used for 40 s of ever
 """
 
 import argparse
+from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from drives import held_out_row, messages_of, names_of, recorded_in, run_system, starter_config
@@ -27,6 +29,7 @@ AXIS = np.array([0.6, -0.5, 0.62])  # of what happens to the IMU: no axis of any
 KNOCKED = exponentials(np.radians(60.0) * AXIS[None] / np.linalg.norm(AXIS))[0].T
 LATE_S = 1.0
 EARLY_NS = 250_000_000
+WITHIN_BURST_NS = 200_000
 WANDER_S = 10.0  # after which the error of a fix in a narrow street is another one
 
 Fault = Callable[[list[Message]], list[Message]]
@@ -97,6 +100,51 @@ def wanders(amplitude_m: float) -> Fault:
     return fault
 
 
+def scattered(sigma_m: float) -> Fault:
+    """Fixes that scatter from one to the next, whatever they claim."""
+
+    def fault(messages: list[Message]) -> list[Message]:
+        rng = np.random.default_rng(7)
+
+        def change(one: GnssFix) -> GnssFix:
+            return replace(moved(one, rng.normal(0.0, sigma_m, 3)), covariance=one.covariance)
+
+        return [change(one) if is_position(one) else one for one in messages]
+
+    return fault
+
+
+def is_position(message: Message) -> TypeGuard[GnssFix]:
+    """Whether a message is a fix that holds a position."""
+    return isinstance(message, GnssFix) and isfinite(message.latitude_deg)
+
+
+def rounded(step_deg: float) -> Fault:
+    """Fixes of a receiver, or a driver, that tells fewer digits than it claims."""
+
+    def change(one: GnssFix) -> GnssFix:
+        latitude, longitude = (round(at / step_deg) * step_deg for at in (one.latitude_deg, one.longitude_deg))
+        return replace(one, latitude_deg=latitude, longitude_deg=longitude)
+
+    return lambda messages: [change(one) if is_position(one) else one for one in messages]
+
+
+def bursts(every_s: float) -> Fault:
+    """Samples of the IMU that are stamped as they arrive, many at once."""
+
+    def fault(messages: list[Message]) -> list[Message]:
+        every_ns, zero_ns, count = round(every_s * 1e9), messages[0].stamp_ns, Counter[int]()
+        found = list(messages)
+        for k, one in enumerate(messages):
+            if isinstance(one, ImuSample):
+                burst = (one.stamp_ns - zero_ns) // every_ns + 1
+                found[k] = replace(one, stamp_ns=zero_ns + burst * every_ns + count[burst] * WITHIN_BURST_NS)
+                count[burst] += 1
+        return found
+
+    return fault
+
+
 def moved(fix: GnssFix, by: np.ndarray) -> GnssFix:
     """Return a fix that is elsewhere by (3,), east, north and up [m], and claims a metre."""
     there = LocalFrame(Geodetic(fix.latitude_deg, fix.longitude_deg, fix.altitude_m)).to_geodetic(by)
@@ -156,6 +204,8 @@ FAULTS: dict[str, Fault] = {
     "Doppler north, east, down": of_velocity(lambda velocity: velocity[[1, 0, 2]] * [1.0, 1.0, -1.0]),
     "Doppler always zero": of_velocity(lambda velocity: 0.0 * velocity),
     "Doppler late by 1 s": late,
+    "fixes scatter by 0.3 m, whatever they claim": scattered(0.3),
+    "fixes rounded to 1e-5 deg": rounded(1e-5),
     "fixes wander by 10 m and claim 1 m": wanders(10.0),
     "fixes wander by 20 m and claim 1 m": wanders(20.0),
 }
@@ -165,6 +215,7 @@ OF_ALL: dict[str, Fault] = {
     "nothing is recorded for 3 s in each minute": pauses(3.0),
     "nothing is recorded for 10 s in each minute": pauses(10.0),
     "nothing is recorded for 30 s in each minute": pauses(30.0),
+    "samples of the IMU in bursts of 0.1 s": bursts(0.1),
     "stamps of GNSS 0.25 s early": early,
     "stamps of GNSS 0.25 s early, gyroscope's bias jumps by 3 deg/s": lambda messages: FAULTS[
         "gyroscope's bias jumps by 3 deg/s"

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from motion import ARM, Drive, at, imu, machine, ns
+from motion import ARM, Drive, at, fix_at, imu, machine, ns
 from rig import G, position, truth
 
 from holdfast.estimator.health import HealthMonitor
@@ -33,6 +33,9 @@ class Run:
     monitor: HealthMonitor
     t: float = 0.0
 
+    def enqueue(self, measurement, arrival_ns):
+        self.tracking.enqueue(measurement, arrival_ns, claimed=measurement)
+
     def go(self, until_s, measurements=(), skip=lambda _: False):
         """Return the updates until a time; measurements come when their time has been reached."""
         found, waiting = [], list(measurements)
@@ -41,7 +44,7 @@ class Run:
                 continue
             self.tracking.receive(receive(self.buffer, sample))
             while waiting and waiting[0].stamp_ns <= sample.stamp_ns:
-                self.tracking.enqueue(waiting.pop(0), sample.arrival_ns)
+                self.enqueue(waiting.pop(0), sample.arrival_ns)
             if self.tracking.is_due:
                 found.append(self.tracking.update())
         self.t = until_s
@@ -91,7 +94,7 @@ def test_a_measurement_is_taken_by_the_next_sample_counted_and_known_to_the_heal
 def test_a_measurement_that_is_older_than_the_window_is_late_at_once():
     run = begun()
     run.go(5.0, fixes(0.1, 5.0))
-    run.tracking.enqueue(position(DRIVE, 0.55, ARM), ns(5.0))
+    run.enqueue(position(DRIVE, 0.55, ARM), ns(5.0))
     assert run.log.counts["gnss", Outcome.LATE] == 1
     (event,) = [event for event in run.log.take_events() if event.kind is EventKind.LATE]
     assert "behind the newest state" in event.reason
@@ -101,7 +104,7 @@ def test_a_measurement_that_is_older_than_the_window_is_late_at_once():
 def test_while_the_imu_is_silent_a_measurement_does_not_wait_for_it():
     run = begun()
     run.go(1.0)
-    run.tracking.enqueue(position(DRIVE, 1.2, ARM), ns(1.2))
+    run.enqueue(position(DRIVE, 1.2, ARM), ns(1.2))
     assert run.tracking.is_due
     assert run.tracking.update().state.stamp_ns == ns(1.2)
     # a sample behind the state cannot carry it on
@@ -152,7 +155,7 @@ def test_it_begins_with_the_receivers_that_its_predecessor_did_not_trust():
 def test_a_message_that_could_not_be_converted_counts_against_its_receiver():
     run = begun()
     for _ in range(5):
-        run.tracking.refuse("gnss", Outcome.LARGE_COVARIANCE)
+        run.tracking.refuse(fix_at(Drive(), 0.0), Outcome.LARGE_COVARIANCE)
     run.go(0.6)
     assert run.tracking.is_lost
     assert (EventKind.RECEIVER_LOST, "gnss") in {(event.kind, event.sensor) for event in run.log.take_events()}

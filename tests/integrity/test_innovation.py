@@ -54,6 +54,19 @@ def test_so_many_refused_in_a_row_lose_the_sensor_and_a_good_one_starts_the_coun
     assert review(gate, 0.5) is Change.NONE  # once
 
 
+def test_while_the_imu_is_silent_nothing_shows_that_a_refused_sensor_is_right_again():
+    gate = lose(InnovationGate(SETTINGS))
+    for k in range(1, 40):
+        judge(gate, 1.0 + 0.1 * k, delay_s=-0.1 * k)
+        assert review(gate, 1.0) is Change.NONE
+    for k in range(21):
+        assert gate.is_lost
+        judge(gate, 6.0 + 0.1 * k)
+        change = review(gate, 6.0 + 0.1 * k)
+    assert change is Change.REGAINED
+    assert min(one.stamp_ns for one in gate.take_quarantined()) == 6 * SECOND_NS
+
+
 def test_what_cannot_be_compared_is_neither_good_nor_bad_nor_silence():
     gate = InnovationGate(SETTINGS)
     for k in range(20):

@@ -85,14 +85,19 @@ def test_a_heading_that_was_wrong_and_is_mended_makes_no_baseline_shorter(turned
 def test_a_receiver_that_has_just_stopped_to_lie_does_not_make_its_arm_wrong():
     """From when on an arm is in doubt is a matter of chance; that it is while fixes are right is not."""
     lie = {"gnss": 0.1 * ALONG}
-    first_s = Run().go(1.0).go(60.0, lie).changes_s[0]
+    first_s = Run().go(0.5).go(60.0, lie).changes_s[0]
     assert first_s > 5.0
-    run = Run().go(1.0).go(first_s - 1.0 - 0.1, lie).go(30.0)
+    run = Run().go(0.5).go(first_s - 0.5 - 0.1, lie).go(30.0)
     assert not run.doubts and not run.log.events
 
 
 def test_an_arm_that_was_right_stays_right_however_long_its_receiver_lies():
     run = Run().go(1.0).go(120.0, {"gnss": 0.8 * ALONG})
+    assert not run.doubts and not run.log.events
+
+
+def test_a_walk_by_centimetres_after_a_second_of_right_distances_is_no_arm():
+    run = Run().go(1.5).go(60.0, {"gnss": 0.08 * ALONG})
     assert not run.doubts and not run.log.events
 
 

@@ -12,7 +12,7 @@ class LearntView(NamedTuple):
     """What the estimator knows of its sensors, read when it is asked.
 
     Attributes:
-        noise: how many times noisier than claimed a sensor is, by name.
+        noise: how many times noisier a sensor is than its measurements say, by name.
         used: the measurements later than one time [ns] and not later than another whose factors the graph holds.
         constants: what the graph knows of mountings and clocks.
         colour: how the errors of a sensor are composed, by name, where the claim is believed times a factor.

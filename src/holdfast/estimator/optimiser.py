@@ -30,6 +30,7 @@ from holdfast.integrity.learnt_constants import found_before
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.integrity.lever_arms import LeverArms
 from holdfast.integrity.noise_scale import NoiseScale
+from holdfast.integrity.scatter import Scatters
 from holdfast.messages import GnssFix, JointAngle, Message
 from holdfast.sensors.constants import Constant
 from holdfast.sensors.imu import ImuBuffer
@@ -78,6 +79,7 @@ class Optimiser:
         self._reported = Health.INITIALISING
         self._stamp_faults = StampFaults()
         self._assumptions = Assumptions(self._sensors, log)
+        self._scatters = Scatters(self._sensors, buffer, log)
         self.monitor = HealthMonitor(config)
         self.world = World()
         self.gravity = config.frames.gravity or STANDARD_GRAVITY_M_S2
@@ -211,31 +213,31 @@ class Optimiser:
             self._set_gravity()
         outcome = measurement if isinstance(measurement, Outcome) else self._check_stamp(message, measurement.stamp_ns)
         if isinstance(measurement, Outcome) or outcome is not Outcome.USED:
-            if isinstance(self._phase, Tracking):
-                self._phase.refuse(name, outcome)
-            else:
-                self._phase.refuse(message, outcome)
+            self._phase.refuse(message, outcome)
             self._log.count(name, outcome)
             self._record(message, measurement, outcome)
             if not self._stamps.is_told(name, outcome):
                 self._log.report(EventKind.REJECTED, message.stamp_ns, name, outcome)
             return None
-        if isinstance(measurement, Position) and self._lever_arms.repeats(measurement):
-            self._log.count(name, Outcome.DUPLICATE)
-            self._record(message, measurement, Outcome.DUPLICATE)
-            return None
+        weighed = measurement
+        if isinstance(measurement, Position):
+            if self._lever_arms.repeats(measurement):
+                self._log.count(name, Outcome.DUPLICATE)
+                self._record(message, measurement, Outcome.DUPLICATE)
+                return None
+            weighed = self._scatters.add(measurement, self._scales[measurement.sensor])
         if self._density is not None and not self._density.admits(name, measurement.stamp_ns, message.arrival_ns):
             self._record(message, measurement, Outcome.OVERLOAD)
             return None
         self._assumptions.tell(message)
         if self._listener is not None:
-            self._listener.add(measurement, self._joint_at(measurement.stamp_ns))
+            self._listener.add(weighed, self._joint_at(measurement.stamp_ns))
         if isinstance(self._phase, Tracking):
-            self._phase.enqueue(measurement, message.arrival_ns)
+            self._phase.enqueue(weighed, message.arrival_ns, claimed=measurement)
             return None
         self._log.count(name, Outcome.BEFORE_START)
         self._record(message, measurement, Outcome.BEFORE_START)
-        return self._try_to_start(self._phase, measurement)
+        return self._try_to_start(self._phase, weighed)
 
     def _record(self, message: Message, measurement: Measurement | Outcome, outcome: Outcome) -> None:
         """Record what did not come as far as a test, with the position that it claims."""

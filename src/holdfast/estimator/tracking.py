@@ -32,6 +32,7 @@ from holdfast.integrity.positions import Positions
 from holdfast.integrity.recovery import Recovery
 from holdfast.integrity.states import JointAt, States
 from holdfast.integrity.yaw_learning import Witness
+from holdfast.messages import Message
 from holdfast.sensors.clock import GNSS_CLOCK, is_by_gnss_clock, measured_later, with_estimated_clock
 from holdfast.sensors.constants import Constant, priors_of_machine
 from holdfast.sensors.imu import ImuBuffer
@@ -197,7 +198,7 @@ class Tracking:
     def view(self) -> LearntView:
         """Return what is known of the sensors, to be read at any time until the next start."""
         return LearntView(
-            self._monitor.noise,
+            lambda sensor: self._scales[sensor].ratio_of_weighed if sensor in self._scales else 1.0,
             self.graph.published.measured,
             self.constants,
             self._colour,
@@ -241,10 +242,10 @@ class Tracking:
         is_velocity = self._roles[measurement.sensor] is Role.VELOCITY
         return self.successor.start.clock_ns if is_velocity else self._clock_ns
 
-    def refuse(self, sensor: str, outcome: Outcome) -> None:
-        """Note a message that could not be converted."""
-        if self._roles[sensor] is Role.POSITION:
-            self._positions.refuse(sensor, outcome)
+    def refuse(self, message: Message, outcome: Outcome) -> None:
+        """Note a message that cannot be used."""
+        if self._roles[message.sensor] is Role.POSITION:
+            self._positions.refuse(message.sensor, outcome)
 
     def receive(self, received: Received) -> bool:
         """Take note of a sample of the IMU; say whether the state can be carried to it."""
@@ -269,10 +270,13 @@ class Tracking:
     def _report_gap(self, since_ns: int, reason: str) -> None:
         self._log.report(EventKind.IMU_GAP, since_ns, self._log.imu, reason)
 
-    def enqueue(self, measurement: Measurement, arrival_ns: int) -> None:
-        """Let a measurement wait until the IMU has reached its time, unless it is too late."""
+    def enqueue(self, measurement: Measurement, arrival_ns: int, *, claimed: Measurement) -> None:
+        """Let a measurement wait until the IMU has reached its time, unless it is too late.
+
+        What would begin anew takes it as it was claimed: fixes that wander would else fit to each other.
+        """
         if measurement.sensor not in self._odometries.distrusted:
-            self.successor.add(measurement)
+            self.successor.add(claimed)
         measurement = measured_later(measurement, self._early_ns(measurement))
         stamp_ns, published = measurement.stamp_ns, self.graph.published
         name = measurement.sensor

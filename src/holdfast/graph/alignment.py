@@ -335,6 +335,8 @@ def joint_covariance(graph: gtsam.NonlinearFactorGraph, at: gtsam.Values, keys: 
     for key in (*keys, *others):
         order.push_back(key)
     information, _ = graph.linearize(at).hessian(order)
+    if not information.diagonal().min() > 0.0:
+        raise np.linalg.LinAlgError("nothing tells one of the variables")
     scale = 1.0 / np.sqrt(information.diagonal())
     root = np.linalg.solve(np.linalg.cholesky(scale[:, None] * information * scale), np.eye(len(scale), size))
     covariance: Array = scale[:size, None] * (root.T @ root) * scale[:size]

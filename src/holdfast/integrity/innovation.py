@@ -80,7 +80,8 @@ class InnovationGate:
         if not self.is_lost:
             self.reasons.clear()
             return Outcome.USED
-        self._quarantine.append(measurement)
+        if not self.reasons or measurement.stamp_ns <= now_ns:  # while the IMU is silent, what was refused soon fits
+            self._quarantine.append(measurement)
         return Outcome.QUARANTINED
 
     def review(self, now_ns: int) -> Change:

@@ -5,6 +5,7 @@ that one is wrong, not which, nor in which direction: an error e across a baseli
 e^2 / 2b only, and its direction, which is the heading, by e / b.
 """
 
+from collections import deque
 from collections.abc import Collection, Mapping, Set
 from enum import Enum
 from itertools import combinations
@@ -34,6 +35,7 @@ KNOWN_M = 0.01  # sigma of a mean that can show two arms to be right
 MAX_ROTATION_SIGMA_RAD = radians(60.0)
 PAIRED_NS = 1_000_000  # in which even a fast machine moves by less than a fix is wrong
 RIGHT_IN_A_ROW = 3  # distances, which no arm that is off by twice what may be seen shows
+MEAN_OF = 10  # distances, which shows an arm that is off by more than two mounts may be
 SAME_M, SAME_IN_A_ROW = 1e-3, 5  # two receivers of their own never agree so well so often
 
 
@@ -129,6 +131,7 @@ class Pair:
         self.mean = MeanBaseline()
         self._same_in_a_row = self._right_in_a_row = 0
         self._newest_within_m = inf  # how far a distance that is right may be off, of the newest
+        self._off_m: deque[float] = deque(maxlen=MEAN_OF)
         self._right_within_m = inf  # and of several in a row that were right: arms do not change
 
     def note(self, one: Position, other: Position, attitude: gtsam.Rot3) -> None:
@@ -142,6 +145,10 @@ class Pair:
         self._right_in_a_row = self._right_in_a_row + 1 if is_right else 0
         if self._right_in_a_row >= RIGHT_IN_A_ROW:
             self._right_within_m = min(self._right_within_m, within_m)
+        self._off_m.append(self.mean.newest_m - self.mounted_m)
+        is_exact = len(self._off_m) == MEAN_OF and abs(np.mean(self._off_m)) < 0.5 * SLACK_M
+        if is_exact and self.mean.newest_sigma_m < SLACK_M:
+            self._right_within_m = 0.5 * SLACK_M
 
     def counts_as_same(self, one: Position, other: Position) -> bool:
         """Count simultaneous positions at one place in a row; say whether these two are, whatever the attitude is."""

@@ -32,6 +32,7 @@ class NoiseScale:
     def __init__(self, carried: LearntNoiseScale | None = None) -> None:
         self._log = 0.0 if carried is None else carried.log_factor
         self._raised = 0.0  # log of the factor, while it is raised
+        self._weighed = 0.0  # log of the factor by which claims are multiplied before they come here
         self._mean = 1.0  # of the innovations beside what the factor now makes of the claim
         self._last_ns: int | None = None
         self._told = round(self._level)
@@ -39,13 +40,17 @@ class NoiseScale:
 
     def learnt(self) -> LearntNoiseScale | None:
         """Return what was learnt until now; None where nothing was."""
-        if self._log == 0.0 and not self.white.count:
+        if self._log + self._weighed == 0.0 and not self.white.count:
             return None
-        return LearntNoiseScale(log_factor=self._log, white_variance=self.white.variance, white_count=self.white.count)
+        return LearntNoiseScale(
+            log_factor=min(self._log + self._weighed, log(HIGHEST) + DEAD_BAND),
+            white_variance=self.white.variance,
+            white_count=self.white.count,
+        )
 
     @property
     def _level(self) -> float:
-        return log(self.value) / LEVEL
+        return (log(self.value) + self._weighed) / LEVEL
 
     @property
     def value(self) -> float:
@@ -63,13 +68,26 @@ class NoiseScale:
 
     @property
     def ratio(self) -> float:
-        """How many times larger its noise is than claimed: the root of the factor, rounded to what is worth telling."""
+        """How many times larger its noise is than claimed, rounded to what is worth telling."""
+        return round(exp(0.5 * self._weighed) * sqrt(self.value), 3)
+
+    @property
+    def ratio_of_weighed(self) -> float:
+        """The same beside claims as they come here."""
         return round(sqrt(self.value), 3)
 
     @property
     def above(self) -> float:
         """The factor where it is above 1: what is tested is not tested more strictly than it claims."""
         return max(1.0, self.value)
+
+    def weigh(self, factor: float) -> None:
+        """Know that claims are multiplied by a factor before they come here: what was learnt is in that now."""
+        by = log(factor) - self._weighed
+        self._weighed += by
+        self._raised = max(self._raised - by, 0.0) if self.is_raised else 0.0
+        if by > 0.0:
+            self._log = max(self._log - by, min(self._log, 0.0))
 
     def raise_to(self, factor: float) -> None:
         """Believe at least this factor until `lower`, or until innovations show less."""

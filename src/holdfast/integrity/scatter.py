@@ -1,0 +1,141 @@
+"""How far positions scatter beside what the IMU measured: what a receiver claims is believed up to that.
+
+It needs no estimate, not even an attitude, so that a start can use it: one whose fixes are ten times worse than they
+claim finds everything else at odds with them.
+"""
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from math import sqrt
+
+import numpy as np
+
+from holdfast.event_log import EventLog
+from holdfast.events import EventKind
+from holdfast.integrity.noise_scale import NoiseScale
+from holdfast.measured_fields import NEVER_NS
+from holdfast.messages import Array
+from holdfast.sensors.imu import ImuBuffer
+from holdfast.sensors.sensor import Position, Role, Sensor, of_role
+
+COMPARED = 4  # positions: of three, nothing is left beside a start, a velocity and an acceleration
+WAITING = 24  # positions, of which the newest may be ahead of the IMU
+MOST_NS = 2_500_000_000  # in which four positions tell anything: in more, what wanders looks like noise
+MEMORY, ENOUGH = 48, (12, 24)  # fours; horizontal and vertical, as what follows
+QUANTILES = 0.25, 0.35  # positions that are elsewhere now and then do not count
+OF_CHANCE = 0.575, 0.206  # these quantiles of chi-square, with two degrees of freedom and one
+SAME_M = 1e-3
+BEGINS, ENDS = 2.5**2, 1.5**2  # of the factor that is believed: less may be chance
+KEPT = 0.98  # of the factor, from one four to the next: by motion, less is seen
+NEWS = 2.0  # times the sigma that was told last
+
+
+class Scatter:
+    """The factors on the variances that one receiver claims, horizontal and vertical: (94) in docs/math.md.
+
+    Args:
+        buffer: of the IMU's samples.
+        p_I_P: (3,) the point whose positions come.
+    """
+
+    def __init__(self, buffer: ImuBuffer, p_I_P: Array) -> None:
+        self._buffer, self._p_I_P = buffer, p_I_P
+        self._newest: deque[Position] = deque(maxlen=WAITING)
+        self._compared_ns = NEVER_NS
+        self._squares = tuple(deque[float](maxlen=MEMORY) for _ in QUANTILES)
+        self._factors = np.ones(2)
+
+    @property
+    def factors(self) -> Array:
+        """(3,) on the variances of east, north and up."""
+        return self._factors[[0, 0, 1]]
+
+    def add(self, position: Position) -> None:
+        """Take in a position as it arrives, as the receiver claims it."""
+        if self._newest and position.stamp_ns <= self._newest[-1].stamp_ns:
+            self._newest.clear()  # late, or by another clock
+            self._compared_ns = NEVER_NS
+        self._newest.append(position)
+        measured = [one for one in self._newest if one.stamp_ns <= self._buffer.latest_ns][-COMPARED:]
+        if len(measured) < COMPARED or measured[-1].stamp_ns <= self._compared_ns:
+            return
+        self._compared_ns = measured[-1].stamp_ns
+        moved = self._moved(measured)
+        if moved is not None:
+            self._note(beyond(measured, moved))
+
+    def _moved(self, positions: Sequence[Position]) -> Array | None:
+        """Return how the point has moved (N, 3) beside a fall, in the axes that I had first; None if nobody knows."""
+        first_ns, last_ns = positions[0].stamp_ns, positions[-1].stamp_ns
+        if last_ns - first_ns > MOST_NS or first_ns < self._buffer.oldest_ns:
+            return None
+        if any(piece.is_gap for piece in self._buffer.pieces(first_ns, last_ns)):
+            return None
+        moved = [self._p_I_P]
+        for one in positions[1:]:
+            motion = self._buffer.motion(first_ns, one.stamp_ns, np.zeros(6))
+            moved.append(motion.p + motion.R @ self._p_I_P)
+        return np.array(moved)
+
+    def _note(self, squares: Array) -> None:
+        for k, (held, square) in enumerate(zip(self._squares, squares, strict=True)):
+            if np.isnan(square):
+                continue
+            held.append(square)
+            if len(held) >= ENOUGH[k]:
+                factor = max(float(np.quantile(held, QUANTILES[k])) / OF_CHANCE[k], KEPT * self._factors[k])
+                least = BEGINS if self._factors[k] == 1.0 else ENDS
+                self._factors[k] = factor if factor > least else 1.0
+
+
+def beyond(positions: Sequence[Position], moved: Array) -> Array:
+    """Return the squares (2,) of what positions scatter beyond the motion of their point, over the variance claimed.
+
+    Compared is the combination of norm 1 in which no parabola is left, and with it neither the velocity nor gravity;
+    horizontal and vertical. Where the numbers are all the same, as of rounded ones or repeated ones, it is nan.
+    """
+    times = np.array([one.stamp_ns - positions[0].stamp_ns for one in positions]) * 1e-9
+    differences = times[:, None] - times + np.eye(len(times))
+    weights = 1.0 / differences.prod(axis=1)  # of the third divided difference
+    weights /= np.linalg.norm(weights)
+    motion_m = float(np.linalg.norm(weights @ moved))  # in whatever direction
+    track = np.array([one.p_W_P for one in positions])
+    is_same, residual = np.ptp(track, axis=0) < SAME_M, weights @ track
+    variances = np.mean([one.covariance.diagonal() for one in positions], axis=0)
+    squares = np.full(2, np.nan)
+    for k, axes in enumerate((slice(0, 2), slice(2, 3))):
+        if not is_same[axes].all():
+            squares[k] = max(float(np.linalg.norm(residual[axes])) - motion_m, 0.0) ** 2 / variances[axes].mean()
+    return squares
+
+
+class Scatters:
+    """The scatter of all receivers of positions.
+
+    Args:
+        sensors: all models, by name.
+        buffer: of the IMU's samples.
+        log: where is told what scatters by more than it claims.
+    """
+
+    def __init__(self, sensors: Mapping[str, Sensor], buffer: ImuBuffer, log: EventLog) -> None:
+        self._receivers = {name: Scatter(buffer, one.p_I_P) for name, one in of_role(sensors, Role.POSITION).items()}
+        self._log = log
+        self._told = dict.fromkeys(self._receivers, 1.0)
+
+    def add(self, position: Position, scale: NoiseScale) -> Position:
+        """Take in a position as it arrives; return it with the covariance that is believed, and tell that its scale."""
+        name = position.sensor
+        self._receivers[name].add(position)
+        most = sqrt(self._receivers[name].factors.max())
+        if not self._told[name] / NEWS < most < self._told[name] * NEWS:
+            self._told[name] = most
+            reason = f"its positions scatter by {most:.1f} times what they claim"
+            self._log.report(EventKind.NOISE, position.stamp_ns, name, reason)
+        factors = self._receivers[name].factors
+        scale.weigh(factors[0])
+        if (factors == 1.0).all():
+            return position
+        times = np.sqrt(factors)
+        return replace(position, covariance=position.covariance * np.outer(times, times))
