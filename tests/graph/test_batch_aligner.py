@@ -133,3 +133,12 @@ def test_what_hardly_anything_tells_has_no_covariance_or_a_true_one(seed):
     except np.linalg.LinAlgError:
         return
     assert covariance[0, 0] > 0.0
+
+
+def test_what_nothing_tells_has_no_covariance():
+    graph, at = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    at.insert(0, np.zeros(2))
+    linear = gtsam.JacobianFactor(0, np.array([[1.0, 0.0]]), np.zeros(1), gtsam.noiseModel.Unit.Create(1))
+    graph.add(gtsam.LinearContainerFactor(linear, at))
+    with pytest.raises(np.linalg.LinAlgError, match="nothing tells"):
+        joint_covariance(graph, at, [0], 2)

@@ -84,7 +84,8 @@ class Scatter:
                 continue
             held.append(square)
             if len(held) >= ENOUGH[k]:
-                factor = max(float(np.quantile(held, QUANTILES[k])) / OF_CHANCE[k], KEPT * self._factors[k])
+                seen = sorted(held)[int(QUANTILES[k] * len(held))] / OF_CHANCE[k]
+                factor = max(seen, KEPT * self._factors[k])
                 least = BEGINS if self._factors[k] == 1.0 else ENDS
                 self._factors[k] = factor if factor > least else 1.0
 
