@@ -10,9 +10,8 @@ from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from math import isfinite
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 from drives import held_out_row, messages_of, names_of, recorded_in, run_system, starter_config
@@ -109,14 +108,9 @@ def scattered(sigma_m: float) -> Fault:
         def change(one: GnssFix) -> GnssFix:
             return replace(moved(one, rng.normal(0.0, sigma_m, 3)), covariance=one.covariance)
 
-        return [change(one) if is_position(one) else one for one in messages]
+        return changed(GnssFix, messages, change)
 
     return fault
-
-
-def is_position(message: Message) -> TypeGuard[GnssFix]:
-    """Whether a message is a fix that holds a position."""
-    return isinstance(message, GnssFix) and isfinite(message.latitude_deg)
 
 
 def rounded(step_deg: float) -> Fault:
@@ -126,7 +120,7 @@ def rounded(step_deg: float) -> Fault:
         latitude, longitude = (round(at / step_deg) * step_deg for at in (one.latitude_deg, one.longitude_deg))
         return replace(one, latitude_deg=latitude, longitude_deg=longitude)
 
-    return lambda messages: [change(one) if is_position(one) else one for one in messages]
+    return lambda messages: changed(GnssFix, messages, change)
 
 
 def bursts(every_s: float) -> Fault:
@@ -134,13 +128,13 @@ def bursts(every_s: float) -> Fault:
 
     def fault(messages: list[Message]) -> list[Message]:
         every_ns, zero_ns, count = round(every_s * 1e9), messages[0].stamp_ns, Counter[int]()
-        found = list(messages)
-        for k, one in enumerate(messages):
-            if isinstance(one, ImuSample):
-                burst = (one.stamp_ns - zero_ns) // every_ns + 1
-                found[k] = replace(one, stamp_ns=zero_ns + burst * every_ns + count[burst] * WITHIN_BURST_NS)
-                count[burst] += 1
-        return found
+
+        def change(one: ImuSample) -> ImuSample:
+            burst = (one.stamp_ns - zero_ns) // every_ns + 1
+            count[burst] += 1
+            return replace(one, stamp_ns=zero_ns + burst * every_ns + (count[burst] - 1) * WITHIN_BURST_NS)
+
+        return changed(ImuSample, messages, change)
 
     return fault
 
@@ -204,6 +198,7 @@ FAULTS: dict[str, Fault] = {
     "Doppler north, east, down": of_velocity(lambda velocity: velocity[[1, 0, 2]] * [1.0, 1.0, -1.0]),
     "Doppler always zero": of_velocity(lambda velocity: 0.0 * velocity),
     "Doppler late by 1 s": late,
+    "fixes scatter by 0.1 m, whatever they claim": scattered(0.1),
     "fixes scatter by 0.3 m, whatever they claim": scattered(0.3),
     "fixes rounded to 1e-5 deg": rounded(1e-5),
     "fixes wander by 10 m and claim 1 m": wanders(10.0),

@@ -42,10 +42,9 @@ from holdfast.recording.source import open_recording
 from holdfast.recording.subscriptions import subscriptions
 from holdfast.replay.published import PublishedRecorder
 from holdfast.sim.configuration import configuration_data
-from holdfast.sim.fault import Fault
+from holdfast.sim.faults import effects
 from holdfast.sim.readings import generator
 from holdfast.sim.schedules import DURATION_S, hostile_schedule, random_schedule
-from holdfast.sim.sensors import KINDS
 from holdfast.sim.sensors.gnss import SimulatedGnss
 from holdfast.sim.simulation import START_NS, Simulation
 from holdfast.state import Output
@@ -146,15 +145,10 @@ class Errors:
         excuse = "" if self._off_m[worst] > DIVERGED_M else excuse
         return [f"{excuse}{self._off_m[worst]:.0f} m off for {after_s - before_s:.1f} s, sigma {sigmas_m[worst]:.2f} m"]
 
-    def _suffering(self, fault: Fault) -> set[str]:
-        """Return the sensors to which a fault happens: an exchange of antennas happens to both."""
-        sheets = self._scenario.sensors.items()
-        return {*fault.sensors, *(name for name, sheet in sheets if fault.kind in KINDS[sheet.kind].side_effects)}
-
     def _excuse(self, at_s: float, since_s: float) -> str:
         """Return why nothing could tell at a time what is right, or nothing if a receiver could, since so long."""
         recent = [fault for fault in self._scenario.faults if fault.start_s <= at_s and fault.end_s >= at_s - since_s]
-        suffering = {name for fault in recent for name in self._suffering(fault)}
+        suffering = {name for fault in recent for name, _ in effects(fault, self._scenario.sensors)}
         return "" if self._scenario.sensors_of(SimulatedGnss).keys() - suffering else NO_WITNESS
 
 

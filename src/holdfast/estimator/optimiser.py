@@ -219,17 +219,17 @@ class Optimiser:
             if not self._stamps.is_told(name, outcome):
                 self._log.report(EventKind.REJECTED, message.stamp_ns, name, outcome)
             return None
-        weighed = measurement
-        if isinstance(measurement, Position):
-            if self._lever_arms.repeats(measurement):
-                self._log.count(name, Outcome.DUPLICATE)
-                self._record(message, measurement, Outcome.DUPLICATE)
-                return None
-            weighed = self._scatters.add(measurement, self._scales[measurement.sensor])
+        if isinstance(measurement, Position) and self._lever_arms.repeats(measurement):
+            self._log.count(name, Outcome.DUPLICATE)
+            self._record(message, measurement, Outcome.DUPLICATE)
+            return None
         if self._density is not None and not self._density.admits(name, measurement.stamp_ns, message.arrival_ns):
             self._record(message, measurement, Outcome.OVERLOAD)
             return None
         self._assumptions.tell(message)
+        weighed = measurement
+        if isinstance(measurement, Position):
+            weighed = self._scatters.add(measurement, self._scales[measurement.sensor])
         if self._listener is not None:
             self._listener.add(weighed, self._joint_at(measurement.stamp_ns))
         if isinstance(self._phase, Tracking):

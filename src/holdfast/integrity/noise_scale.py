@@ -83,8 +83,8 @@ class NoiseScale:
 
     def weigh(self, factor: float) -> None:
         """Know that claims are multiplied by a factor before they come here: what was learnt is in that now."""
-        by = log(factor) - self._weighed
-        self._weighed += by
+        before, self._weighed = self._weighed, log(factor)
+        by = self._weighed - before
         self._raised = max(self._raised - by, 0.0) if self.is_raised else 0.0
         if by > 0.0:
             self._log = max(self._log - by, min(self._log, 0.0))

@@ -70,7 +70,7 @@ class Scatter:
         first_ns, last_ns = positions[0].stamp_ns, positions[-1].stamp_ns
         if last_ns - first_ns > MOST_NS or first_ns < self._buffer.oldest_ns:
             return None
-        if any(piece.is_gap for piece in self._buffer.pieces(first_ns, last_ns)):
+        if not self._buffer.is_trusted(first_ns, last_ns):
             return None
         moved = [self._p_I_P]
         for one in positions[1:]:
@@ -129,14 +129,14 @@ class Scatters:
         """Take in a position as it arrives; return it with the covariance that is believed, and tell that its scale."""
         name = position.sensor
         self._receivers[name].add(position)
-        most = sqrt(self._receivers[name].factors.max())
+        factors = self._receivers[name].factors
+        most = sqrt(factors.max())
         if not self._told[name] / NEWS < most < self._told[name] * NEWS:
             self._told[name] = most
             reason = f"its positions scatter by {most:.1f} times what they claim"
             self._log.report(EventKind.NOISE, position.stamp_ns, name, reason)
-        factors = self._receivers[name].factors
         scale.weigh(factors[0])
-        if (factors == 1.0).all():
+        if most == 1.0:
             return position
         times = np.sqrt(factors)
         return replace(position, covariance=position.covariance * np.outer(times, times))

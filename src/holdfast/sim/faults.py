@@ -50,16 +50,15 @@ def apply_faults(
     result = dict(readings)
     for index, fault in enumerate(faults):
         event = Event(fault, dict(result), sheets, partial(generators, "fault", str(index)))
-        result |= {name: effect(event, name) for name, effect in _effects(event) if name in result}
+        result |= {name: effect(event, name) for name, effect in effects(fault, sheets) if name in result}
     return result
 
 
-def _effects(event: Event) -> Iterator[tuple[str, Effect]]:
-    """Yield the sensors that suffer, each with what happens to it."""
-    fault = event.fault.kind
-    for name, sheet in event.sheets.items():
+def effects(fault: Fault, sheets: Mapping[str, Sheet]) -> Iterator[tuple[str, Effect]]:
+    """Yield the sensors that suffer by a fault, each with what happens to it."""
+    for name, sheet in sheets.items():
         row = KINDS[sheet.kind]
-        if name in event.fault.sensors:
-            yield name, row.faults.get(fault) or COMMON[fault]
-        elif fault in row.side_effects:
-            yield name, row.side_effects[fault]
+        if name in fault.sensors:
+            yield name, row.faults.get(fault.kind) or COMMON[fault.kind]
+        elif fault.kind in row.side_effects:
+            yield name, row.side_effects[fault.kind]
