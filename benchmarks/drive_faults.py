@@ -17,12 +17,13 @@ import numpy as np
 from drives import held_out_row, messages_of, names_of, recorded_in, run_system, starter_config
 from mishaps import changed
 
-from holdfast.config.model import Config
+from holdfast.config.model import Config, Datum
 from holdfast.estimator.estimator import Estimator
-from holdfast.geometry.earth import Geodetic, LocalFrame
+from holdfast.geometry.earth import LocalFrame, is_on_earth
 from holdfast.geometry.rotations import exponentials
 from holdfast.messages import GnssFix, GnssVelocity, ImuSample, Message
 from holdfast.replay.held_out import HoldOut, HoldOutFilter
+from holdfast.sensors.gnss import point_of
 
 AXIS = np.array([0.6, -0.5, 0.62])  # of what happens to the IMU: no axis of any car
 KNOCKED = exponentials(np.radians(60.0) * AXIS[None] / np.linalg.norm(AXIS))[0].T
@@ -123,6 +124,29 @@ def rounded(step_deg: float) -> Fault:
     return lambda messages: changed(GnssFix, messages, change)
 
 
+def first_are_off(count: int, by_m: float) -> Fault:
+    """The first fixes that are used are far to the east of where the machine is."""
+
+    def fault(messages: list[Message]) -> list[Message]:
+        fixes = [id(one) for one in messages if isinstance(one, GnssFix)][: 2 * count]  # every second one is held out
+        return changed(
+            GnssFix, messages, lambda one: moved(one, np.array([by_m, 0.0, 0.0])) if id(one) in fixes else one
+        )
+
+    return fault
+
+
+def zeros_first(lasting_s: float) -> Fault:
+    """A receiver that says 0 deg north, 0 deg east before it knows where it is, with the status of a fix."""
+
+    def fault(messages: list[Message]) -> list[Message]:
+        until_ns = messages[0].stamp_ns + lasting_s * 1e9
+        zeros = {"latitude_deg": 0.0, "longitude_deg": 0.0, "altitude_m": 0.0}
+        return changed(GnssFix, messages, lambda one: replace(one, **zeros) if one.stamp_ns < until_ns else one)
+
+    return fault
+
+
 def bursts(every_s: float) -> Fault:
     """Samples of the IMU that are stamped as they arrive, many at once."""
 
@@ -141,7 +165,7 @@ def bursts(every_s: float) -> Fault:
 
 def moved(fix: GnssFix, by: np.ndarray) -> GnssFix:
     """Return a fix that is elsewhere by (3,), east, north and up [m], and claims a metre."""
-    there = LocalFrame(Geodetic(fix.latitude_deg, fix.longitude_deg, fix.altitude_m)).to_geodetic(by)
+    there = LocalFrame(point_of(fix)).to_geodetic(by)
     names = "latitude_deg", "longitude_deg", "altitude_m"
     return replace(fix, covariance=np.eye(3), **{name: getattr(there, name) for name in names})
 
@@ -201,10 +225,15 @@ FAULTS: dict[str, Fault] = {
     "fixes scatter by 0.1 m, whatever they claim": scattered(0.1),
     "fixes scatter by 0.3 m, whatever they claim": scattered(0.3),
     "fixes rounded to 1e-5 deg": rounded(1e-5),
+    "the first three fixes are 100 km off": first_are_off(3, 100e3),
+    "zeros for 20 s before the first fix": zeros_first(20.0),
     "fixes wander by 10 m and claim 1 m": wanders(10.0),
     "fixes wander by 20 m and claim 1 m": wanders(20.0),
 }
 
+
+DATUMS_M = {"datum 100 km to the west": 100e3, "datum 200 km to the west": 200e3}
+"""Not faults of the messages: how far from the machine W begins."""
 
 OF_ALL: dict[str, Fault] = {
     "nothing is recorded for 3 s in each minute": pauses(3.0),
@@ -224,9 +253,18 @@ def judge(drive: Path, name: str) -> dict[str, Any]:
     config = starter_config(drive / "bag")
     rules = [HoldOut(sensor, 2) for sensor in names_of(config, "gnss")]
     messages = messages_of(drive, config)
-    change = OF_ALL.get(name)
+    if name in DATUMS_M:
+        config = with_datum(config, messages, DATUMS_M[name])
+    change = OF_ALL.get(name, FAULTS["none"] if name in DATUMS_M else None)
     changed = change(messages) if change else where_used(config, rules, messages, FAULTS[name](messages))
     return held_out_row(config, run_system(Estimator(config), changed, rules), changed, drive / "reference.csv")
+
+
+def with_datum(config: Config, messages: list[Message], west_m: float) -> Config:
+    """Return a configuration whose world begins far to the west of the first fix."""
+    fix = next(one for one in messages if isinstance(one, GnssFix) and is_on_earth(point_of(one)))
+    west = LocalFrame(point_of(fix)).to_geodetic(np.array([-west_m, 0.0, 0.0]))._replace(altitude_m=fix.altitude_m)
+    return config.model_copy(update={"frames": config.frames.model_copy(update={"datum": Datum(**west._asdict())})})
 
 
 def those_not_used(config: Config, rules: list[HoldOut], messages: list[Message]) -> set[int]:
@@ -255,7 +293,7 @@ def main() -> None:
     print("Horizontal errors at held-out fixes [m]: the RMS of each drive, and the largest of all\n")
     print(f"| Fault | {' | '.join(drive.name for drive in drives)} | median | largest |")
     print("|---|" + "---:|" * (len(drives) + 2))
-    names = [name for name in FAULTS | OF_ALL if given.only in name]
+    names = [name for name in [*FAULTS, *OF_ALL, *DATUMS_M] if given.only in name]
     with ProcessPoolExecutor(2) as pool:
         jobs = {name: [pool.submit(judge, drive, name) for drive in drives] for name in names}
         for name, futures in jobs.items():

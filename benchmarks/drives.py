@@ -92,7 +92,7 @@ def run_system(system: Any, messages: list[Message], rules: Sequence[HoldOut], f
         run.events.update(str(event.kind) for event in system.take_events() if event.kind not in EVERYDAY)
         if isinstance(message, GnssFix):
             run.used.append(message)
-        if run.frame is None and system.datum is not None:
+        if system.datum is not None and (run.frame is None or run.frame.datum != system.datum):
             run.frame = LocalFrame(system.datum)
         while held_out.held:
             judge.add_message(*held_out.held.popleft())
@@ -127,8 +127,7 @@ def run_baseline(
 
 def positions(config: Config, fixes: Sequence[Message], frame: LocalFrame | None) -> np.ndarray:
     """Return stamp [ns], east, north and sigma [m] of the fixes that are usable by what the receiver says."""
-    world = World()
-    world.frame = frame
+    world = World(frame)
     found = [sensors_of(config)[fix.sensor].convert(fix, world) for fix in fixes]
     usable = [one for one in found if not isinstance(one, Outcome)]
     rows = [(p.stamp_ns, *p.p_W_P[:2], np.sqrt(p.covariance[:2, :2].diagonal().max())) for p in usable]

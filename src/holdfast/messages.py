@@ -232,7 +232,7 @@ class SensorPose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Heading:
-    """Yaw of a body axis in the world: 0 is east, counter-clockwise positive (REP-103).
+    """Yaw of a body axis where the machine is: 0 is east, counter-clockwise positive (REP-103).
 
     Attributes:
         sigma_rad: standard deviation as the receiver reports it, or None where it is unknown.

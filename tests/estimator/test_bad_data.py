@@ -9,6 +9,7 @@ from motion import Drive, deviation, estimates, fixes, imu, in_order, machine, n
 from holdfast.errors import ConfigError
 from holdfast.estimator.estimator import Estimator
 from holdfast.events import EventKind, Outcome
+from holdfast.geometry.world import MOVED
 
 FROM_1970_NS, FROM_2100_NS = 86_400_000_000_000, 4_102_444_800_000_000_000
 END_S = 9.0
@@ -94,6 +95,34 @@ def test_a_first_fix_with_an_absurd_altitude_does_not_become_the_datum():
     estimator, outputs = run(config, in_order(*streams.values()))
     assert estimator.datum is not None and abs(estimator.datum.altitude_m) < 1e4
     assert estimates(outputs)
+
+
+def test_first_fixes_far_off_do_not_stay_the_datum():
+    """A hundred kilometres, where up is a degree off."""
+    _drive, streams = recorded()
+    config = machine()
+    config = config.model_copy(update={"frames": config.frames.model_copy(update={"datum": None})})
+    true = streams["gnss"][0]
+    for k in range(2):
+        fix = streams["gnss"][k]
+        streams["gnss"][k] = replace(fix, latitude_deg=fix.latitude_deg + 0.9)
+    estimator, outputs = run(config, in_order(*streams.values()))
+    assert abs(estimator.datum.latitude_deg - true.latitude_deg) < 1e-3
+    (told,) = [event for event in estimator.events if event.kind is EventKind.RESET]
+    assert told.reason == MOVED and told.sensor == "gnss"
+    assert EventKind.NOISE not in {event.kind for event in estimator.events}
+    assert estimates(outputs)
+
+
+def test_zeros_of_a_receiver_without_a_position_are_no_fix():
+    _drive, streams = recorded()
+    config = machine()
+    config = config.model_copy(update={"frames": config.frames.model_copy(update={"datum": None})})
+    for k in range(20):
+        streams["gnss"][k] = replace(streams["gnss"][k], latitude_deg=0.0, longitude_deg=0.0, altitude_m=0.0)
+    estimator, outputs = run(config, in_order(*streams.values()))
+    assert estimator.counts["gnss", Outcome.LOW_STATUS] == 20
+    assert estimator.datum.latitude_deg > 1.0 and estimates(outputs)
 
 
 @pytest.mark.parametrize("value", [1e3, 1e9, 1e300])

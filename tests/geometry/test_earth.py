@@ -122,6 +122,21 @@ def test_axes_point_east_north_and_up():
     np.testing.assert_allclose(up, [0.0, 0.0, 1.0], atol=1e-12)
 
 
+@given(points, points)
+@example(Geodetic(90.0, 0.0, 0.0), Geodetic(47.4, 8.5, 450.0))
+@example(Geodetic(0.0, 179.999, 0.0), Geodetic(0.0, -179.999, 0.0))
+def test_axes_elsewhere_are_those_of_pymap3d(point, datum):
+    axes = LocalFrame(datum).axes_at(point)
+    np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-14)
+    for axis, vector in zip(np.eye(3), axes.T, strict=True):
+        in_earth = pymap3d.enu2uvw(*axis, *point[:2])
+        np.testing.assert_allclose(vector, pymap3d.uvw2enu(*in_earth, *datum[:2]), atol=1e-9)
+
+
+def test_axes_at_the_datum_are_its_own():
+    np.testing.assert_allclose(LocalFrame(ZURICH).axes_at(ZURICH), np.eye(3), atol=1e-15)
+
+
 def test_the_earth_is_not_flat():
     height_of_the_horizon = LocalFrame(Geodetic(0.0, 0.0, 0.0)).to_enu(Geodetic(0.0, 0.1, 0.0))[2]
     assert height_of_the_horizon == pytest.approx(-6378137.0 * (1.0 - np.cos(np.radians(0.1))), abs=1e-8)

@@ -10,6 +10,7 @@ from rig import truth
 
 from holdfast.event_log import EventLog
 from holdfast.events import Outcome
+from holdfast.geometry.world import World
 from holdfast.integrity.lever_arms import LeverArms, variance_along
 from holdfast.messages import Heading
 from holdfast.sensors.registry import sensors_of
@@ -165,7 +166,7 @@ def test_an_arm_in_doubt_is_estimated_and_a_heading_that_rests_on_it_tells_nothi
     for name, arm in ARMS.items():
         np.testing.assert_allclose(believed[name].p_I_P, arm)
         np.testing.assert_allclose(believed[name].parameters[0].sigmas, run.doubts[name])
-    heading = SENSORS["heading"].convert(Heading(0, 0, "heading", 0.3, 0.01), None)
+    heading = SENSORS["heading"].convert(Heading(0, 0, "heading", 0.3, 0.01), World())
     assert believed["heading"].innovation(heading, state) is Outcome.BASELINE
     assert believed["heading"].of_imu(heading, gtsam.Rot3()) is None
     assert believed["lidar"] is SENSORS["lidar"]

@@ -36,7 +36,7 @@ class Run:
             p = self.motion.pose(t).transformFrom(ARM) + error(t)
             if round_m is not None:
                 p = np.round(p / round_m) * round_m
-            believed = self.scatters.add(Position(ns(t), "gnss", p, CLAIMED, 0.0), self.scale)
+            believed = self.scatters.weighed(Position(ns(t), "gnss", p, CLAIMED, 0.0), {"gnss": self.scale})
         return np.sqrt((believed.covariance / CLAIMED.clip(1e-12)).diagonal())
 
 

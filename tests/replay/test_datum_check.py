@@ -52,7 +52,7 @@ def test_a_datum_far_from_every_fix_is_named(datum, words):
 
 def test_a_fix_that_comes_near_later_takes_the_warning_back():
     later = check()
-    later.add(fix(0.0, 0.0))
+    later.add(fix(1.0, 0.0))
     assert later.warning is not None
     later.add(fix())
     assert later.warning is None

@@ -8,16 +8,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numeric import PLACED, assert_derivatives, random_state, solved
+from motion import DATUM
+from numeric import assert_derivatives, random_state, solved
 
 from holdfast.config.sensors import GnssVelocityConfig
 from holdfast.events import Outcome
+from holdfast.geometry.earth import LocalFrame
+from holdfast.geometry.world import World
 from holdfast.messages import GnssVelocity
 from holdfast.sensors.gnss_velocity import GnssVelocityModel
 from holdfast.sensors.noise import FREE_VARIANCE
 from holdfast.sensors.sensor import Innovation, Role, State, Velocity
 
 ARM = np.array([-1.0, 0.4, 2.0])
+PLACED = World(LocalFrame(DATUM))  # by nobody's points
 FLOORS = np.array([0.05, 0.05, 0.1])
 
 
@@ -44,6 +48,16 @@ def test_a_mast_behind_an_imu_that_turns_moves_sideways():
     behind = model(np.array([-1.0, 0.0, 0.0]))
     measured = behind.convert(message((0.5, 2.0, 0.0)), PLACED)
     np.testing.assert_allclose(behind.innovation(measured, state).y, 0.0, atol=1e-12)
+
+
+def test_far_from_the_datum_it_is_measured_in_other_axes():
+    """200 km to the west of the datum, whoever drives east climbs in W."""
+    world = World()
+    world.place(DATUM)
+    world.to_enu(LocalFrame(DATUM).to_geodetic(np.array([-200e3, 0.0, 0.0])))
+    measured = model().convert(message((30.0, 0.0, 0.0)), world)
+    np.testing.assert_allclose(measured.v_W_P, world.axes @ [30.0, 0.0, 0.0])
+    assert 0.8 < measured.v_W_P[2] < 1.0
 
 
 @given(st.integers(0, 10_000))

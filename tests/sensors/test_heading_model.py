@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from motion import machine
+from motion import DATUM, machine
 from numeric import PLACED, X, assert_derivatives, random_state, solved
 
 from holdfast.config.sensors import HeadingConfig
 from holdfast.events import Outcome
+from holdfast.geometry.earth import LocalFrame
+from holdfast.geometry.world import World
 from holdfast.messages import Heading
 from holdfast.sensors.heading import AxisYaw, HeadingModel
 from holdfast.sensors.registry import sensors_of
@@ -39,6 +41,16 @@ def measured(yaw_rad, sigma_rad=0.01):
 
 def message(yaw_rad=0.3, sigma_rad=0.01):
     return Heading(0, 0, "heading", yaw_rad, sigma_rad)
+
+
+def test_north_far_to_the_east_of_the_datum_points_to_the_west_in_w():
+    world = World()
+    world.place(DATUM)
+    there = LocalFrame(DATUM).to_geodetic(np.array([100e3, 0.0, 0.0]))
+    world.to_enu(there)
+    turn = MODEL.convert(message(np.pi / 2), world).yaw_rad - np.pi / 2
+    convergence = radians(there.longitude_deg - DATUM.longitude_deg) * np.sin(radians(there.latitude_deg))
+    assert turn == pytest.approx(convergence, rel=0.01) and turn > radians(0.5)
 
 
 @given(st.integers(0, 10_000))

@@ -29,7 +29,7 @@ def test_integrating_the_noiseless_imu_for_a_minute_returns_the_true_state(name:
     motion = Motion(scenario, Terrain(scenario.ground, scenario.objects), 1)
     times_s = 20.0 + np.arange(60 * rate_hz + 1) / rate_hz
     truth = motion.frame("imu", times_s)
-    datum = scenario.geodetic_datum
+    datum = scenario.datum.point
     g, rate = gravity(datum.latitude_deg, datum.altitude_m), earth_rate_enu(datum.latitude_deg)
     rates, forces = true_signals(truth, g, rate)
     R, p, _ = integrate(times_s, rates, forces, truth.R_W_F[0], truth.p_W[0], truth.v_W[0], g, rate)

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple, cast
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
 from holdfast.events import Event, EventKind, Outcome
-from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, gravity
 from holdfast.geometry.world import World
 from holdfast.messages import Array, Message
 from holdfast.sensors.heading import AxisYaw, HeadingModel
@@ -51,18 +50,16 @@ class Intake:
         self.counts: Counter[tuple[str, Outcome]] = Counter()
         self.events: list[Event] = []
         self.world = World()
+        self.world.settle()  # at the first fix, as these systems do
         self._gravity = config.frames.gravity
         self._stamps = StampFilter()
-        datum = config.frames.datum
-        if datum is not None:
-            self.world.place(Geodetic(datum.latitude_deg, datum.longitude_deg, datum.altitude_m))
+        if config.frames.datum is not None:
+            self.world.place(config.frames.datum.point)
 
     @property
     def gravity(self) -> float:
         """The configured gravity, or else that of the datum [m/s^2]."""
-        datum = self.world.datum
-        fallback = STANDARD_GRAVITY_M_S2 if datum is None else gravity(datum.latitude_deg, datum.altitude_m)
-        return self._gravity or fallback
+        return self._gravity or self.world.gravity
 
     def position(self, message: Message) -> Measurement | None:
         """Return a position in W, or None with its outcome counted; a first fix is the datum if none is configured."""

@@ -166,6 +166,7 @@ class _Readings:
             if sensor.role in (Role.POSITION, Role.HEADING, Role.ODOMETRY)
         }
         self.estimator: Estimator | None = None  # which places W
+        self._world = World()
         self.tracks: dict[str, list[TrackPose]] = {
             name: [] for name, sensor in self._sensors.items() if isinstance(sensor, OdometryModel)
         }
@@ -186,11 +187,13 @@ class _Readings:
                 self._take(self._sensors[name], message)
 
     def _take(self, sensor: Any, message: Message) -> None:
-        world = World()
-        world.frame = None if self.estimator is None else self.estimator.world
-        if sensor.role is Role.POSITION and world.frame is None:
+        frame = None if self.estimator is None else self.estimator.world
+        if frame is not self._world.frame:
+            self._world = World(frame)
+            self.fixes = {name: {} for name in self.fixes}  # those of another W
+        if sensor.role is Role.POSITION and frame is None:
             return  # before W is placed
-        measurement = sensor.convert(message, world)
+        measurement = sensor.convert(message, self._world)
         if isinstance(measurement, TrackPose):
             track = self.tracks[sensor.name]
             if not track or measurement.stamp_ns > track[-1].stamp_ns:

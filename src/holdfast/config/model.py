@@ -26,6 +26,7 @@ from holdfast.config.sensors import (
     SensorConfig,
 )
 from holdfast.errors import ConfigError
+from holdfast.geometry.earth import Geodetic
 from holdfast.messages import Array
 
 Kind = TypeVar("Kind", bound=SensorConfig)
@@ -40,6 +41,11 @@ class Datum(Section):
     latitude_deg: float = quantity("deg", ge=-90, le=90, doc="geodetic latitude")
     longitude_deg: float = quantity("deg", ge=-180, le=360, doc="longitude")
     altitude_m: float = quantity("m", ge=-1000, le=20000, doc="height above the ellipsoid, not above sea level")
+
+    @property
+    def point(self) -> Geodetic:
+        """The point on the ellipsoid."""
+        return Geodetic(self.latitude_deg, self.longitude_deg, self.altitude_m)
 
 
 class InitialisationConfig(Section):

@@ -23,8 +23,8 @@ from holdfast.estimator.successor import Successor
 from holdfast.estimator.tracking import Tracking, Update
 from holdfast.event_log import EventLog
 from holdfast.events import EventKind, Health, Outcome
-from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, gravity
-from holdfast.geometry.world import World
+from holdfast.geometry.earth import Geodetic
+from holdfast.geometry.world import MOVED, World
 from holdfast.integrity.exchanges import Exchanges
 from holdfast.integrity.learnt_constants import found_before
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
@@ -33,6 +33,7 @@ from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.scatter import Scatters
 from holdfast.messages import GnssFix, JointAngle, Message
 from holdfast.sensors.constants import Constant
+from holdfast.sensors.gnss import point_of
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.registry import inputs_of, sensors_of
 from holdfast.sensors.sensor import Joint, Measurement, Position, Role, Sensor, of_role
@@ -82,13 +83,12 @@ class Optimiser:
         self._scatters = Scatters(self._sensors, buffer, log)
         self.monitor = HealthMonitor(config)
         self.world = World()
-        self.gravity = config.frames.gravity or STANDARD_GRAVITY_M_S2
+        self.gravity = config.frames.gravity or self.world.gravity
         self._lever_arms = LeverArms(self._sensors)
         self._phase: Initialising | Tracking = self._initialising()
         self._begin()
-        datum = config.frames.datum
-        if datum is not None:
-            self.place(Geodetic(datum.latitude_deg, datum.longitude_deg, datum.altitude_m))
+        if config.frames.datum is not None:
+            self.place(config.frames.datum.point)
 
     def _begin(self) -> None:
         """Begin anew, before a start, with what was learnt until now."""
@@ -211,6 +211,8 @@ class Optimiser:
         measurement = self._exchanges.named(self._sensors[name].convert(message, self.world))
         if self.world.frame is not frame:
             self._set_gravity()
+            if frame is not None:
+                self._log.report(EventKind.RESET, message.stamp_ns, name, MOVED)
         outcome = measurement if isinstance(measurement, Outcome) else self._check_stamp(message, measurement.stamp_ns)
         if isinstance(measurement, Outcome) or outcome is not Outcome.USED:
             self._phase.refuse(message, outcome)
@@ -227,9 +229,7 @@ class Optimiser:
             self._record(message, measurement, Outcome.OVERLOAD)
             return None
         self._assumptions.tell(message)
-        weighed = measurement
-        if isinstance(measurement, Position):
-            weighed = self._scatters.add(measurement, self._scales[measurement.sensor])
+        weighed = self._scatters.weighed(measurement, self._scales)
         if self._listener is not None:
             self._listener.add(weighed, self._joint_at(measurement.stamp_ns))
         if isinstance(self._phase, Tracking):
@@ -245,8 +245,7 @@ class Optimiser:
         if isinstance(measurement, Position):
             position = measurement.p_W_P
         elif isinstance(message, GnssFix) and frame is not None:
-            point = Geodetic(message.latitude_deg, message.longitude_deg, message.altitude_m)
-            position = frame.to_enu(point) if all(map(isfinite, point)) else None
+            position = frame.to_enu(point) if all(map(isfinite, point := point_of(message))) else None
         stamp_ns = message.stamp_ns + self._sensors[message.sensor].offset_ns
         self._log.record(stamp_ns, message.sensor, outcome, p_W_P=position)
 
@@ -275,10 +274,9 @@ class Optimiser:
         self._set_gravity()
 
     def _set_gravity(self) -> None:
-        """Take gravity at the datum, which has just become known: what was collected without it is begun anew."""
-        datum = self.world.datum
-        assert datum is not None
-        self.gravity = self._config.frames.gravity or gravity(datum.latitude_deg, datum.altitude_m)
+        """Take gravity at the datum, which has just become known: what was collected in another W is begun anew."""
+        self.gravity = self._config.frames.gravity or self.world.gravity
+        self._scatters = Scatters(self._sensors, self._buffer, self._log)
         self._begin()
 
     def _try_to_start(self, phase: Initialising, measurement: Measurement) -> OptimisedState | None:
@@ -311,6 +309,7 @@ class Optimiser:
         self.monitor.reset(self._buffer.latest_ns)
 
     def _start(self, state: OptimisedState, successor: Successor) -> Tracking:
+        self.world.settle()
         sensors = self._believed()
         if self._listener is not None:
             self._listener.start(state, sensors, self.gravity, successor.start.found)

@@ -50,6 +50,11 @@ def is_on_earth(point: Geodetic) -> bool:
     return all(map(isfinite, point)) and abs(point.latitude_deg) <= 90.0 and abs(point.longitude_deg) <= 360.0
 
 
+def is_nowhere(point: Geodetic) -> bool:
+    """Whether a point is what receivers tell before they know where they are: zeros, in the sea off Africa."""
+    return point.latitude_deg == point.longitude_deg == 0.0
+
+
 class _Meridian(NamedTuple):
     """A latitude and height, with the quantities of the meridian ellipse there."""
 
@@ -101,6 +106,14 @@ class LocalFrame:
                 datum.sin * along_axis + datum.cos * outward,
             ]
         )
+
+    def axes_at(self, point: Geodetic) -> Array:
+        """Return R_W_E (3, 3), east, north and up at a point in those at the datum; what is measured there is in E."""
+        datum, there = self._meridian, _meridian(point.latitude_deg, point.altitude_m)
+        longitude_rad = radians(_longitude_difference_deg(point.longitude_deg, self.datum.longitude_deg))
+        of_datum, of_point = _axes(datum, 0.0), _axes(there, longitude_rad)
+        rotation: Array = of_datum @ of_point.T
+        return rotation
 
     def to_geodetic(self, enu: Array) -> Geodetic:
         """Return the point at `enu` (3,) [m] from the datum; its longitude is within [-180, 180] deg.
@@ -164,6 +177,18 @@ def _meridian(latitude_deg: float, altitude_m: float) -> _Meridian:
     w = sqrt(1.0 - ECCENTRICITY_SQUARED * sine * sine)
     normal_radius = SEMI_MAJOR_AXIS_M / w
     return _Meridian(latitude_deg, altitude_m, sine, cosine, w, normal_radius, (normal_radius + altitude_m) * cosine)
+
+
+def _axes(at: _Meridian, longitude_rad: float) -> Array:
+    """Return east, north and up (3, 3) as rows: outward at the longitude zero, east of it, along the axis."""
+    sine, cosine = sin(longitude_rad), cos(longitude_rad)
+    return np.array(
+        [
+            [-sine, cosine, 0.0],
+            [-at.sin * cosine, -at.sin * sine, at.cos],
+            [at.cos * cosine, at.cos * sine, at.sin],
+        ]
+    )
 
 
 def _meridian_difference_m(there: _Meridian, here: _Meridian) -> tuple[float, float]:

@@ -1,27 +1,80 @@
-"""The world frame W: east, north and up of a datum that is given, or that the first position on the ellipsoid sets."""
+"""The world frame W: east, north and up of a datum that is given, or that the first positions on the ellipsoid set."""
 
-from holdfast.geometry.earth import Geodetic, LocalFrame
+from math import cos, radians, remainder
+
+import numpy as np
+
+from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, LocalFrame, gravity
 from holdfast.messages import Array
+
+NEAR_DEG = 0.1  # 11 km, over which up turns by as much; of longitude at the equator
+AGREEING = 3  # successive points elsewhere that are no outliers
+MOVED = "the first position was far from those that followed: W begins at these now"
 
 
 class World:
-    """W, and where it is on the earth once that is known."""
+    """W, and where it is on the earth once that is known; until it is settled, it follows the points.
 
-    def __init__(self) -> None:
-        self.frame: LocalFrame | None = None
+    The first fix of a receiver may be thousands of kilometres off, and far from the datum up in W is not up. So
+    W moves to where three successive points are, until an estimate has begun in it, unless its datum is given.
+
+    Args:
+        frame: where W is, if that is known.
+    """
+
+    def __init__(self, frame: LocalFrame | None = None) -> None:
+        self.frame = frame
+        self._is_settled = frame is not None
+        self._here: Geodetic | None = None
+        self._elsewhere: list[Geodetic] = []
 
     @property
     def datum(self) -> Geodetic | None:
         """The origin of W on the ellipsoid, None until there is one."""
         return None if self.frame is None else self.frame.datum
 
+    @property
+    def gravity(self) -> float:
+        """Normal gravity at the datum [m/s^2], the standard one until there is a datum."""
+        datum = self.datum
+        return STANDARD_GRAVITY_M_S2 if datum is None else gravity(datum.latitude_deg, datum.altitude_m)
+
+    @property
+    def axes(self) -> Array:
+        """R_W_E (3, 3): east, north and up where the last points are, outliers left out, in W."""
+        return np.eye(3) if self.frame is None or self._here is None else self.frame.axes_at(self._here)
+
     def place(self, datum: Geodetic) -> None:
-        """Put the origin of W somewhere."""
+        """Put the origin of W somewhere, where it stays."""
         self.frame = LocalFrame(datum)
+        self.settle()
+
+    def settle(self) -> None:
+        """Let W stay where it is."""
+        self._is_settled = True
 
     def to_enu(self, point: Geodetic) -> Array:
-        """Return the (3,) position of a point in W [m]; the first point becomes the datum."""
+        """Return the (3,) position of a point in W [m]; the first points set the datum."""
+        self._note(point)
         if self.frame is None:
-            self.place(point)
-            assert self.frame is not None
+            self.frame = LocalFrame(point)
+        elif not self._is_settled and self._here is not None and not _are_near(self._here, self.frame.datum):
+            self.frame = LocalFrame(self._here)
         return self.frame.to_enu(point)
+
+    def _note(self, point: Geodetic) -> None:
+        """Note where the machine is, by points that agree."""
+        if self._here is None or _are_near(point, self._here):
+            self._here, self._elsewhere = point, []
+            return
+        if not self._elsewhere or not _are_near(point, self._elsewhere[-1]):
+            self._elsewhere = []
+        self._elsewhere.append(point)
+        if len(self._elsewhere) == AGREEING:
+            self._here, self._elsewhere = point, []
+
+
+def _are_near(one: Geodetic, other: Geodetic) -> bool:
+    """Whether two points are within some kilometres of each other, whatever their height."""
+    east_deg = remainder(one.longitude_deg - other.longitude_deg, 360.0) * cos(radians(one.latitude_deg))
+    return abs(one.latitude_deg - other.latitude_deg) < NEAR_DEG and abs(east_deg) < NEAR_DEG

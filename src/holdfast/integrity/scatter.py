@@ -17,7 +17,7 @@ from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.sensors.sensor import Position, Role, Sensor, of_role
+from holdfast.sensors.sensor import Measurement, Position, Role, Sensor, of_role
 
 COMPARED = 4  # positions: of three, nothing is left beside a start, a velocity and an acceleration
 WAITING = 24  # positions, of which the newest may be ahead of the IMU
@@ -125,8 +125,10 @@ class Scatters:
         self._log = log
         self._told = dict.fromkeys(self._receivers, 1.0)
 
-    def add(self, position: Position, scale: NoiseScale) -> Position:
-        """Take in a position as it arrives; return it with the covariance that is believed, and tell that its scale."""
+    def weighed(self, position: Measurement, scales: Mapping[str, NoiseScale]) -> Measurement:
+        """Return a measurement as it arrives, a position with the covariance that is believed; its scale is told."""
+        if not isinstance(position, Position):
+            return position
         name = position.sensor
         self._receivers[name].add(position)
         factors = self._receivers[name].factors
@@ -135,7 +137,7 @@ class Scatters:
             self._told[name] = most
             reason = f"its positions scatter by {most:.1f} times what they claim"
             self._log.report(EventKind.NOISE, position.stamp_ns, name, reason)
-        scale.weigh(factors[0])
+        scales[name].weigh(factors[0])
         if most == 1.0:
             return position
         times = np.sqrt(factors)

@@ -8,7 +8,7 @@ from holdfast.config.model import Config
 from holdfast.events import Outcome
 from holdfast.geometry.earth import SEMI_MAJOR_AXIS_M, Geodetic, LocalFrame
 from holdfast.messages import GnssFix, Message
-from holdfast.sensors.gnss import GnssModel
+from holdfast.sensors.gnss import GnssModel, point_of
 from holdfast.sensors.registry import sensors_of
 
 FAR_M = 100_000.0  # up is 0.9 deg off there
@@ -21,7 +21,7 @@ class DatumCheck:
         datum = config.frames.datum
         self._receivers: dict[str, GnssModel] = {}
         if datum is not None:
-            self._datum = Geodetic(datum.latitude_deg, datum.longitude_deg, datum.altitude_m)
+            self._datum = datum.point
             self._receivers = {name: one for name, one in sensors_of(config).items() if isinstance(one, GnssModel)}
         self._nearest: tuple[float, Geodetic] | None = None
 
@@ -30,7 +30,7 @@ class DatumCheck:
         receiver = self._receivers.get(message.sensor)
         if receiver is None or not isinstance(message, GnssFix) or receiver.check(message) is not Outcome.USED:
             return
-        point = Geodetic(message.latitude_deg, message.longitude_deg, message.altitude_m)
+        point = point_of(message)
         distance_m = _distance_m(self._datum, point)
         if self._nearest is None or distance_m < self._nearest[0]:
             self._nearest = distance_m, point

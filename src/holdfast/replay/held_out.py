@@ -269,8 +269,7 @@ class HeldOutJudge:
             self._track.popleft()
         while self._waiting and self._stamp_ns(self._waiting[0][0]) <= point.stamp_ns:
             message, in_outage = self._waiting.popleft()
-            world = World()
-            world.frame = frame
+            world = World(frame)
             position = self._sensors[message.sensor].convert(message, world)
             if not isinstance(position, Outcome) and world.frame is frame:  # it has not set a datum itself
                 self._due.append(self._calibrated(position, in_outage))

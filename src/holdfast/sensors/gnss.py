@@ -11,7 +11,7 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig, PrismConfig
 from holdfast.events import Outcome
-from holdfast.geometry.earth import Geodetic
+from holdfast.geometry.earth import Geodetic, is_nowhere
 from holdfast.geometry.world import World
 from holdfast.messages import Array, FixStatus, GnssFix, Message
 from holdfast.sensors.lever_arm import doubtful_arm, is_in_doubt, measured_antennas
@@ -85,7 +85,7 @@ class GnssModel:
         outcome = self.check(fix)
         if outcome is not Outcome.USED:
             return outcome
-        p_W_P = world.to_enu(Geodetic(fix.latitude_deg, fix.longitude_deg, fix.altitude_m))
+        p_W_P = world.to_enu(point_of(fix))
         covariance = self._covariance(fix)
         is_float = float(covariance[:2, :2].max()) > self._config.float_above_m**2
         correlation_s = self._config.float_correlation_s if is_float else self._config.correlation_s
@@ -96,6 +96,8 @@ class GnssModel:
         """Say whether a fix can be used, by what the receiver says of it."""
         if not isfinite(fix.latitude_deg + fix.longitude_deg + fix.altitude_m):
             return Outcome.LOW_STATUS if fix.status == FixStatus.NO_FIX else Outcome.NOT_FINITE
+        if is_nowhere(point_of(fix)):
+            return Outcome.LOW_STATUS  # whatever its status
         if fix.status < MIN_STATUS[self._config.min_status]:
             return Outcome.LOW_STATUS
         if abs(fix.latitude_deg) > 90.0 or abs(fix.longitude_deg) > 360.0 or abs(fix.altitude_m) > MAX_ALTITUDE_M:
@@ -143,6 +145,11 @@ class GnssModel:
         if len(keys) == 1:
             return position_factor(keys[0], position, self.p_I_P, self.loss, inflation)
         return innovation_factor(self, keys, position, state, position.covariance * inflation, self.loss)
+
+
+def point_of(fix: GnssFix) -> Geodetic:
+    """Return where a fix says that its antenna is."""
+    return Geodetic(fix.latitude_deg, fix.longitude_deg, fix.altitude_m)
 
 
 def is_measured(sensor: object) -> TypeGuard[GnssModel]:

@@ -39,7 +39,7 @@ class GnssVelocityModel(StateSensor):
         self._is_used = np.array([axis in config.axes for axis in "xyz"])
         self._floors = config.sigma_m_s * np.array([1.0, 1.0, UP_RATIO])
 
-    def convert(self, message: GnssVelocity, world: World) -> Velocity | Outcome:  # noqa: ARG002 (it is that in W)
+    def convert(self, message: GnssVelocity, world: World) -> Velocity | Outcome:
         """Return the velocity with its noise, or what is wrong with it; axes without a value or a variance are free."""
         claim = np.zeros((3, 3)) if message.covariance is None else message.covariance
         is_measured = self._is_used & np.isfinite(message.velocity)
@@ -53,7 +53,7 @@ class GnssVelocityModel(StateSensor):
         axes = np.ix_(is_measured, is_measured)
         covariance = np.eye(3) * FREE_VARIANCE
         covariance[axes] = claimed_covariance(_consistent(claim[axes]), self._floors[is_measured])
-        velocity = np.where(is_measured, message.velocity, 0.0)
+        velocity = world.axes @ np.where(is_measured, message.velocity, 0.0)
         return Velocity(message.stamp_ns + self.offset_ns, self.name, velocity, covariance)
 
     def innovation(self, measured: Velocity, state: State) -> Innovation:

@@ -83,7 +83,7 @@ class HeadingModel(StateSensor):
         axis_yaw = None if self.axis is None else yaw_of(attitude.rotate(self.axis))
         return axis_yaw is not None and cos(measured.yaw_rad - axis_yaw) < 0.0
 
-    def convert(self, heading: Heading, world: World) -> AxisYaw | Outcome:  # noqa: ARG002 (yaw is that of W already)
+    def convert(self, heading: Heading, world: World) -> AxisYaw | Outcome:
         """Return the heading with its noise, the claim above a floor or the default; or what is wrong with it."""
         claim = radians(self.settings.default_sigma_deg) if heading.sigma_rad is None else heading.sigma_rad
         if not (isfinite(heading.yaw_rad) and 0.0 < claim < float("inf")):
@@ -91,7 +91,8 @@ class HeadingModel(StateSensor):
         if claim > MAX_SIGMA_RAD:
             return Outcome.LARGE_COVARIANCE
         sigma = max(claim, radians(self.settings.min_sigma_deg))
-        return AxisYaw(heading.stamp_ns + self.offset_ns, self.name, heading.yaw_rad, sigma, self._colour)
+        east, north, _ = world.axes @ [cos(heading.yaw_rad), sin(heading.yaw_rad), 0.0]
+        return AxisYaw(heading.stamp_ns + self.offset_ns, self.name, atan2(north, east), sigma, self._colour)
 
     def of_imu(self, measured: AxisYaw, level: gtsam.Rot3) -> tuple[float, float] | None:
         """Return the heading of the IMU's x axis and its sigma [rad], given the IMU's attitude with zero heading."""

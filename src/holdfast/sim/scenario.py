@@ -19,7 +19,6 @@ from holdfast.config.load import read_yaml, validate
 from holdfast.config.model import Datum
 from holdfast.config.section import Section, Vector3, quantity
 from holdfast.errors import ConfigError
-from holdfast.geometry.earth import Geodetic
 from holdfast.sim.datasheets import Sheet, SimulatedSensor
 from holdfast.sim.fault import Fault
 from holdfast.sim.faults import affected_kinds, can_happen
@@ -193,11 +192,6 @@ class Scenario(Section):
     ground: Ground = Ground()
     objects: Objects = Objects()
     traffic: tuple[Mover, ...] = Field((), description="people and trucks that the lidar sees")
-
-    @property
-    def geodetic_datum(self) -> Geodetic:
-        """The origin of W."""
-        return Geodetic(self.datum.latitude_deg, self.datum.longitude_deg, self.datum.altitude_m)
 
     @property
     def imu_name(self) -> str:

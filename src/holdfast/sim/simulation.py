@@ -57,7 +57,7 @@ def simulate(scenario: Scenario, seed: int) -> Simulation:
     """Let the machine do what the scenario says; equal scenario and seed give equal messages."""
     site = Site(scenario.ground, scenario.objects)
     motion = Motion(scenario, site.terrain, seed)
-    sheets, datum = scenario.sensors, scenario.geodetic_datum
+    sheets, datum = scenario.sensors, scenario.datum.point
     rotating = scenario.earth_rotation
     scene = Scene(sheets, scenario.imu_name, seed, scenario.duration_s, datum, rotating, motion, site)
     measured: dict[str, Readings] = {}
