@@ -33,6 +33,14 @@ def test_until_it_is_settled_w_follows_three_points_that_agree():
     assert world.datum == HERE
 
 
+def test_w_cannot_be_settled_before_it_is_anywhere():
+    world = World()
+    world.settle()
+    for point in (OFF, HERE, HERE, HERE):
+        world.to_enu(point)
+    assert world.datum == HERE
+
+
 def test_points_that_do_not_agree_move_nothing():
     world = World()
     for longitude in range(5):

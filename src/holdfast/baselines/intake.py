@@ -50,7 +50,6 @@ class Intake:
         self.counts: Counter[tuple[str, Outcome]] = Counter()
         self.events: list[Event] = []
         self.world = World()
-        self.world.settle()  # at the first fix, as these systems do
         self._gravity = config.frames.gravity
         self._stamps = StampFilter()
         if config.frames.datum is not None:
@@ -65,6 +64,7 @@ class Intake:
         """Return a position in W, or None with its outcome counted; a first fix is the datum if none is configured."""
         sensor = self.positions[message.sensor]
         position: Position | None = self._convert(sensor, message)
+        self.world.settle()
         if position is None:
             return None
         return Measurement(position.stamp_ns, position.sensor, PositionFix(position, sensor.p_I_P))

@@ -50,8 +50,8 @@ class World:
         self.settle()
 
     def settle(self) -> None:
-        """Let W stay where it is."""
-        self._is_settled = True
+        """Let W stay where it is, if it is anywhere."""
+        self._is_settled = self.frame is not None
 
     def to_enu(self, point: Geodetic) -> Array:
         """Return the (3,) position of a point in W [m]; the first points set the datum."""
