@@ -124,6 +124,21 @@ def rounded(step_deg: float) -> Fault:
     return lambda messages: changed(GnssFix, messages, change)
 
 
+def jitters(most_s: float) -> Fault:
+    """Stamps of a receiver that are given when its messages arrive, earlier or later by up to so much."""
+
+    def fault(messages: list[Message]) -> list[Message]:
+        rng, epochs = np.random.default_rng(7), dict[int, int]()
+
+        def change(one: GnssFix | GnssVelocity) -> GnssFix | GnssVelocity:
+            by_ns = epochs.setdefault(one.stamp_ns, round(rng.uniform(-most_s, most_s) * 1e9))
+            return replace(one, stamp_ns=one.stamp_ns + by_ns)
+
+        return changed(GnssFix | GnssVelocity, messages, change)
+
+    return fault
+
+
 def first_are_off(count: int, by_m: float) -> Fault:
     """The first fixes that are used are far to the east of where the machine is."""
 
@@ -225,6 +240,8 @@ FAULTS: dict[str, Fault] = {
     "fixes scatter by 0.1 m, whatever they claim": scattered(0.1),
     "fixes scatter by 0.3 m, whatever they claim": scattered(0.3),
     "fixes rounded to 1e-5 deg": rounded(1e-5),
+    "stamps of GNSS jitter by 10 ms": jitters(0.01),
+    "stamps of GNSS jitter by 50 ms": jitters(0.05),
     "the first three fixes are 100 km off": first_are_off(3, 100e3),
     "zeros for 20 s before the first fix": zeros_first(20.0),
     "fixes wander by 10 m and claim 1 m": wanders(10.0),
