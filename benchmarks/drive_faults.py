@@ -17,7 +17,8 @@ import numpy as np
 from drives import held_out_row, messages_of, names_of, recorded_in, run_system, starter_config
 from mishaps import changed
 
-from holdfast.config.model import Config, Datum
+from holdfast.config.frames import Datum
+from holdfast.config.model import Config
 from holdfast.estimator.estimator import Estimator
 from holdfast.geometry.earth import LocalFrame, is_on_earth
 from holdfast.geometry.rotations import exponentials
@@ -272,8 +273,10 @@ def judge(drive: Path, name: str) -> dict[str, Any]:
     messages = messages_of(drive, config)
     if name in DATUMS_M:
         config = with_datum(config, messages, DATUMS_M[name])
-    change = OF_ALL.get(name, FAULTS["none"] if name in DATUMS_M else None)
-    changed = change(messages) if change else where_used(config, rules, messages, FAULTS[name](messages))
+    if name in OF_ALL:
+        changed = OF_ALL[name](messages)
+    else:
+        changed = where_used(config, rules, messages, FAULTS.get(name, FAULTS["none"])(messages))
     return held_out_row(config, run_system(Estimator(config), changed, rules), changed, drive / "reference.csv")
 
 

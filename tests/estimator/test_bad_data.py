@@ -89,8 +89,7 @@ def test_an_absurd_altitude_is_out_of_range():
 
 def test_a_first_fix_with_an_absurd_altitude_does_not_become_the_datum():
     _drive, streams = recorded()
-    config = machine()
-    config = config.model_copy(update={"frames": config.frames.model_copy(update={"datum": None})})
+    config = machine(frames={"datum": None})
     streams["gnss"][0] = replace(streams["gnss"][0], altitude_m=1e300)
     estimator, outputs = run(config, in_order(*streams.values()))
     assert estimator.datum is not None and abs(estimator.datum.altitude_m) < 1e4
@@ -100,8 +99,7 @@ def test_a_first_fix_with_an_absurd_altitude_does_not_become_the_datum():
 def test_first_fixes_far_off_do_not_stay_the_datum():
     """A hundred kilometres, where up is a degree off."""
     _drive, streams = recorded()
-    config = machine()
-    config = config.model_copy(update={"frames": config.frames.model_copy(update={"datum": None})})
+    config = machine(frames={"datum": None})
     true = streams["gnss"][0]
     for k in range(2):
         fix = streams["gnss"][k]
@@ -116,8 +114,7 @@ def test_first_fixes_far_off_do_not_stay_the_datum():
 
 def test_zeros_of_a_receiver_without_a_position_are_no_fix():
     _drive, streams = recorded()
-    config = machine()
-    config = config.model_copy(update={"frames": config.frames.model_copy(update={"datum": None})})
+    config = machine(frames={"datum": None})
     for k in range(20):
         streams["gnss"][k] = replace(streams["gnss"][k], latitude_deg=0.0, longitude_deg=0.0, altitude_m=0.0)
     estimator, outputs = run(config, in_order(*streams.values()))

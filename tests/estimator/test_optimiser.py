@@ -86,8 +86,7 @@ def test_a_new_datum_moves_w_takes_gravity_from_there_and_begins_anew():
 
 
 def test_without_a_datum_gravity_is_known_with_the_first_fix():
-    config = machine()
-    config = config.model_copy(update={"frames": config.frames.model_copy(update={"datum": None})})
+    config = machine(frames={"datum": None})
     optimiser, _, _ = fresh(config)
     assert optimiser.gravity == STANDARD_GRAVITY_M_S2 and optimiser.world.datum is None
     optimiser.add(fixes(DRIVE, 0.0, 0.0)[0])

@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from holdfast.config.extrinsics import Extrinsic, TurnJointConfig
 from holdfast.config.frame_tree import Link, poses_from
+from holdfast.config.frames import FramesConfig
 from holdfast.config.kinds import KINDS, AnySensor, kind_of
 from holdfast.config.live import LiveConfig
 from holdfast.config.realtime import RealtimeConfig
@@ -26,26 +27,12 @@ from holdfast.config.sensors import (
     SensorConfig,
 )
 from holdfast.errors import ConfigError
-from holdfast.geometry.earth import Geodetic
 from holdfast.messages import Array
 
 Kind = TypeVar("Kind", bound=SensorConfig)
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 BELIEVE_BESIDE_ODOMETRY_S, BELIEVE_AFTER_JUMP_S, BELIEVE_ALONE_S = 30.0, 5.0, 1.0
 RESERVED = ("standstill",)  # what counts and events name beside the sensors
-
-
-class Datum(Section):
-    """Origin of the world frame W (east, north, up) on the WGS84 ellipsoid."""
-
-    latitude_deg: float = quantity("deg", ge=-90, le=90, doc="geodetic latitude")
-    longitude_deg: float = quantity("deg", ge=-180, le=360, doc="longitude")
-    altitude_m: float = quantity("m", ge=-1000, le=20000, doc="height above the ellipsoid, not above sea level")
-
-    @property
-    def point(self) -> Geodetic:
-        """The point on the ellipsoid."""
-        return Geodetic(self.latitude_deg, self.longitude_deg, self.altitude_m)
 
 
 class InitialisationConfig(Section):
@@ -147,21 +134,6 @@ class SmoothingConfig(Section):
         True,
         description="places seen twice are registered, where the recording holds scans and small_gicp is installed",
     )
-
-
-class FramesConfig(Section):
-    """Names of the published frames (REP-105) and the datum."""
-
-    world: str = Field("map", description="W: east, north, up at the datum")
-    odometry: str = Field("odom", description="O: continuous, never jumps")
-    base: str = Field(
-        "base_link", description="B: the chassis; published if `extrinsics` or `turn_joint` join it to the IMU"
-    )
-    odometry_policy: Literal["always", "at_recovery"] = Field(
-        "always", description="T_W_O takes every correction, or (the paper) only the one at the recovery of GNSS"
-    )
-    datum: Datum | None = Field(None, description="without it the first accepted fix is the datum")
-    gravity: float | None = quantity("m/s^2", None, gt=9.7, lt=9.9, doc="without it WGS84 gravity at the datum")
 
 
 class Config(Section):

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from holdfast.config.assignment import Guess, Measured, Topic, TopicKind, assign, described, namespace
+from holdfast.config.frames import FramesConfig
 from holdfast.config.kinds import KINDS
-from holdfast.config.model import FramesConfig
 from holdfast.config.recorded_frames import RecordedFrames, RecordedLink
 from holdfast.config.schema import Place
 from holdfast.config.sensors import (

@@ -210,7 +210,7 @@ class Optimiser:
         frame, name = self.world.frame, message.sensor
         measurement = self._exchanges.named(self._sensors[name].convert(message, self.world))
         if self.world.frame is not frame:
-            self._set_gravity()
+            self._begin_in_world()
             if frame is not None:
                 self._log.report(EventKind.RESET, message.stamp_ns, name, MOVED)
         outcome = measurement if isinstance(measurement, Outcome) else self._check_stamp(message, measurement.stamp_ns)
@@ -271,9 +271,9 @@ class Optimiser:
     def place(self, datum: Geodetic) -> None:
         """Put the origin of W somewhere, and begin anew."""
         self.world.place(datum)
-        self._set_gravity()
+        self._begin_in_world()
 
-    def _set_gravity(self) -> None:
+    def _begin_in_world(self) -> None:
         """Take gravity at the datum, which has just become known: what was collected in another W is begun anew."""
         self.gravity = self._config.frames.gravity or self.world.gravity
         self._scatters = Scatters(self._sensors, self._buffer, self._log)

@@ -150,6 +150,11 @@ def gravity(latitude_deg: float, altitude_m: float) -> float:
     return on_ellipsoid * (1.0 - slope * height + 3.0 * height**2)
 
 
+def gravity_at(datum: Geodetic | None) -> float:
+    """Return normal gravity at a datum [m/s^2], the standard one where there is none."""
+    return STANDARD_GRAVITY_M_S2 if datum is None else gravity(datum.latitude_deg, datum.altitude_m)
+
+
 def earth_rate_enu(latitude_deg: float) -> Array:
     """Return the (3,) angular velocity of the earth against the stars, in east, north, up [rad/s]."""
     sin_latitude, cos_latitude = _sin_cos(latitude_deg)

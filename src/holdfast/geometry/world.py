@@ -4,7 +4,7 @@ from math import cos, radians, remainder
 
 import numpy as np
 
-from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, LocalFrame, gravity
+from holdfast.geometry.earth import Geodetic, LocalFrame, gravity_at
 from holdfast.messages import Array
 
 NEAR_DEG = 0.1  # 11 km, over which up turns by as much; of longitude at the equator
@@ -36,8 +36,7 @@ class World:
     @property
     def gravity(self) -> float:
         """Normal gravity at the datum [m/s^2], the standard one until there is a datum."""
-        datum = self.datum
-        return STANDARD_GRAVITY_M_S2 if datum is None else gravity(datum.latitude_deg, datum.altitude_m)
+        return gravity_at(self.datum)
 
     @property
     def axes(self) -> Array:
@@ -55,23 +54,20 @@ class World:
 
     def to_enu(self, point: Geodetic) -> Array:
         """Return the (3,) position of a point in W [m]; the first points set the datum."""
-        self._note(point)
-        if self.frame is None:
-            self.frame = LocalFrame(point)
-        elif not self._is_settled and self._here is not None and not _are_near(self._here, self.frame.datum):
-            self.frame = LocalFrame(self._here)
+        here = self._here = self._where(point)
+        if self.frame is None or not (self._is_settled or _are_near(here, self.frame.datum)):
+            self.frame = LocalFrame(here)
         return self.frame.to_enu(point)
 
-    def _note(self, point: Geodetic) -> None:
-        """Note where the machine is, by points that agree."""
+    def _where(self, point: Geodetic) -> Geodetic:
+        """Return where the machine is: at the newest point, or where it was while points elsewhere may be outliers."""
         if self._here is None or _are_near(point, self._here):
-            self._here, self._elsewhere = point, []
-            return
-        if not self._elsewhere or not _are_near(point, self._elsewhere[-1]):
+            self._elsewhere = []
+            return point
+        if self._elsewhere and not _are_near(point, self._elsewhere[-1]):
             self._elsewhere = []
         self._elsewhere.append(point)
-        if len(self._elsewhere) == AGREEING:
-            self._here, self._elsewhere = point, []
+        return point if len(self._elsewhere) >= AGREEING else self._here
 
 
 def _are_near(one: Geodetic, other: Geodetic) -> bool:

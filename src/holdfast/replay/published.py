@@ -15,7 +15,7 @@ from holdfast.evaluation.evidence import Chassis, Published
 from holdfast.evaluation.smoothness import Inertial
 from holdfast.evaluation.states import States
 from holdfast.events import Event, EventKind, Outcome
-from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2, Geodetic, gravity
+from holdfast.geometry.earth import Geodetic, gravity_at
 from holdfast.geometry.rotations import quaternions_xyzw
 from holdfast.messages import Array, ImuSample, Message
 from holdfast.replay.runner import Timing
@@ -190,10 +190,7 @@ class PublishedRecorder:
         )
 
     def _inertial(self, rows: Sequence[int], kept: list[Estimate], columns: Any) -> Inertial:
-        datum = self.estimator.datum
-        configured = self.estimator.config.frames.gravity
-        fallback = STANDARD_GRAVITY_M_S2 if datum is None else gravity(datum.latitude_deg, datum.altitude_m)
-        down = np.array([0.0, 0.0, -(configured or fallback)])
+        down = np.array([0.0, 0.0, -(self.estimator.config.frames.gravity or gravity_at(self.estimator.datum))])
         forces = np.array([self._forces[row] for row in rows]).reshape(-1, 3)
         in_world = turned(columns["nav"]["R"], forces - columns["bias_accel"]) + down
         return Inertial(

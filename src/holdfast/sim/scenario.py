@@ -15,8 +15,8 @@ from pydantic import Field, model_validator
 
 from holdfast.config.document import Document, read_document
 from holdfast.config.extrinsics import Extrinsic
+from holdfast.config.frames import Datum
 from holdfast.config.load import read_yaml, validate
-from holdfast.config.model import Datum
 from holdfast.config.section import Section, Vector3, quantity
 from holdfast.errors import ConfigError
 from holdfast.sim.datasheets import Sheet, SimulatedSensor
