@@ -192,6 +192,17 @@ def early(messages: list[Message]) -> list[Message]:
     return changed(of_receiver, messages, lambda one: replace(one, stamp_ns=one.stamp_ns - EARLY_NS))
 
 
+def arrive_late(by_s: float) -> Fault:
+    """All of the receiver arrives so late, with the right stamps, as over a slow link."""
+
+    def fault(messages: list[Message]) -> list[Message]:
+        by_ns = round(by_s * 1e9)
+        later = changed(GnssFix | GnssVelocity, messages, lambda one: replace(one, arrival_ns=one.arrival_ns + by_ns))
+        return sorted(later, key=lambda one: one.arrival_ns)
+
+    return fault
+
+
 def pauses(lasting_s: float) -> Fault:
     """Nothing is recorded for some seconds of each minute, first after half of one."""
 
@@ -258,6 +269,8 @@ OF_ALL: dict[str, Fault] = {
     "nothing is recorded for 10 s in each minute": pauses(10.0),
     "nothing is recorded for 30 s in each minute": pauses(30.0),
     "samples of the IMU in bursts of 0.1 s": bursts(0.1),
+    "GNSS arrives 4 s late": arrive_late(4.0),
+    "GNSS arrives 10 s late": arrive_late(10.0),
     "stamps of GNSS 0.25 s early": early,
     "stamps of GNSS 0.25 s early, gyroscope's bias jumps by 3 deg/s": lambda messages: FAULTS[
         "gyroscope's bias jumps by 3 deg/s"

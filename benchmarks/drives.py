@@ -304,7 +304,9 @@ def print_outages(drives: Sequence[str], length_s: float, results: Sequence[dict
                     )
 
 
-def print_drives(data: Path, only: Sequence[str] = (), outages: bool = True, baselines: bool = True) -> None:
+def print_drives(
+    data: Path, only: Sequence[str] = (), lengths_s: Sequence[float] = LENGTHS_S, baselines: bool = True
+) -> None:
     """Run and print the drives below a folder: all of them, or those that are named."""
     drives = [drive for drive in recorded_in(data) if drive.name in (only or [drive.name])]
     names = [drive.name for drive in drives]
@@ -313,7 +315,7 @@ def print_drives(data: Path, only: Sequence[str] = (), outages: bool = True, bas
     if not drives:
         return
     with ProcessPoolExecutor(2) as pool:
-        lengths = [None, *LENGTHS_S] if outages else [None]
+        lengths = None, *lengths_s
         jobs = {length: [pool.submit(judge_drive, drive, length, baselines) for drive in drives] for length in lengths}
         for length, futures in jobs.items():
             results = [future.result() for future in futures]
@@ -329,9 +331,11 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data" / "drives")
     parser.add_argument("--drive", action="append", default=[], help="only this one; may be given again")
     parser.add_argument("--no-outages", action="store_true")
+    parser.add_argument("--length", action="append", type=float, help="of outages [s], in place of 10, 30 and 60")
     parser.add_argument("--no-baselines", action="store_true")
     given = parser.parse_args()
-    print_drives(given.data, given.drive, not given.no_outages, not given.no_baselines)
+    lengths_s = () if given.no_outages else given.length or LENGTHS_S
+    print_drives(given.data, given.drive, lengths_s, not given.no_baselines)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,11 @@ def one_line(text: str, limit: int | None = None) -> str:
     return escaped if limit is None or len(escaped) <= limit else escaped[: limit - 3] + "..."
 
 
+def first_line(error: Exception) -> str:
+    """Return the first line of what an exception says, or its name."""
+    return (str(error).strip() or repr(error)).splitlines()[0]
+
+
 def quoted(value: object) -> str:
     """Return what an error quotes of an input: its text on one line, at most `QUOTED` characters."""
     return one_line(str(value), QUOTED)

@@ -59,7 +59,13 @@ class Rig:
         after_s = config.gate.patience_s(has_odometry=bool(of(Role.ODOMETRY)))
         self.lever_arms = LeverArms(self.sensors)
         self.positions = Positions(
-            config.gate, of(Role.POSITION), scales, self.lever_arms, self.log, believe_after_s=after_s
+            config.gate,
+            of(Role.POSITION),
+            scales,
+            self.lever_arms,
+            self.log,
+            since_ns=round(start_s * 1e9),
+            believe_after_s=after_s,
         )
         self.headings = Headings(of(Role.HEADING), scales, self.log)
         self.odometries = Odometries(

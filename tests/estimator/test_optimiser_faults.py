@@ -5,6 +5,7 @@ import pytest
 from motion import Drive, deviation, estimates, fixes, imu, in_order, machine, ns, run, scans
 
 from holdfast.events import EventKind
+from holdfast.graph.smoother import Smoother
 from holdfast.graph.window import Window
 
 
@@ -63,3 +64,25 @@ def test_after_a_failure_the_covariance_is_larger_and_comes_back(monkeypatch):
     assert max(after) > 1.5
     # the heading lost trust as well, and is found again more slowly
     assert ratio[ns(11.0)] < 2.0 < max(after)
+
+
+@pytest.mark.parametrize("error", [IndexError, RuntimeError, ValueError])
+def test_it_goes_on_where_gtsam_raises_what_nobody_has_expected(error, monkeypatch):
+    rng, drive = np.random.default_rng(1), Drive()
+    messages = in_order(imu(drive, 0.0, 11.0, 100.0, rng), fixes(drive, 0.0, 11.0, 10.0, rng, phase_s=0.0137))
+    settled, left = Smoother.settled, [3]
+
+    def failing(smoother):
+        if smoother.newest_ns > ns(5.0) and left[0] > 0:
+            left[0] -= 1
+            raise error("Requested variable 'x0' is not in this VectorValues.\nmore")
+        return settled(smoother)
+
+    monkeypatch.setattr(Smoother, "settled", failing)
+    estimator, outputs = run(machine(lidar=False), messages)
+    reasons = [event.reason for event in estimator.events if event.kind is EventKind.OPTIMISER_FAULT]
+    text = f"{error.__name__}: Requested variable 'x0' is not in this VectorValues.: going on from the last state"
+    assert reasons == [text] * 3
+    given = estimates(outputs)
+    assert (np.diff([one.stamp_ns for one in given]) == 10_000_000).all()
+    assert max(deviation(drive, one)[0] for one in given if one.stamp_ns > ns(5.5)) < 0.1

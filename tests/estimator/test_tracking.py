@@ -12,6 +12,7 @@ from holdfast.estimator.imu_path import receive
 from holdfast.estimator.initialisation import Initialising
 from holdfast.estimator.successor import Successor
 from holdfast.estimator.tracking import Tracking
+from holdfast.estimator.window_length import WindowLength
 from holdfast.event_log import EventLog
 from holdfast.events import EventKind, Health, Outcome
 from holdfast.integrity.lever_arms import LeverArms
@@ -66,6 +67,7 @@ def begun(**config):
         scales={name: NoiseScale() for name in sensors},
         lever_arms=LeverArms(sensors),
         successor=Successor(Initialising(config, buffer, sensors, G)),
+        window=WindowLength(config.graph, log),
         joint_at=lambda _: None,
         monitor=monitor,
         log=log,

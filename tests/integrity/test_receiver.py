@@ -52,7 +52,7 @@ def judged(gate, offset=(0.0, 0.0, 0.0), t_s=0.0, *, baseline_agrees=True, delay
 
 
 def new_gate(**settings):
-    return ReceiverGate(GateConfig(**settings), 4.0**2)
+    return ReceiverGate(GateConfig(**settings), 4.0**2, since_ns=0)
 
 
 def test_without_uncertainty_of_the_state_the_nis_counts_sigmas_of_the_fix():

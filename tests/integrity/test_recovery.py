@@ -1,5 +1,6 @@
 """Loss and recovery of GNSS: fallback, trial, adoption, refusal, and giving in to what has agreed for long."""
 
+import gtsam
 import numpy as np
 import pytest
 from motion import ARM, Drive, machine, ns
@@ -63,6 +64,22 @@ def test_positions_that_agree_are_adopted_after_a_trial_and_counted():
     assert run.recovered_s == [pytest.approx(5.4)]  # five good ones
     assert run.rig.log.counts["gnss", Outcome.QUARANTINED] == 0
     assert run.rig.log.counts["gnss", Outcome.USED] == 29 + 10
+
+
+def test_nothing_is_tried_in_a_graph_that_has_just_failed():
+    """It waits at its last state with nothing in it yet, and cannot be cloned; with the next update it can."""
+    run = Machine(lidar=False).drive(0.1, 3.0).drive(3.0, 5.0, sees=False)
+    run.events()
+    rig = run.rig
+    for t in (5.0, 5.1, 5.2, 5.3, 5.4):
+        rig.graph.published.node(ns(t))
+        rig.positions.add(rig.graph, position(DRIVE, t, ARM), ns(t))
+        rig.update()
+    rig.graph.main.move(gtsam.Pose3(), 0.0)
+    assert not rig.recovery.review(rig.graph, ns(5.4))
+    rig.update()
+    assert rig.recovery.review(rig.graph, ns(5.4))
+    assert run.events() == [EventKind.GNSS_REGAINED, EventKind.RECEIVER_REGAINED]
 
 
 def refused():

@@ -109,7 +109,7 @@ class GraphConfig(Section):
     nodes: Literal["measurement", "imu"] = Field(
         "measurement", description="a node where measurements are, or (the paper) at every IMU sample"
     )
-    lag_s: float = quantity("s", 3.0, gt=0.5, le=60, doc="length of the sliding window; later measurements are dropped")
+    lag_s: float = quantity("s", 3.0, gt=0.5, le=60, doc="length of the sliding window; it grows to hold what is later")
     relinearize_threshold_rad: float = quantity(
         "rad", 5e-3, gt=0, le=0.5, doc="iSAM2 relinearises a node whose attitude moved by more"
     )

@@ -6,7 +6,6 @@ the sensors, unless someone asked for the restart.
 
 from collections import Counter
 from collections.abc import Collection, Iterable
-from math import isfinite
 from typing import TYPE_CHECKING
 
 from holdfast.chassis.encoder import JointModel
@@ -25,15 +24,17 @@ from holdfast.event_log import EventLog
 from holdfast.events import EventKind, Health, Outcome
 from holdfast.geometry.earth import Geodetic
 from holdfast.geometry.world import MOVED, World
+from holdfast.graph.solver import GTSAM_ERRORS
 from holdfast.integrity.exchanges import Exchanges
 from holdfast.integrity.learnt_constants import found_before
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.integrity.lever_arms import LeverArms
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.scatter import Scatters
-from holdfast.messages import GnssFix, JointAngle, Message
+from holdfast.messages import JointAngle, Message
+from holdfast.printable import first_line
 from holdfast.sensors.constants import Constant
-from holdfast.sensors.gnss import point_of
+from holdfast.sensors.gnss import claimed_position
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.registry import inputs_of, sensors_of
 from holdfast.sensors.sensor import Joint, Measurement, Position, Role, Sensor, of_role
@@ -71,7 +72,7 @@ class Optimiser:
     ) -> None:
         self._config, self._buffer, self._log, self._density = config, buffer, log, density
         self._listener = listener
-        self._start_window_ns = round(config.initialisation.window_s * 1e9) + LATE_NS
+        self._start_span_ns = round(config.initialisation.window_s * 1e9) + LATE_NS
         self._sensors = sensors_of(config)
         self._know(learnt)
         self._inputs = frozenset(inputs_of(config))
@@ -97,7 +98,7 @@ class Optimiser:
         self.monitor.stop()
         if self._listener is not None:
             self._listener.stop()
-        self._stamps = StampCheck(self._buffer, self._log, self._start_window_ns)
+        self._stamps = StampCheck(self._buffer, self._log, self._config.graph, self._stamp_faults, self._start_span_ns)
         self._lever_arms = LeverArms(self._sensors)
         self._phase = self._initialising()
 
@@ -191,7 +192,7 @@ class Optimiser:
             self._log.report(EventKind.CLOCK_STEP, stamp_ns - self._buffer.offset_ns, self._config.imu_name, reason)
             self._begin()
         if not isinstance(self._phase, Tracking):
-            self._buffer.forget_before(stamp_ns - self._start_window_ns)
+            self._buffer.forget_before(stamp_ns - self._start_span_ns)
         elif self._phase.receive(received):
             self._has_imu = received.has_step
         if self._listener is not None:
@@ -213,7 +214,7 @@ class Optimiser:
             self._begin_in_world()
             if frame is not None:
                 self._log.report(EventKind.RESET, message.stamp_ns, name, MOVED)
-        outcome = measurement if isinstance(measurement, Outcome) else self._check_stamp(message, measurement.stamp_ns)
+        outcome = measurement if isinstance(measurement, Outcome) else self._stamps.check(message, measurement.stamp_ns)
         if isinstance(measurement, Outcome) or outcome is not Outcome.USED:
             self._phase.refuse(message, outcome)
             self._log.count(name, outcome)
@@ -241,19 +242,9 @@ class Optimiser:
 
     def _record(self, message: Message, measurement: Measurement | Outcome, outcome: Outcome) -> None:
         """Record what did not come as far as a test, with the position that it claims."""
-        frame, position = self.world.frame, None
-        if isinstance(measurement, Position):
-            position = measurement.p_W_P
-        elif isinstance(message, GnssFix) and frame is not None:
-            position = frame.to_enu(point) if all(map(isfinite, point := point_of(message))) else None
+        position = claimed_position(message, measurement, self.world.frame)
         stamp_ns = message.stamp_ns + self._sensors[message.sensor].offset_ns
         self._log.record(stamp_ns, message.sensor, outcome, p_W_P=position)
-
-    def _check_stamp(self, message: Message, stamp_ns: int) -> Outcome:
-        if not isinstance(self._phase, Tracking):
-            behind_ns = self._stamps.behind_ns(message, stamp_ns)
-            self._stamp_faults.note(message.sensor, message.stamp_ns, behind_ns)
-        return self._stamps.check(message, stamp_ns)
 
     # --- starting ----------------------------------------------------------------------------------------------------
 
@@ -284,8 +275,7 @@ class Optimiser:
             phase = self._phase = self._initialising()
         if not phase.add(measurement):
             return None
-        before = phase.reason
-        state = phase.attempt()
+        before, state = phase.reason, phase.attempt()
         self._note_exchanges()
         if state is not None and not state.is_finite():
             reason = "the first state is not finite: starting over"
@@ -322,6 +312,7 @@ class Optimiser:
             scales=self._scales,
             lever_arms=self._lever_arms,
             successor=successor,
+            window=self._stamps.window,
             joint_at=self._joint_at,
             monitor=self.monitor,
             log=self._log,
@@ -339,7 +330,10 @@ class Optimiser:
     def update(self) -> Update:
         """Add every measurement whose time the IMU has reached, and optimise once; it must have started."""
         assert isinstance(self._phase, Tracking)
-        update = self._phase.update()
+        try:
+            update = self._phase.update()
+        except GTSAM_ERRORS as error:  # the smoother catches what it expects
+            update = self._go_on_after(error, self._phase)
         self._note_exchanges()
         if self._listener is not None:
             self._listener.update(update, self._phase.view())
@@ -353,6 +347,13 @@ class Optimiser:
             self._reported = health
             self._log.report(EventKind.HEALTH, self._buffer.latest_ns, "", health)
         return update
+
+    def _go_on_after(self, error: Exception, before: Tracking) -> Update:
+        """Go on at the last state where an update has failed, as a new process would."""
+        reason = f"{type(error).__name__}: {first_line(error)}: going on from the last state"
+        self._log.report(EventKind.OPTIMISER_FAULT, self._buffer.latest_ns, "", reason)
+        self.resume(before.graph.published.newest, before.lost())
+        return Update(before.graph.published.newest, (), is_recovery=True)
 
     def _note_exchanges(self) -> None:
         """Take positions from now on by the names of the antennas that they are of."""

@@ -2,6 +2,9 @@
 
 from collections import Counter
 
+from holdfast.config.model import GraphConfig
+from holdfast.estimator.stamp_faults import StampFaults
+from holdfast.estimator.window_length import WindowLength
 from holdfast.event_log import EventLog
 from holdfast.events import EventKind, Outcome
 from holdfast.messages import Message
@@ -12,18 +15,24 @@ from holdfast.sensors.stamp_filter import StampFilter
 class StampCheck:
     """Checks stamps, and tells when those of a sensor go astray and when they agree again.
 
+    Attributes:
+        window: follows how late measurements are.
+
     Args:
         buffer: of the IMU's samples.
         log: where events go.
+        graph: how long its window is at least.
+        faults: is told of every stamp.
         late_ns: by which a measurement may be behind the IMU at its arrival.
     """
 
-    def __init__(self, buffer: ImuBuffer, log: EventLog, late_ns: int) -> None:
-        self._buffer, self._log, self._late_ns = buffer, log, late_ns
+    def __init__(self, buffer: ImuBuffer, log: EventLog, graph: GraphConfig, faults: StampFaults, late_ns: int) -> None:
+        self._buffer, self._log, self._faults, self._late_ns = buffer, log, faults, late_ns
+        self.window = WindowLength(graph, log)
         self._filter = StampFilter()
         self._astray: Counter[str] = Counter()  # stamps in a row that contradict the IMU's clock, by sensor
 
-    def behind_ns(self, message: Message, stamp_ns: int) -> int | None:
+    def _behind_ns(self, message: Message, stamp_ns: int) -> int | None:
         """Return by how much a stamp is behind the IMU's clock at its arrival; None where no sample has come."""
         reached_ns = self._buffer.latest_ns
         if not reached_ns:
@@ -34,10 +43,13 @@ class StampCheck:
         """Say whether the stamp of a message, time offset applied, can be right."""
         name, buffer = message.sensor, self._buffer
         outcome = self._filter.check(name, stamp_ns, message.arrival_ns, buffer.latest_ns, buffer.arrival_ns)
-        behind_ns = self.behind_ns(message, stamp_ns) or 0
+        behind_ns = self._behind_ns(message, stamp_ns)
+        self._faults.note(name, message.stamp_ns, behind_ns)
+        behind_ns = behind_ns or 0
         if outcome is Outcome.USED and behind_ns > self._late_ns:
             outcome = Outcome.LATE
         if outcome is Outcome.USED:
+            self.window.note(name, behind_ns, stamp_ns)
             if self._astray.pop(name, 0) > 1:
                 self._report(name, "stamps agree with the IMU's again")
         elif outcome is not Outcome.DUPLICATE:

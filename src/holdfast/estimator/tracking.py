@@ -12,10 +12,12 @@ from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import Received
 from holdfast.estimator.judgement import Judgement
 from holdfast.estimator.learnt_view import LearntView
+from holdfast.estimator.plausible_speed import PlausibleSpeed
 from holdfast.estimator.queue import MeasurementQueue
 from holdfast.estimator.standstill import STANDSTILL, StandstillUpdates
 from holdfast.estimator.successor import Successor
 from holdfast.estimator.wandering import Wandering
+from holdfast.estimator.window_length import WindowLength
 from holdfast.event_log import EventLog
 from holdfast.events import EventKind, Outcome
 from holdfast.graph.dual_graph import DualGraph
@@ -75,6 +77,7 @@ class Tracking:
         scales: of the noise of the sensors, by name.
         lever_arms: what is believed of them.
         successor: what the estimator would begin anew from.
+        window: how long the sliding window is to be.
         joint_at: tells the turn joint.
         monitor: of the health.
         log: where counts and events go.
@@ -92,6 +95,7 @@ class Tracking:
         scales: Mapping[str, NoiseScale],
         lever_arms: LeverArms,
         successor: Successor,
+        window: WindowLength,
         joint_at: JointAt,
         monitor: HealthMonitor,
         log: EventLog,
@@ -110,6 +114,7 @@ class Tracking:
             scales,
             lever_arms,
             log,
+            since_ns=state.stamp_ns,
             believe_after_s=config.gate.patience_s(has_odometry=bool(of_role(sensors, Role.ODOMETRY))),
             accelerometer=carried.accelerometer,
         )
@@ -134,9 +139,10 @@ class Tracking:
             Role.VELOCITY: self._states.add,
             Role.POSE: self._states.add,
         }
-        self.successor, self._scales = successor, scales
+        self.successor, self._scales, self._window = successor, scales, window
         self._wandering = Wandering(successor.start, self._states, self._positions)
         self._standstill = StandstillUpdates(config.standstill, buffer, gravity, successor.start.stands)
+        self._plausible_speed = PlausibleSpeed(config.gate)
         self._node_interval_ns = round(config.graph.max_node_interval_s * 1e9)
         self._due_ns: int | None = None
         self._constrained_ns = state.stamp_ns
@@ -287,6 +293,8 @@ class Tracking:
                 behind_s = (published.newest_ns - stamp_ns) * 1e-9
                 self._log.report(EventKind.LATE, stamp_ns, name, f"{behind_s:.3f} s behind the newest state")
                 self._late.add(name)
+            if self._roles[name] is Role.POSITION:
+                self._positions.refuse(name, Outcome.LATE)
             return
         self._late.discard(name)
         if stamp_ns - published.newest_ns > MAX_SILENCE_NS:
@@ -312,8 +320,10 @@ class Tracking:
         standing = self._standstill.add_to(self.graph.smoothers())
         if standing:
             self._log.count(STANDSTILL, Outcome.USED, len(standing))
+        self._plausible_speed.add_to(self.graph.smoothers())
         was_vague = False
         for smoother in self.graph.smoothers():
+            smoother.lengthen(self._window.now_ns)
             was_vague |= smoother.turn_vague(self.successor.start.compass.beside)
             self._optimise(smoother)
         for exchange in self._positions.newly_exchanged():

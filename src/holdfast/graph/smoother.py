@@ -25,6 +25,7 @@ from holdfast.graph.tail import BIAS_END, Tail, node_beside
 from holdfast.graph.window import Window
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
+from holdfast.printable import first_line
 from holdfast.sensors.coloured import NAV_SIZE, SlowError
 from holdfast.sensors.constants import Constant
 from holdfast.sensors.imu import ImuBuffer, Turning
@@ -98,15 +99,11 @@ class Smoother:
         self._window = self._new_solver()
         self._measured: dict[int, tuple[Measurement, Placed]] = {}  # by the identity of the measurement
         self._chain = Chain(self._motion, self._biases, self._window, state)
-        self._settled_ns = NEVER_NS
-        self._state = state
+        self._settled_ns, self._state = NEVER_NS, state
         self._tail = Tail(state.covariance)  # new nodes included
         keys = self._chain.key(self.newest_ns), self._biases.newest_key
-        if self._arm is None:
-            self.add(joint_prior(*keys, state))
-        else:
-            arm_key, shift, _ = self.parameter(self._arm.shared, self._arm, state.stamp_ns)
-            self.add(joint_prior(*keys, state, (arm_key, shift)))
+        arm = None if self._arm is None else self.parameter(self._arm.shared, self._arm, state.stamp_ns)[:2]
+        self.add(joint_prior(*keys, state, arm))
 
     def clone(self) -> "Smoother":
         """Return a smoother of its own with the same window, measurements included.
@@ -122,6 +119,11 @@ class Smoother:
         other._measured = {key: (one, counterpart(placed)) for key, one, placed in held}
         other._slow_errors = self._slow_errors.copy()
         return other
+
+    @property
+    def is_solved(self) -> bool:
+        """Whether no variable waits for `optimise`, so that it can be cloned."""
+        return not self._window.new.size()
 
     @property
     def newest_ns(self) -> int:
@@ -331,6 +333,10 @@ class Smoother:
         covariance[3:6, 3:6] += np.eye(3) * min(position_sigma_m**2, MAX_VARIANCE)
         self._begin(OptimisedState(state.stamp_ns, nav, state.bias, covariance, state.angular_velocity))
 
+    def lengthen(self, lag_ns: int) -> None:
+        """Let the window become so long; it becomes shorter by steps, so that `settled` misses no node."""
+        self._lag_ns = max(lag_ns, self._lag_ns - SETTLE_MARGIN_NS // 4)
+
     def settled(self) -> list[tuple[int, gtsam.NavState]]:
         """Return the nodes, with stamps, that have almost reached the end of the window since the last call."""
         horizon = self.newest_ns - self._lag_ns + SETTLE_MARGIN_NS
@@ -363,7 +369,7 @@ class Smoother:
             check_step(state.nav, expected, covariance)
         except Exception as error:  # of GTSAM, or of a sensor whose innovation it asked for
             self._reanchor()
-            raise OptimiserError((str(error).strip() or repr(error)).splitlines()[0]) from error
+            raise OptimiserError(first_line(error)) from error
         self._chain.mark_solved(state.bias, horizon)
         self.parameters.mark_solved()
         self._slow_errors.mark_solved()

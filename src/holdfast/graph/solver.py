@@ -8,6 +8,9 @@ import gtsam
 
 from holdfast.messages import Array
 
+GTSAM_ERRORS = RuntimeError, IndexError, ValueError
+"""What GTSAM raises where a problem has no solution, or is not solved yet."""
+
 Value = gtsam.NavState | gtsam.imuBias.ConstantBias | Array
 
 

@@ -36,7 +36,7 @@ RATHER = 16.0  # of the NIS: a position is of the antenna that explains it by so
 REVIEW_NS = 250_000_000  # used positions are reviewed this often
 SLOW_S, LOWEST_SLOW = 1.0, 0.01  # most of such a claim is a slow error, by which neighbours are alike
 LEARNT_FROM = Outcome.USED, Outcome.INNOVATION
-BENIGN = {Outcome.LOW_STATUS, Outcome.LARGE_COVARIANCE, Outcome.NO_COVARIANCE, Outcome.NOT_FINITE}
+BENIGN = {Outcome.LOW_STATUS, Outcome.LARGE_COVARIANCE, Outcome.NO_COVARIANCE, Outcome.NOT_FINITE, Outcome.LATE}
 
 
 class Contradiction(NamedTuple):
@@ -55,6 +55,7 @@ class Positions:
         scales: of their noise, by name.
         lever_arms: what is believed of them.
         log: where counts and events go.
+        since_ns: when positions began to be expected.
         believe_after_s: for so long positions must agree among themselves to be right against the estimate.
         accelerometer: what was learnt of it before.
     """
@@ -67,10 +68,11 @@ class Positions:
         lever_arms: LeverArms,
         log: EventLog,
         *,
+        since_ns: int,
         believe_after_s: float,
         accelerometer: LearntScale | None = None,
     ) -> None:
-        self.gates = {name: ReceiverGate(config, sensor.limit) for name, sensor in sensors.items()}
+        self.gates = {name: ReceiverGate(config, sensor.limit, since_ns) for name, sensor in sensors.items()}
         self.used = UsedPositions(sensors)
         self._config = config
         self._sensors = sensors

@@ -17,7 +17,6 @@ import numpy as np
 from holdfast.config.model import GateConfig
 from holdfast.events import Outcome
 from holdfast.integrity.innovation import PERIODS_OF_SILENCE
-from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.sensor import Innovation, Position, State
 
@@ -28,6 +27,7 @@ COMPARED = 20  # with the mean of so many of the newest
 OUTLIERS = 3  # so many in a row that disagree end a run of agreement
 PUNCTUAL = 0.99  # positions every two seconds are not always two seconds apart
 FASTER = 1.5  # than it has ever been a machine may become
+FIRST_S = 20.0  # after a start the first position may come so late
 UNKNOWN_PERIOD_S = 2.0  # before the second fix
 UNEXPECTED_S = 5.0  # positions after a silence that the estimate does not expect are consistent for so long
 
@@ -89,9 +89,12 @@ class Held:
 
 
 class ReceiverGate:
-    """Hysteresis over the positions of one receiver, in the order of their stamps; `limit` bounds their NIS."""
+    """Hysteresis over the positions of one receiver, in the order of their stamps; `limit` bounds their NIS.
 
-    def __init__(self, gate: GateConfig, limit: float) -> None:
+    `since_ns` is when they began to be expected.
+    """
+
+    def __init__(self, gate: GateConfig, limit: float, since_ns: int) -> None:
         self._gate = gate
         self.limit = limit
         self._fastest_m_s = gate.max_speed_m_s
@@ -103,7 +106,7 @@ class ReceiverGate:
         self._bad_in_a_row = 0
         self._last_good: Position | None = None
         self._last_ns: int | None = None
-        self._received_ns = NEVER_NS
+        self._received_ns = since_ns
         self._contradicting: list[Held] = []
         self._outliers = 0
         self.period_s = UNKNOWN_PERIOD_S
@@ -232,9 +235,10 @@ class ReceiverGate:
         return float(np.linalg.norm(position.p_W_P - last.p_W_P)) > reach
 
     def _is_silent(self, now_ns: int) -> bool:
-        if self._last_good is None:
-            return False
-        patience_s = max(self._gate.silence_s, PERIODS_OF_SILENCE * self.period_s)
+        if self._last_good is None and self._last_ns is not None:
+            return False  # what came since was refused
+        usual_s = FIRST_S if self._last_ns is None else PERIODS_OF_SILENCE * self.period_s
+        patience_s = max(self._gate.silence_s, usual_s)
         return (now_ns - self._received_ns) * 1e-9 > patience_s
 
     def _wait(self, one: Held) -> None:

@@ -42,6 +42,8 @@ class Recovery:
         Returns:
             Whether GNSS was regained, so that the published graph is another one.
         """
+        if not graph.main.is_solved:
+            return False  # it has just failed and begins anew at its last state: there is nothing to be tried in
         positions = self._positions
         positions.review(graph.main)
         if positions.is_trusted:

@@ -62,8 +62,8 @@ def _clock_problems(topic: TopicFindings) -> Iterator[str]:
         return
     if abs(topic.latency_mean_s) > LATE_S:
         yield (
-            f"stamps are {topic.latency_mean_s:.3f} s from arrival on average; measurements later than graph.lag_s are "
-            "dropped: the clocks differ, or the driver stamps wrongly"
+            f"stamps are {topic.latency_mean_s:.3f} s from arrival on average: the clocks differ, the driver stamps "
+            "wrongly, or the estimate rests on old measurements, at most 20 s old"
         )
     if topic.latency_sigma_s > UNSTEADY_S:
         yield (

@@ -11,7 +11,7 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig, PrismConfig
 from holdfast.events import Outcome
-from holdfast.geometry.earth import Geodetic, is_nowhere
+from holdfast.geometry.earth import Geodetic, LocalFrame, is_nowhere
 from holdfast.geometry.world import World
 from holdfast.messages import Array, FixStatus, GnssFix, Message
 from holdfast.sensors.lever_arm import doubtful_arm, is_in_doubt, measured_antennas
@@ -20,6 +20,7 @@ from holdfast.sensors.position import position_factor, position_innovation
 from holdfast.sensors.sensor import (
     ANYWHERE,
     Innovation,
+    Measurement,
     Parameter,
     Position,
     Role,
@@ -150,6 +151,15 @@ class GnssModel:
 def point_of(fix: GnssFix) -> Geodetic:
     """Return where a fix says that its antenna is."""
     return Geodetic(fix.latitude_deg, fix.longitude_deg, fix.altitude_m)
+
+
+def claimed_position(message: Message, measurement: Measurement | Outcome, frame: LocalFrame | None) -> Array | None:
+    """Return where in W (3,) a message says that an antenna is, also one that was refused; None if it does not."""
+    if isinstance(measurement, Position):
+        return measurement.p_W_P
+    if not isinstance(message, GnssFix) or frame is None or not all(map(isfinite, point := point_of(message))):
+        return None
+    return frame.to_enu(point)
 
 
 def is_measured(sensor: object) -> TypeGuard[GnssModel]:

@@ -15,6 +15,7 @@ from holdfast.estimator.imu_path import Received
 from holdfast.estimator.learnt_view import LearntView
 from holdfast.estimator.tracking import Update
 from holdfast.measured_fields import has_double, in_words, is_number
+from holdfast.printable import first_line
 from holdfast.sensors.sensor import Joint, Measurement, Parameter, Sensor
 from holdfast.smoothing.block import Block
 from holdfast.smoothing.closures import Closer
@@ -142,9 +143,7 @@ class BatchSmoother:
             work = segment.solve()
             self._blocks.append(segment.finish(work, is_last=is_last))
         except RuntimeError as error:
-            self.failures.append(
-                Failure(segment.oldest_ns, until_ns, (str(error).strip() or repr(error)).splitlines()[0])
-            )
+            self.failures.append(Failure(segment.oldest_ns, until_ns, first_line(error)))
             self._segment = None
         else:
             self._recorded.drop_before(segment.oldest_ns)
