@@ -69,7 +69,10 @@ class GateConfig(Section):
     baseline: bool = Field(True, description="test the distance between two antennas")
     drift_monitor: bool = Field(True, description="test whether fixes drag the frame of an odometry through W")
     max_speed_m_s: float = quantity(
-        "m/s", 40.0, gt=0, doc="no antenna moves faster between two fixes, unless the machine was known to"
+        "m/s",
+        40.0,
+        gt=0,
+        doc="no antenna moves faster between two fixes, unless the machine was known to; in long outages two sigma",
     )
     lose_after: int = Field(5, ge=1, le=1000, description="so many bad fixes in a row lose an antenna")
     regain_after: int = Field(5, ge=1, le=1000, description="so many good fixes in a row regain it")

@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from math import inf
+from math import inf, isfinite
 from typing import NamedTuple
 
 from holdfast.config.model import GateConfig
@@ -344,9 +344,8 @@ class Positions:
             for position in self.used.of(name, now_ns - self._quarantine_ns(name)):
                 self.take_out(smoother, position, Outcome.QUARANTINED)
         gate.become(Trust.LOST, hold_s=self._config.regain_s if is_faulty else 0.0)
-        self._log.report(
-            EventKind.RECEIVER_LOST, now_ns, name, f"{in_words(gate.reasons)}; gate power {gate.power_m:.2f} m"
-        )
+        power = f"; gate power {gate.power_m:.2f} m" if isfinite(gate.power_m) else ""
+        self._log.report(EventKind.RECEIVER_LOST, now_ns, name, in_words(gate.reasons) + power)
 
     def _quarantine_ns(self, sensor: str) -> int:
         """Return for how long a used position can be taken out again."""
