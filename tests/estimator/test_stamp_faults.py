@@ -41,6 +41,16 @@ def test_a_clock_of_the_imu_that_is_far_from_all_others_is_named(off_s, way):
     assert reason == f"the stamps of the IMU are {abs(off_s)} s {way} those of gnss, lidar"
 
 
+@pytest.mark.parametrize("off_s", [1.5, 18.0])
+def test_a_clock_that_is_ahead_by_leap_seconds_is_told_with_the_key_that_mends_it(off_s):
+    """It was said that the last fix had been refused, with its claim."""
+    apart = f"{off_s:.1f} s (`time_offset_s` sets them right)"
+    ahead = waiting_for(of_gnss=lambda stamp_ns: stamp_ns + round(off_s * 1e9))
+    assert ahead == f"the stamps of gnss are {apart} ahead of the IMU's"
+    behind = waiting_for(of_imu=lambda stamp_ns: stamp_ns - round(off_s * 1e9))
+    assert behind == f"the stamps of the IMU are {apart} behind those of gnss, lidar"
+
+
 @pytest.mark.parametrize(("off_s", "way"), [(-5000, "behind"), (5000, "ahead of")])
 def test_a_receiver_whose_clock_is_far_from_the_others_is_named(off_s, way):
     reason = waiting_for(of_gnss=lambda stamp_ns: stamp_ns + off_s * 10**9)

@@ -3,8 +3,11 @@
 from collections.abc import Collection
 from dataclasses import dataclass
 
+from holdfast.sensors.stamp_filter import FUTURE_NS
+
 IN_A_ROW = 10
-FAR_NS = 60_000_000_000  # an age that no transport explains
+FAR_NS = 60_000_000_000  # an age that no transport explains; the future needs no explanation
+MANY_S = 60.0  # of which a tenth does not matter
 
 
 @dataclass(slots=True)
@@ -37,7 +40,7 @@ class StampFaults:
         seen.stand = seen.stand + 1 if stamp_ns == seen.stamp_ns else 0
         seen.stamp_ns = stamp_ns
         if behind_ns is not None:
-            seen.far = seen.far + 1 if abs(behind_ns) > FAR_NS else 0
+            seen.far = seen.far + 1 if behind_ns > FAR_NS or behind_ns < -FUTURE_NS else 0
             seen.behind_ns = behind_ns
 
     def why_not(self, needed: Collection[str]) -> str:
@@ -52,10 +55,13 @@ class StampFaults:
             at_s = self._seen[next(name for name in stand if name in needed)].stamp_ns * 1e-9
             return f"the stamps of {', '.join(stand)} do not advance: they stand at {at_s:.3f} s while messages arrive"
         behind_ns = self._seen[next(name for name in far if name in needed)].behind_ns
-        apart_s = abs(behind_ns) * 1e-9
+        apart = _in_words(abs(behind_ns) * 1e-9)
         if len(far) + len(stand) == len(self._seen):  # no sensor agrees with the IMU
             way = "ahead of" if behind_ns > 0 else "behind"
-            return f"the stamps of the IMU are {apart_s:.0f} s {way} those of {', '.join(far)}"
-        return (
-            f"the stamps of {', '.join(far)} are {apart_s:.0f} s {'behind' if behind_ns > 0 else 'ahead of'} the IMU's"
-        )
+            return f"the stamps of the IMU are {apart} {way} those of {', '.join(far)}"
+        return f"the stamps of {', '.join(far)} are {apart} {'behind' if behind_ns > 0 else 'ahead of'} the IMU's"
+
+
+def _in_words(apart_s: float) -> str:
+    """Return how far clocks are apart; what is a few seconds, such as leap seconds, is a matter of configuration."""
+    return f"{apart_s:.0f} s" if apart_s > MANY_S else f"{apart_s:.1f} s (`time_offset_s` sets them right)"
