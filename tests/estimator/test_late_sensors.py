@@ -123,3 +123,13 @@ def test_a_receiver_that_never_says_a_word_after_the_start_is_lost():
     estimator, _ = run(machine(lidar=False), in_order(samples, begin))
     assert estimator.health is Health.FALLBACK
     assert [one.reason for one in estimator.events if one.kind is EventKind.RECEIVER_LOST] == ["silent"]
+
+
+def test_what_was_on_its_way_when_the_estimate_began_does_not_count_against_its_receiver():
+    _, samples, antenna = recorded(hz=20.0)
+    rest = [one for one in antenna if one.stamp_ns > ns(0.5)]
+    begin = [one for one in antenna if one.stamp_ns <= ns(0.5)]
+    messages = in_order(samples, begin, late(rest, np.full(len(rest), 1.0)))
+    estimator, _ = run(machine(lidar=False), [one for one in messages if one.arrival_ns < ns(8.0)])
+    assert estimator.counts["gnss", Outcome.LATE] >= 8
+    assert not [one for one in estimator.events if one.kind is EventKind.RECEIVER_LOST]

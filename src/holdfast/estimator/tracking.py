@@ -289,11 +289,11 @@ class Tracking:
         if stamp_ns < published.oldest_ns:
             self._log.count(name, Outcome.LATE)
             self._log.record(stamp_ns, name, Outcome.LATE)
+            behind_ns = published.newest_ns - stamp_ns
             if name not in self._late:
-                behind_s = (published.newest_ns - stamp_ns) * 1e-9
-                self._log.report(EventKind.LATE, stamp_ns, name, f"{behind_s:.3f} s behind the newest state")
+                self._log.report(EventKind.LATE, stamp_ns, name, f"{behind_ns * 1e-9:.3f} s behind the newest state")
                 self._late.add(name)
-            if self._roles[name] is Role.POSITION:
+            if self._roles[name] is Role.POSITION and behind_ns > self._window.now_ns:  # not only begun since
                 self._positions.refuse(name, Outcome.LATE)
             return
         self._late.discard(name)
