@@ -8,6 +8,7 @@ from holdfast.event_log import EventLog
 from holdfast.events import EventKind
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.scatter import Scatters
+from holdfast.sensors.even_stamps import EvenStamps
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.registry import sensors_of
 from holdfast.sensors.sensor import Position
@@ -25,6 +26,7 @@ class Run:
         self.samples = iter(imu(motion, 0.0, end_s) if samples is None else samples)
         self.next = next(self.samples)
         self.scale = NoiseScale()
+        self.stamps = EvenStamps(self.log)
         self.scatters = Scatters(sensors_of(CONFIG), self.buffer, self.log)
 
     def go(self, start_s, end_s, error, hz=5.0, *, round_m=None, ahead_s=0.0):
@@ -36,7 +38,9 @@ class Run:
             p = self.motion.pose(t).transformFrom(ARM) + error(t)
             if round_m is not None:
                 p = np.round(p / round_m) * round_m
-            believed = self.scatters.weighed(Position(ns(t), "gnss", p, CLAIMED, 0.0), {"gnss": self.scale})
+            believed = self.scatters.weighed(
+                Position(ns(t), "gnss", p, CLAIMED, 0.0), {"gnss": self.scale}, self.stamps
+            )
         return np.sqrt((believed.covariance / CLAIMED.clip(1e-12)).diagonal())
 
 

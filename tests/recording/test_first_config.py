@@ -179,22 +179,30 @@ def moving(
     unit_rad_s: float = 1.0,
     axes: tuple[int, ...] = (0, 1, 2),
     heading_sign: float = 1.0,
+    ahead_s: float = 0.0,
+    late_s: float = 0.0,
 ) -> Iterator[Any]:
-    """A drive without a word on mounts and lever arms, the receiver's heading beside it."""
+    """A drive without a word on mounts and lever arms, the receiver's heading beside it.
+
+    The receiver's clock is ahead by so much, and what it says is so late.
+    """
+    ahead_ns, late_ns = round(ahead_s * 1e9), round(late_s * 1e9)
     for t, row in zip(*driven(motion), strict=True):
         stamp, rate = START_NS + round(t * 1e9), row[:3] / unit_rad_s
         yield "/imu", stamp, imu(HUMBLE, stamp, rate=rate, force=row[3:])
     frame = LocalFrame(Geodetic(47.4, 8.0, 450.0))
     for t, p in zip(*received(motion, POSITIONS, 0.01, fix_early_s, 4), strict=True):
-        stamp = START_NS + round(t * 1e9)
-        yield "/gnss/fix", stamp, fix(HUMBLE, stamp, position=frame.to_geodetic(p))
+        at = START_NS + round(t * 1e9) + late_ns
+        stamp = at - late_ns + ahead_ns
+        yield "/gnss/fix", at, fix(HUMBLE, stamp, position=frame.to_geodetic(p))
         half = 0.5 * heading_sign * float(motion(np.array([t]))[1][0])
         turned = HUMBLE.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, np.sin(half), np.cos(half))
-        yield "/gnss/heading", stamp, stamped(HUMBLE, stamp, "QuaternionStamped", turned)
+        yield "/gnss/heading", at, stamped(HUMBLE, stamp, "QuaternionStamped", turned)
     for t, v in zip(*received(motion, VELOCITIES, 0.03, velocity_early_s, 4), strict=True):
-        stamp = START_NS + round(t * 1e9)
+        at = START_NS + round(t * 1e9) + late_ns
+        stamp = at - late_ns + ahead_ns
         message = twist_with_covariance(HUMBLE, np.eye(6).ravel() * 1e-3, linear=v[list(axes)])
-        yield "/gnss/velocity", stamp, stamped(HUMBLE, stamp, "TwistWithCovarianceStamped", message)
+        yield "/gnss/velocity", at, stamped(HUMBLE, stamp, "TwistWithCovarianceStamped", message)
 
 
 def offsets(config: Config) -> list[float]:
@@ -214,6 +222,23 @@ def test_a_velocity_that_is_late_against_the_fixes_gets_an_offset_of_its_own(tmp
     fixes_s, velocity_s, heading_s = offsets(configured(tmp_path, moving(fix_early_s=0.25, velocity_early_s=0.1))[1])
     assert fixes_s == heading_s == pytest.approx(0.25, abs=0.04)
     assert velocity_s == pytest.approx(0.1, abs=0.04)
+
+
+@pytest.mark.parametrize("ahead_s", [-18.0, 18.0, -3.0])
+def test_a_clock_that_is_off_by_leap_seconds_is_set(tmp_path: Path, ahead_s: float) -> None:
+    _, config = configured(tmp_path, moving(ahead_s=ahead_s))
+    assert offsets(config) == [pytest.approx(-ahead_s, abs=0.03)] * 3
+
+
+def test_a_receiver_whose_messages_are_late_has_the_right_clock(tmp_path: Path) -> None:
+    _, config = configured(tmp_path, moving(late_s=3.0))
+    assert offsets(config) == [0.0] * 3
+
+
+def test_a_clock_of_another_day_is_a_warning(tmp_path: Path) -> None:
+    text, config = configured(tmp_path, moving(ahead_s=86400.0))
+    assert offsets(config) == [0.0] * 3
+    assert text.count("# WARNING: its stamps are 86400 s ahead of the IMU's, by their arrivals; both drivers must") == 2
 
 
 @pytest.fixture(scope="module")

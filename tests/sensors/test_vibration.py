@@ -7,7 +7,7 @@ from motion import Drive, G, imu, machine, ns
 from rig import buffered
 
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.sensors.preintegration import CALM, Density, ImuNoise
+from holdfast.sensors.preintegration import CALM, Density, ImuNoise, Step, preintegrate
 
 DRIVING, STILL = Drive(start_s=-3.0), Drive(start_s=1000.0)
 CONFIG = machine().imu
@@ -61,6 +61,27 @@ def test_an_engine_is_a_line_and_no_noise_folded_or_not(frequency_hz):
     found = filled(shaking(100.0, amplitude=1.0, frequency_hz=frequency_hz)).density(ns(1.0), ns(9.0))
     assert found.accelerometer < 1.5 * calm.accelerometer
     assert found.gyroscope == calm.gyroscope
+
+
+def test_the_lines_of_an_engine_leave_room_for_the_noise_between_them():
+    """Orders of 1, 1.5 and 2 of 28 Hz, the last folded to 44 Hz: half of what is looked at."""
+    calm = filled(imu(STILL, 0.0, 10.0, 100.0, np.random.default_rng(2)))
+    samples, phase = imu(STILL, 0.0, 10.0, 100.0, np.random.default_rng(2)), 0.0
+    for k, sample in enumerate(samples):
+        phase += 2.0 * np.pi * 28.0 * (1.0 + 0.01 * np.sin(0.007 * k)) / 100.0
+        sample.specific_force[:] += np.sin(phase) + 0.3 * np.sin(1.5 * phase) + 0.5 * np.sin(2.0 * phase)
+    seen, there = (one.density(ns(1.0), ns(9.0)).accelerometer for one in (filled(samples), calm))
+    assert seen < 2.0 * there
+
+
+def test_an_engine_does_not_count_as_an_acceleration():
+    """An error in proportion to what swings about zero swings, too."""
+    samples = shaking(100.0, 1.0, amplitude=3.0, frequency_hz=20.0)
+    steps = [Step(0.01, one.specific_force, one.angular_velocity) for one in samples]
+    noise, bias = ImuNoise(CONFIG, 1e-4, G), gtsam.imuBias.ConstantBias()
+    calm = [one._replace(specific_force=np.array([0.0, 0.0, G])) for one in steps]
+    shaken, still = (preintegrate(of[:20], noise, gtsam.Rot3(), bias).preintMeasCov() for of in (steps, calm))
+    assert np.sqrt(shaken[8, 8] / still[8, 8]) < 1.1
 
 
 def test_noise_beyond_half_the_rate_is_folded_and_raises_it():

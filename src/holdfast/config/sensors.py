@@ -10,6 +10,7 @@ from pydantic import Field
 from holdfast.config.section import Section, Topic, Vector3, quantity
 
 Axis = Literal["x", "y", "z"]
+MOST_OFFSET_S = 100  # leap seconds are 18, and 37 to atomic time
 MAP_VOXEL_M, SCAN_VOXEL_M = 0.5, 0.35  # `lidar_odometry.small_gicp` says why
 
 
@@ -25,7 +26,9 @@ class SensorConfig(Section):
 
     kind: str
     topic: Topic | None = None
-    time_offset_s: float = quantity("s", 0.0, ge=-10, le=10, doc="added to every stamp of this sensor")
+    time_offset_s: float = quantity(
+        "s", 0.0, ge=-MOST_OFFSET_S, le=MOST_OFFSET_S, doc="added to every stamp of this sensor"
+    )
 
     def is_in_world(self) -> bool:
         """Whether it measures in W without being on the earth, so that GNSS beside it needs a known datum."""

@@ -208,6 +208,7 @@ class Optimiser:
             if self._joint is not None:
                 self._joint.add(message)
             return None
+        message = self._stamps.even.read(message)
         frame, name = self.world.frame, message.sensor
         measurement = self._exchanges.named(self._sensors[name].convert(message, self.world))
         if self.world.frame is not frame:
@@ -217,31 +218,30 @@ class Optimiser:
         outcome = measurement if isinstance(measurement, Outcome) else self._stamps.check(message, measurement.stamp_ns)
         if isinstance(measurement, Outcome) or outcome is not Outcome.USED:
             self._phase.refuse(message, outcome)
-            self._log.count(name, outcome)
             self._record(message, measurement, outcome)
             if not self._stamps.is_told(name, outcome):
                 self._log.report(EventKind.REJECTED, message.stamp_ns, name, outcome)
             return None
         if isinstance(measurement, Position) and self._lever_arms.repeats(measurement):
-            self._log.count(name, Outcome.DUPLICATE)
             self._record(message, measurement, Outcome.DUPLICATE)
             return None
         if self._density is not None and not self._density.admits(name, measurement.stamp_ns, message.arrival_ns):
             self._record(message, measurement, Outcome.OVERLOAD)
             return None
         self._assumptions.tell(message)
-        weighed = self._scatters.weighed(measurement, self._scales)
+        weighed = self._scatters.weighed(measurement, self._scales, self._stamps.even)
         if self._listener is not None:
             self._listener.add(weighed, self._joint_at(measurement.stamp_ns))
         if isinstance(self._phase, Tracking):
             self._phase.enqueue(weighed, message.arrival_ns, claimed=measurement)
             return None
-        self._log.count(name, Outcome.BEFORE_START)
         self._record(message, measurement, Outcome.BEFORE_START)
         return self._try_to_start(self._phase, weighed)
 
     def _record(self, message: Message, measurement: Measurement | Outcome, outcome: Outcome) -> None:
         """Record what did not come as far as a test, with the position that it claims."""
+        if outcome is not Outcome.OVERLOAD:  # of which the density has counted its own
+            self._log.count(message.sensor, outcome)
         position = claimed_position(message, measurement, self.world.frame)
         stamp_ns = message.stamp_ns + self._sensors[message.sensor].offset_ns
         self._log.record(stamp_ns, message.sensor, outcome, p_W_P=position)

@@ -8,6 +8,7 @@ from holdfast.estimator.window_length import WindowLength
 from holdfast.event_log import EventLog
 from holdfast.events import EventKind, Outcome
 from holdfast.messages import Message
+from holdfast.sensors.even_stamps import EvenStamps
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.stamp_filter import StampFilter
 
@@ -17,6 +18,7 @@ class StampCheck:
 
     Attributes:
         window: follows how late measurements are.
+        even: gives receivers the stamps at which they measure.
 
     Args:
         buffer: of the IMU's samples.
@@ -29,6 +31,7 @@ class StampCheck:
     def __init__(self, buffer: ImuBuffer, log: EventLog, graph: GraphConfig, faults: StampFaults, late_ns: int) -> None:
         self._buffer, self._log, self._faults, self._late_ns = buffer, log, faults, late_ns
         self.window = WindowLength(graph, log)
+        self.even = EvenStamps(log)
         self._filter = StampFilter()
         self._astray: Counter[str] = Counter()  # stamps in a row that contradict the IMU's clock, by sensor
 

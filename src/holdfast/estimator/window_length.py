@@ -47,5 +47,8 @@ class WindowLength:
         self.now_ns = max(self._configured_ns, *self._needed_ns.values(), 0)
         if self.now_ns > self._told_ns + TOLD_NS:
             self._told_ns = self.now_ns
-            reason = f"{usual_ns * 1e-9:.1f} s late: the window is {self.now_ns * 1e-9:.1f} s long from now on"
+            reason = (
+                f"{usual_ns * 1e-9:.1f} s late: the window is {self.now_ns * 1e-9:.1f} s long from now on (if its "
+                "clock is off, `time_offset_s` sets it right)"
+            )
             self._log.report(EventKind.LATE, stamp_ns, sensor, reason)

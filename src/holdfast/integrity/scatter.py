@@ -16,6 +16,7 @@ from holdfast.events import EventKind
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
+from holdfast.sensors.even_stamps import EvenStamps
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.sensor import Measurement, Position, Role, Sensor, of_role
 
@@ -41,7 +42,7 @@ class Scatter:
 
     def __init__(self, buffer: ImuBuffer, p_I_P: Array) -> None:
         self._buffer, self._p_I_P = buffer, p_I_P
-        self._newest: deque[Position] = deque(maxlen=WAITING)
+        self._newest = deque[tuple[Position, int]](maxlen=WAITING)  # and by how much its stamp is later than even
         self._compared_ns = NEVER_NS
         self._squares = tuple(deque[float](maxlen=MEMORY) for _ in QUANTILES)
         self._factors = np.ones(2)
@@ -51,24 +52,38 @@ class Scatter:
         """(3,) on the variances of east, north and up."""
         return self._factors[[0, 0, 1]]
 
-    def add(self, position: Position) -> None:
-        """Take in a position as it arrives, as the receiver claims it."""
-        if self._newest and position.stamp_ns <= self._newest[-1].stamp_ns:
+    def add(self, position: Position, uneven_ns: int = 0) -> tuple[float, float] | None:
+        """Take in a position as it arrives, as the receiver claims it, with what its stamp was later than it is now.
+
+        Return the squares of what the newest scatter by at the stamps that were given and at even ones, where that is
+        known and these are others.
+        """
+        if self._newest and position.stamp_ns <= self._newest[-1][0].stamp_ns:
             self._newest.clear()  # late, or by another clock
             self._compared_ns = NEVER_NS
-        self._newest.append(position)
-        measured = [one for one in self._newest if one.stamp_ns <= self._buffer.latest_ns][-COMPARED:]
-        if len(measured) < COMPARED or measured[-1].stamp_ns <= self._compared_ns:
-            return
-        self._compared_ns = measured[-1].stamp_ns
-        moved = self._moved(measured)
-        if moved is not None:
-            self._note(beyond(measured, moved))
+        self._newest.append((position, uneven_ns))
+        measured = [one for one in self._newest if one[0].stamp_ns <= self._buffer.latest_ns][-COMPARED:]
+        if len(measured) < COMPARED or measured[-1][0].stamp_ns <= self._compared_ns:
+            return None
+        even = [one for one, _ in measured]
+        self._compared_ns = even[-1].stamp_ns
+        squares = self._squares_of(even)
+        if squares is None:
+            return None
+        self._note(squares)
+        if not any(by_ns for _, by_ns in measured):
+            return None
+        at_given = self._squares_of([replace(one, stamp_ns=one.stamp_ns + by_ns) for one, by_ns in measured])
+        return None if at_given is None else (float(at_given[0]), float(squares[0]))
+
+    def _squares_of(self, positions: Sequence[Position]) -> Array | None:
+        moved = self._moved(positions)
+        return None if moved is None else beyond(positions, moved)
 
     def _moved(self, positions: Sequence[Position]) -> Array | None:
         """Return how the point has moved (N, 3) beside a fall, in the axes that I had first; None if nobody knows."""
         first_ns, last_ns = positions[0].stamp_ns, positions[-1].stamp_ns
-        if last_ns - first_ns > MOST_NS or first_ns < self._buffer.oldest_ns:
+        if last_ns - first_ns > MOST_NS or first_ns < self._buffer.oldest_ns or last_ns > self._buffer.latest_ns:
             return None
         if not self._buffer.is_trusted(first_ns, last_ns):
             return None
@@ -122,15 +137,19 @@ class Scatters:
 
     def __init__(self, sensors: Mapping[str, Sensor], buffer: ImuBuffer, log: EventLog) -> None:
         self._receivers = {name: Scatter(buffer, one.p_I_P) for name, one in of_role(sensors, Role.POSITION).items()}
+        self._offsets_ns = {name: sensors[name].offset_ns for name in self._receivers}
         self._log = log
         self._told = dict.fromkeys(self._receivers, 1.0)
 
-    def weighed(self, position: Measurement, scales: Mapping[str, NoiseScale]) -> Measurement:
+    def weighed(self, position: Measurement, scales: Mapping[str, NoiseScale], stamps: EvenStamps) -> Measurement:
         """Return a measurement as it arrives, a position with the covariance that is believed; its scale is told."""
         if not isinstance(position, Position):
             return position
         name = position.sensor
-        self._receivers[name].add(position)
+        uneven_ns = stamps.moved_ns(name, position.stamp_ns - self._offsets_ns[name])
+        squares = self._receivers[name].add(position, uneven_ns)
+        if squares is not None:
+            stamps.judge(name, *squares, position.stamp_ns)
         factors = self._receivers[name].factors
         most = sqrt(factors.max())
         if not self._told[name] / NEWS < most < self._told[name] * NEWS:

@@ -1,6 +1,6 @@
 """White noise that blocks of samples show: what lies under the lines of their spectrum, (47) in docs/math.md."""
 
-from math import sqrt
+from math import comb, sqrt
 from typing import Any
 
 import numpy as np
@@ -13,10 +13,23 @@ from holdfast.messages import Array
 
 LENGTH = 64  # samples of one spectrum
 BINS = LENGTH // 4  # of a spectrum: above a quarter of the rate, below half of it
-RANK = 3  # of the 16 squared amplitudes there, from the smallest: an engine is a few lines, and lines average out
+RANK = 1  # of the 16 squared amplitudes there, from the smallest: an engine is a few lines, and lines average out
 WINDOW = np.hanning(LENGTH)
-# the mean of that one for white noise with variance 1, whose squared amplitudes are distributed exponentially
-EXPECTED = float((WINDOW**2).sum()) * sum(1.0 / (BINS - k) for k in range(RANK + 1))
+
+
+def _expected() -> float:
+    """Return the mean of that one for white noise with variance 1 on three axes, whose squared amplitudes add up.
+
+    Their sum has a gamma distribution of shape 3; the mean of an order statistic is the integral of the probability
+    that it is larger.
+    """
+    x = np.linspace(0.0, 40.0, 4001)
+    larger = np.exp(-x) * (1.0 + x + 0.5 * x**2)
+    beyond = np.sum([comb(BINS, k) * (1.0 - larger) ** k * larger ** (BINS - k) for k in range(RANK + 1)], axis=0)
+    return float((WINDOW**2).sum() * (beyond[:-1] + beyond[1:]).sum() * 0.5 * (x[1] - x[0]))
+
+
+EXPECTED = _expected()
 _ANGLES = 2.0 * np.pi / LENGTH * np.outer(np.arange(LENGTH), np.arange(BINS, 2 * BINS))
 COSINES, SINES = np.cos(_ANGLES), np.sin(_ANGLES)  # (LENGTH, BINS)
 
@@ -53,21 +66,23 @@ def _fill(buffer: Any, samples: Any, number: int, block: Any) -> bool:
         if samples[k].is_gap:
             return False
     dt_s = (samples[row + LENGTH - 1].stamp_ns - samples[row].stamp_ns) * 1e-9 / (LENGTH - 1)
-    force, rate, readings = 0.0, 0.0, np.empty(LENGTH)
+    force, rate, readings = np.zeros(BINS), np.zeros(BINS), np.empty(LENGTH)
     for channel in range(3):
         for k in range(LENGTH):
             readings[k] = samples[row + k].force[channel]
-        force += _floor(readings)
+        _add_squares(readings, force)
         for k in range(LENGTH):
             readings[k] = samples[row + k].rate[channel]
-        rate += _floor(readings)
-    block.number, block.force, block.rate = number + 1, sqrt(force / 3.0 * dt_s), sqrt(rate / 3.0 * dt_s)
+        _add_squares(readings, rate)
+    block.number = number + 1
+    block.force = sqrt(np.sort(force)[RANK] / EXPECTED * dt_s)
+    block.rate = sqrt(np.sort(rate)[RANK] / EXPECTED * dt_s)
     return True
 
 
 @inner
-def _floor(readings: Array) -> float:
-    """Return the variance of white noise that would explain the smallest amplitudes of a spectrum."""
+def _add_squares(readings: Array, squares: Array) -> None:
+    """Add the squared amplitudes of one axis to those of others (BINS,)."""
     mean = readings.mean()
     real, imaginary = np.zeros(BINS), np.zeros(BINS)
     for k in range(LENGTH):
@@ -75,8 +90,8 @@ def _floor(readings: Array) -> float:
         for m in range(BINS):
             real[m] += reading * COSINES[k, m]
             imaginary[m] += reading * SINES[k, m]
-    squares = np.sort(real * real + imaginary * imaginary)
-    return float(squares[RANK] / EXPECTED)
+    for m in range(BINS):
+        squares[m] += real[m] * real[m] + imaginary[m] * imaginary[m]
 
 
 # --- what Python calls: compiled here, so it comes last

@@ -10,6 +10,7 @@ from holdfast.kernel.samples import cut, piece_from, rate_at, row_after
 from holdfast.kernel.so3 import expmap, multiply, unrotate
 
 FOLD_S = 1.0  # the walk of the biases enters the covariance this often
+SWING_NS = 100_000_000  # over which an engine swings to and fro
 MOTION_STEP_S = 0.02
 MAX_MOTION_STEPS = 100  # of a longer silence, which are longer then: constant twist is followed to second order
 
@@ -123,18 +124,31 @@ def move(pim: Any, work: Any, noise: Any, nav: Any, rate: Any, gravity: float, d
 
 @inner
 def _begin(path: Any, state: Any, buffer: Any, samples: Any, blocks: Any) -> None:
-    """Let something follow the state, with the noise of the motion at the newest sample: (10)."""
+    """Let something follow the state, with the noise of the motion at the newest samples: (10)."""
     reset(state.pim)
     state.noise[:] = path.imu_noise
     if buffer.end > buffer.first:
         seen_force, seen_rate = density_between(buffer, samples, blocks, state.stamp_ns, state.stamp_ns)
-        force, bias, rate = samples[buffer.end - 1].force, state.optimised.bias_accel, state.rate
+        bias, rate = state.optimised.bias_accel, state.rate
+        fx, fy, fz = _mean_force(buffer, samples)
         ux, uy, uz = unrotate(state.start.R, 0.0, 0.0, path.gravity)
-        ax, ay, az = force[0] - bias[0] - ux, force[1] - bias[1] - uy, force[2] - bias[2] - uz
+        ax, ay, az = fx - bias[0] - ux, fy - bias[1] - uy, fz - bias[2] - uz
         by_force = path.force_error * sqrt(ax * ax + ay * ay + az * az)
         by_rate = path.rate_error * sqrt(rate[0] * rate[0] + rate[1] * rate[1] + rate[2] * rate[2])
         state.noise[0] = max(path.accelerometer_density, seen_force) ** 2 + by_force**2
         state.noise[1] = max(path.gyroscope_density, seen_rate) ** 2 + by_rate**2
+
+
+@inner
+def _mean_force(buffer: Any, samples: Any) -> tuple[float, float, float]:
+    """Return the mean of the newest specific forces: what swings about it is no acceleration of the machine."""
+    fx, fy, fz, row = 0.0, 0.0, 0.0, buffer.end
+    while row > buffer.first and (row == buffer.end or samples[row - 1].stamp_ns > buffer.newest_ns - SWING_NS):
+        row -= 1
+        force = samples[row].force
+        fx, fy, fz = fx + force[0], fy + force[1], fz + force[2]
+    count = buffer.end - row
+    return fx / count, fy / count, fz / count
 
 
 @inner

@@ -1,11 +1,14 @@
 """The IMU beside the GNSS receivers, for the first configuration of a recording: clocks, axes and units of both."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from statistics import median
 
 import numpy as np
 
 from holdfast.config.assignment import Guess, Measured, namespace
 from holdfast.config.proposal import antenna_of
+from holdfast.config.sensors import MOST_OFFSET_S
 from holdfast.errors import RecordingError
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.messages import Array, FixStatus, GnssFix, GnssVelocity, Heading, ImuSample, Message
@@ -19,6 +22,7 @@ from holdfast.recording.stretch import Stretch, stretches
 
 WINDOWS_S = ((0.0, 120.0), (120.0, 180.0))  # begin and length; the second where the first tells too little
 WANTED_SIGMA_S = 0.012
+FAR_S = 1.0  # a delay that may be a clock: leap seconds, a machine that was set by hand
 MAX_RATE_HZ = 5.0  # of a receiver; more tell no more of a machine's motion
 ORDERS = {"gnss": 2, "gnss_velocity": 1}
 CLOCKWISE = Measured(
@@ -41,6 +45,7 @@ def imu_beside_receivers(recording: Recording, guesses: Sequence[Guess]) -> dict
         return {}
     messages: dict[str, list[Message]] = {guess.topic.topic: [] for guess in used}
     offsets: dict[str, ClockOffset | None] = dict.fromkeys(receivers)
+    behind_s: dict[str, float] = {}
     compared: list[Stretch] = []
     wrong: dict[str, Measured] = {}
     clockwise: dict[str, Measured] = {}
@@ -52,19 +57,30 @@ def imu_beside_receivers(recording: Recording, guesses: Sequence[Guess]) -> dict
             messages[message.sensor].append(message)
         imu = _imu(messages[imu_topic])
         received = {topic: _receiver(messages[topic]) for topic in receivers}
+        behind_s = {topic: _delay_s(messages[topic]) - _delay_s(messages[imu_topic]) for topic in receivers}
         wrong = dict(_wrong_velocities(received, used))
         headings = [guess.topic.topic for guess in used if guess.kind == "heading"]
         clockwise = {topic: CLOCKWISE for topic in headings if is_clockwise(*imu, *_heading(messages[topic]))}
         offsets, compared = {}, []
         for topic in (topic for topic in receivers if topic not in wrong):
-            offsets[topic] = clock_offset(*imu, *received[topic], receivers[topic])
-            compared += stretches(*imu, *received[topic], receivers[topic], span_s=SPAN_S)
+            (times_s, values), order = received[topic], receivers[topic]
+            offset = clock_offset(*imu, times_s, values, order)
+            if FAR_S < abs(behind_s[topic]) <= MOST_OFFSET_S:
+                as_arrived = clock_offset(*imu, times_s + behind_s[topic], values, order)
+                if as_arrived is not None and (offset is None or offset.stretches < as_arrived.stretches):
+                    offset = replace(as_arrived, offset_s=as_arrived.offset_s + behind_s[topic])
+                    times_s = times_s + behind_s[topic]
+            offsets[topic] = offset
+            compared += stretches(*imu, times_s, values, order, span_s=SPAN_S)
         if all(offset is not None and offset.sigma_s <= WANTED_SIGMA_S for offset in offsets.values()):
             break
     if (found := mistake(compared)) is not None:
         return wrong | {imu_topic: Measured(warnings=(_told(*found),))}
     measured = {topic: _measured(offset) for topic, offset in _of_receivers(offsets, guesses).items()}
     measured |= wrong
+    for topic, apart_s in behind_s.items():
+        if abs(apart_s) > MOST_OFFSET_S:
+            measured[topic] = Measured(warnings=(_far(apart_s),))
     return measured | {topic: one.joined(measured.get(topic, Measured())) for topic, one in clockwise.items()}
 
 
@@ -91,6 +107,11 @@ def _told(explanation: str, times: float) -> str:
         f"it goes with the motion of the antennas as if {explanation} (residuals {times:.1f} times smaller); its "
         "driver must give rad/s and the specific force in m/s^2, both in one right-handed frame"
     )
+
+
+def _far(behind_s: float) -> str:
+    way = "behind" if behind_s > 0.0 else "ahead of"
+    return f"its stamps are {abs(behind_s):.0f} s {way} the IMU's, by their arrivals; both drivers must use one clock"
 
 
 def _read(recording: Recording, guesses: Iterable[Guess], start_s: float, duration_s: float) -> Iterator[Message]:
@@ -120,6 +141,11 @@ def _receiver(messages: Sequence[Message]) -> tuple[Array, Array]:
     times_s, values = _ordered(stamps, np.array(rows).reshape(-1, 3))
     step = max(1, round(1.0 / (MAX_RATE_HZ * float(np.median(np.diff(times_s)))))) if len(times_s) > 1 else 1
     return times_s[::step], values[::step]
+
+
+def _delay_s(messages: Sequence[Message]) -> float:
+    """Return by how much messages arrive later than they are stamped [s]; 0 for none."""
+    return median(one.arrival_ns - one.stamp_ns for one in messages) * 1e-9 if messages else 0.0
 
 
 def _heading(messages: Sequence[Message]) -> tuple[Array, Array]:

@@ -3,7 +3,7 @@
 What is held back never reaches the estimator. Each held-out position, of an antenna or a prism, is compared with the
 track at its own time, through the lever arm; the causal track is what was published at IMU rate, and where the IMU was
 silent the newest optimised states. Clock and lever arm are those that the estimator has found from what it was given:
-a track that is right at the stamps of the IMU is not wrong because the receiver's are late.
+a track that is right at the stamps of the IMU is not wrong because the receiver's are late, nor because they jitter.
 """
 
 from collections import deque
@@ -16,12 +16,14 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
+from holdfast.event_log import EventLog
 from holdfast.events import Outcome
 from holdfast.geometry.earth import LocalFrame
 from holdfast.geometry.world import World
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.messages import Array, Message
 from holdfast.sensors.clock import has_estimated_clock, with_estimated_clock
+from holdfast.sensors.even_stamps import EvenStamps
 from holdfast.sensors.registry import sensors_of
 from holdfast.sensors.sensor import Position, PositionSensor, Role, State
 from holdfast.smoothing.block import Block
@@ -115,6 +117,7 @@ class HoldOutFilter:
         check_sensors(self._rules, config)
         self._sensors = _position_sensors(config)
         self.first_ns: int | None = None
+        self._even = EvenStamps(EventLog(config.imu_name))
         self._seen: dict[str, int] = {}
         self._idle = set(self._rules)  # those that have held back nothing yet
         self._lost: set[str] = set()  # sensors in an outage, which lasts until the estimator gets a message again
@@ -132,15 +135,16 @@ class HoldOutFilter:
             if not self._rules:
                 yield message
                 continue
+            even = self._even.read(message)  # what jitters in a stamp is no error of the estimate
             at_s = (message.stamp_ns - self.first_ns) * 1e-9
             rules = [rule for rule in self._rules if rule.sensor == message.sensor and self.is_usable(message)]
             outages = [rule for rule in rules if rule.every is None and rule.start_s <= at_s < rule.end_s]
             if outages:
                 self._idle.difference_update(outages)
                 self._lost.add(message.sensor)
-                self.held.append((message, True))
+                self.held.append((even, True))
             elif self._is_nth(message, rules):
-                self.held.append((message, message.sensor in self._lost))
+                self.held.append((even, message.sensor in self._lost))
             else:
                 if rules:
                     self._lost.discard(message.sensor)

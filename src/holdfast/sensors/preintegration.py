@@ -132,8 +132,10 @@ def preintegrate(
 ) -> gtsam.PreintegratedImuMeasurements:
     """Preintegrate consecutive steps (Forster et al. 2017, Eqs. 35-38 and 63); `attitude` is R_W_I at their start."""
     bias_accel, bias_gyro = bias.accelerometer(), bias.gyroscope()
-    middle = steps[len(steps) // 2]
-    params = noise.params(middle.specific_force - bias_accel, middle.angular_velocity - bias_gyro, attitude, seen)
+    lengths_s = np.array([one.dt_s for one in steps])
+    force = lengths_s @ np.array([one.specific_force for one in steps]) / lengths_s.sum()
+    rate = lengths_s @ np.array([one.angular_velocity for one in steps]) / lengths_s.sum()
+    params = noise.params(force - bias_accel, rate - bias_gyro, attitude, seen)
     return preintegrate_with(params, steps, bias)
 
 
