@@ -75,8 +75,8 @@ def is_delivered(story, message):
 
 
 def lived(estimator, story, messages=None):
-    """True times of the answers, errors [m], how far their stamps are from those of their samples; slowest call [s]."""
-    answers, slowest_s = [], 0.0
+    """True times of the answers, errors [m], how far their stamps are from those of their samples; each call [s]."""
+    answers, calls_s = [], []
     for message in messages or recorded():
         if not is_delivered(story, message):
             continue
@@ -86,18 +86,18 @@ def lived(estimator, story, messages=None):
         took_s = thread_time() - began_s
         t = seconds(message.stamp_ns)
         if message.sensor == "imu" and t > 4.0:
-            slowest_s = max(slowest_s, took_s)
+            calls_s.append(took_s)
         if output.estimate is not None:
             error_m = float(np.linalg.norm(output.estimate.nav.position() - DRIVE.nav(t).position()))
             answers.append((t, error_m, (output.estimate.stamp_ns - shown.stamp_ns) * 1e-9))
-    return np.array(answers), slowest_s
+    return np.array(answers), np.array(calls_s)
 
 
-def judge(story, estimator, answers, slowest_s):
+def judge(story, estimator, answers, calls_s):
     t, error_m, off_s = answers.T
-    if slowest_s > CALL_S:  # this machine, or the work? the estimator is deterministic
-        slowest_s = min(slowest_s, lived(Estimator(machine()), story)[1])
-    assert slowest_s < CALL_S
+    if calls_s.max() > CALL_S:  # this machine, or the work? the estimator is deterministic, so work lasts again
+        calls_s = np.minimum(calls_s, lived(Estimator(machine()), story)[1])
+    assert calls_s.max() < CALL_S
     assert np.diff(t).max() <= story.silent_s + 1e-6
     assert t[-1] > END_S - 0.02
     assert error_m[t > story.last_s + AGAIN_S].max() < RIGHT_M

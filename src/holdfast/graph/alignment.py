@@ -79,6 +79,7 @@ class Alignment:
         excess: squared residuals over their expectation.
         misfit: the same, or how many times more than claimed the positions or the velocities vary, if that is more.
         jump: of the biases that would explain most; if it `is_believed`, the state is that after it.
+        is_contradictory: whether no state explains what was measured, whatever else would be measured.
         arms: shifts (3,) [m] of lever arms that were in doubt, with covariance (3, 3), by name.
         clock_s: offset of the clock of positions that looks most like the first of them [s].
     """
@@ -89,6 +90,7 @@ class Alignment:
     excess: float = inf
     misfit: float = inf
     jump: Jump | None = None
+    is_contradictory: bool = False
     arms: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     clock_s: float = 0.0
 
@@ -252,7 +254,8 @@ class BatchAligner:
         if max(excess, *noise) >= MAX_EXCESS:
             times = sqrt(max(excess, *noise))
             why = f"GNSS and IMU disagree: the residuals are {times:.0f} times what they claim"
-            return Alignment(None, f"{why}; `holdfast config init` finds axes, units and clocks that are wrong")
+            why = f"{why}; `holdfast config init` finds axes, units and clocks that are wrong"
+            return Alignment(None, why, is_contradictory=True)
         for other_error, other in solutions[1:]:
             apart = abs(nav.attitude().between(other.atNavState(last).attitude()).rpy()[2])
             if apart > 3.0 * max_heading_sigma_rad and other_error - error < DISTINCT * scale:

@@ -137,7 +137,6 @@ class Scatters:
 
     def __init__(self, sensors: Mapping[str, Sensor], buffer: ImuBuffer, log: EventLog) -> None:
         self._receivers = {name: Scatter(buffer, one.p_I_P) for name, one in of_role(sensors, Role.POSITION).items()}
-        self._offsets_ns = {name: sensors[name].offset_ns for name in self._receivers}
         self._log = log
         self._told = dict.fromkeys(self._receivers, 1.0)
 
@@ -146,8 +145,7 @@ class Scatters:
         if not isinstance(position, Position):
             return position
         name = position.sensor
-        uneven_ns = stamps.moved_ns(name, position.stamp_ns - self._offsets_ns[name])
-        squares = self._receivers[name].add(position, uneven_ns)
+        squares = self._receivers[name].add(position, stamps.moved_ns(name))
         if squares is not None:
             stamps.judge(name, *squares, position.stamp_ns)
         factors = self._receivers[name].factors

@@ -42,6 +42,7 @@ class EvenStamps:
         self._known: dict[int, tuple[int, _Grid]] = {}  # what one receiver says at once stays together
         self._squares: dict[str, deque[tuple[float, float]]] = {}
         self._right: set[str] = set()  # receivers whose stamps are right as they are given
+        self._moved_ns: dict[str, int] = {}
 
     def read(self, message: Message) -> Message:
         """Return a message, in the order of arrival, with its even stamp; the same one where there is none."""
@@ -59,18 +60,16 @@ class EvenStamps:
             if grid.is_news():
                 jitter = f"its stamps jitter by {grid.sigma_s * 1e3:.1f} ms: taken as every {grid.period_s:.4g} s"
                 self._log.report(EventKind.NOISE, given_ns, message.sensor, jitter)
+        self._moved_ns[message.sensor] = given_ns - even_ns
         return message if even_ns == given_ns else replace(message, stamp_ns=even_ns)
 
-    def moved_ns(self, sensor: str, even_ns: int) -> int:
+    def moved_ns(self, sensor: str) -> int:
         """Return by how much the given stamp is later than the even one that `read` has just made of it."""
-        if sensor in self._right:
-            return 0
-        known = reversed(self._known.items())
-        return next((given_ns - even_ns for given_ns, (even, _) in known if even == even_ns), 0)
+        return 0 if sensor in self._right else self._moved_ns.get(sensor, 0)
 
     def judge(self, sensor: str, at_given: float, at_even: float, stamp_ns: int) -> None:
         """Take in the squares of what positions scatter by at either stamps: those that scatter less are right."""
-        squares = self._squares.setdefault(sensor, deque(maxlen=4 * ENOUGH_SQUARES))
+        squares = self._squares.setdefault(sensor, deque(maxlen=2 * ENOUGH_SQUARES))
         squares.append((at_given, at_even))
         if len(squares) < ENOUGH_SQUARES or sensor in self._right:
             return
