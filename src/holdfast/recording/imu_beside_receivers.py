@@ -64,14 +64,8 @@ def imu_beside_receivers(recording: Recording, guesses: Sequence[Guess]) -> dict
         offsets, compared = {}, []
         for topic in (topic for topic in receivers if topic not in wrong):
             (times_s, values), order = received[topic], receivers[topic]
-            offset = clock_offset(*imu, times_s, values, order)
-            if FAR_S < abs(behind_s[topic]) <= MOST_OFFSET_S:
-                as_arrived = clock_offset(*imu, times_s + behind_s[topic], values, order)
-                if as_arrived is not None and (offset is None or offset.stretches < as_arrived.stretches):
-                    offset = replace(as_arrived, offset_s=as_arrived.offset_s + behind_s[topic])
-                    times_s = times_s + behind_s[topic]
-            offsets[topic] = offset
-            compared += stretches(*imu, times_s, values, order, span_s=SPAN_S)
+            offsets[topic], apart_s = _offset(imu, times_s, values, order, behind_s[topic])
+            compared += stretches(*imu, times_s + apart_s, values, order, span_s=SPAN_S)
         if all(offset is not None and offset.sigma_s <= WANTED_SIGMA_S for offset in offsets.values()):
             break
     if (found := mistake(compared)) is not None:
@@ -82,6 +76,18 @@ def imu_beside_receivers(recording: Recording, guesses: Sequence[Guess]) -> dict
         if abs(apart_s) > MOST_OFFSET_S:
             measured[topic] = Measured(warnings=(_far(apart_s),))
     return measured | {topic: one.joined(measured.get(topic, Measured())) for topic, one in clockwise.items()}
+
+
+def _offset(
+    imu: tuple[Array, Array], times_s: Array, values: Array, order: int, behind_s: float
+) -> tuple[ClockOffset | None, float]:
+    """Return the offset of a clock, and by how much (0 else) its stamps go with the IMU as late as they arrive."""
+    as_stamped = clock_offset(*imu, times_s, values, order)
+    if FAR_S < abs(behind_s) <= MOST_OFFSET_S:
+        as_arrived = clock_offset(*imu, times_s + behind_s, values, order)
+        if as_arrived is not None and (as_stamped is None or as_stamped.stretches < as_arrived.stretches):
+            return replace(as_arrived, offset_s=as_arrived.offset_s + behind_s), behind_s
+    return as_stamped, 0.0
 
 
 def _wrong_velocities(
