@@ -64,6 +64,7 @@ class Initialising:
             of GNSS.
 
     Attributes:
+        is_contradictory: whether no state explains what the last attempt was made of.
         found: the same, and what was found since.
         compass: tells by how much an attitude is beside what is measured.
     """
@@ -101,6 +102,7 @@ class Initialising:
             config, self._collected, gravity, points=self._points, heading=heading, biases=self.biases
         )
         self.misfit = inf  # of the last attempt: squared residuals over what is claimed
+        self.is_contradictory = False
         self.doubtful: frozenset[str] = frozenset()  # odometries and receivers that the last attempt has left out
         self.found: dict[str, Parameter] = {}
         self._limit_rad = radians(config.initialisation.max_heading_sigma_deg)
@@ -192,6 +194,11 @@ class Initialising:
         self._collected.forget_before(stamp_ns)
         self._last_try_ns = NEVER_NS
 
+    def forget_older_half(self) -> None:
+        """Forget the older half of the time in which positions were measured."""
+        stamps = [one.stamp_ns for one in self._collected.positions]
+        self.forget_before((min(stamps) + max(stamps)) // 2)
+
     def settle_arms(self) -> None:
         """Know that the lever arms of antennas are as they were measured."""
         self._batches.settle_arms()
@@ -238,7 +245,7 @@ class Initialising:
             may_be_late: then also whether the clock of GNSS may be off.
             limit_rad: sigma of a heading from motion that will do, if it is more than what is configured.
         """
-        self.misfit, self.jump, self.doubtful = inf, None, frozenset()
+        self.misfit, self.jump, self.doubtful, self.is_contradictory = inf, None, frozenset(), False
         now = self._buffer.latest_ns
         standstill_s = self._config.initialisation.standstill_s
         recent = self._buffer.window(now - round(standstill_s * 1e9), now)
@@ -303,8 +310,6 @@ class Initialising:
         is_explained = may_have_jumped and self._velocity_check.are_explained(self._collected.velocities, lying)
         jump_sigmas = self.biases.doubted if is_explained else None
         batch = self._batches.solve(evidence, self.biases.prior, limit_rad, jump_sigmas, may_be_late=may_be_late)
-        if batch.alignment.is_contradictory and not may_have_jumped:  # something was wrong, which may be over
-            self.forget_before((fixes[0].stamp_ns + fixes[-1].stamp_ns) // 2)
         return self._judged(batch, lying, now_ns)
 
     def attempt_with_moved_antennas(self) -> OptimisedState | None:
@@ -336,6 +341,7 @@ class Initialising:
         if shift is not None:
             self._move_antennas(shift)
         self.misfit, self.jump = alignment.misfit, alignment.jump
+        self.is_contradictory = alignment.is_contradictory
         left_out = [*lying, *sorted(self.doubtful)]
         without = f", without {', '.join(left_out)}, at odds with the positions" if left_out else ""
         elsewhere = "" if shift is None else "; the antennas are elsewhere than configured"

@@ -177,9 +177,14 @@ class Successor:
             self._doubts, self._doubted_ns = self._doubts - 1, now_ns
 
     def settle_doubt(self) -> Beginning | None:
-        """Return a state to begin from once more, as soon as the motion tells the heading that was kept in doubt."""
+        """Return a state to begin from once more, as soon as the motion tells the heading that was kept in doubt.
+
+        What no state explains has a fault in it that may be over: its older half is forgotten.
+        """
         state = self.start.attempt() if self._is_in_doubt else None
         if state is None:
+            if self._is_in_doubt and self.start.is_contradictory:
+                self.start.forget_older_half()
             return None
         self._is_in_doubt = False
         return Beginning(state, f"no longer in doubt: {self.start.reason}")
