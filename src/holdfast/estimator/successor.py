@@ -181,9 +181,11 @@ class Successor:
 
         What no state explains has a fault in it that may be over: its older half is forgotten.
         """
-        state = self.start.attempt() if self._is_in_doubt else None
+        if not self._is_in_doubt:
+            return None
+        state = self.start.attempt()
         if state is None:
-            if self._is_in_doubt and self.start.is_contradictory:
+            if self.start.is_contradictory:
                 self.start.forget_older_half()
             return None
         self._is_in_doubt = False
