@@ -93,3 +93,12 @@ def test_what_is_forgotten_says_nothing():
     one.forget("lidar")
     assert one.names == [] and one.factors([ns(3.0), ns(4.0)]) == []
     assert not one.move_as(fixes(), ARM, 0.5, SINCE_NS)
+
+
+def test_what_is_known_of_the_clock_holds_for_the_poses_before_it_was_known():
+    """0.4 s at 3 m/s, on a way that is no line: dated by two clocks it is no shape of the machine's."""
+    found, early_ns = OdometryTracks({"lidar": MODEL}), 400_000_000
+    for t in np.arange(0.0, 20.0, 0.1):
+        stamped = TrackPose(ns(t) - early_ns, "lidar", ELSEWHERE * DRIVE.pose(t))
+        found.add(stamped.dated(early_ns) if t > 11.0 else stamped)
+    assert found.move_as(fixes(), ARM, 0.05, SINCE_NS)

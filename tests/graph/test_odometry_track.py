@@ -136,6 +136,23 @@ def test_begun_anew_it_knows_no_pose_and_compares_with_none():
     assert add(fresh, smoother, seen(0.3, JUMP)).jump is None
 
 
+@pytest.mark.parametrize("early_s", [0.3, -0.3])
+@pytest.mark.parametrize("mode", MODES)
+def test_a_clock_that_becomes_known_is_no_jump(mode, early_s):
+    """What was stamped before it was known is at odds with what comes by 0.5 m; a jump after that is found."""
+    smoother, one = smoother_of(DRIVE, 6.0), track(mode)
+
+    def stamped(t, jump=NOT_TURNED):
+        seen_then = seen(t, jump)
+        return TrackPose(ns(t - early_s), "lidar", seen_then.T_I0_I)
+
+    for t in np.arange(0.4, 0.8, 0.2):
+        add(one, smoother, stamped(t))
+    early_ns = round(early_s * 1e9)
+    assert all(add(one, smoother, stamped(t).dated(early_ns)).jump is None for t in np.arange(0.8, 3.0, 0.2))
+    assert add(one, smoother, stamped(3.0, JUMP).dated(early_ns)).jump is not None
+
+
 def test_the_frame_of_an_odometry_drifts_as_configured():
     """10 s of driving, 15 m: without GNSS the position is unsure by 0.04 m per root metre."""
     smoother, one = smoother_of(DRIVE, 12.0), track()

@@ -5,10 +5,11 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
-from motion import ARM, Drive, machine, ns
+from motion import ARM, Drive, StopAndGo, machine, ns
 from rig import Rig, position
 
 from holdfast.events import EventKind, Outcome
+from holdfast.graph.odometry_track import believed_calibration
 from holdfast.sensors.odometry import TrackPose
 
 DRIVE = Drive(start_s=-3.0)
@@ -190,3 +191,21 @@ def test_where_another_odometry_agrees_with_gnss_it_is_the_odometry_that_slipped
 def test_without_the_monitor_no_walk_is_looked_for():
     rig = begun(END_S + 0.1, gate={"drift_monitor": False}, **LOOSE)
     assert walk_of(rig, walking) == (None, END_S)
+
+
+@pytest.mark.parametrize("early_s", [0.2, -0.2])
+def test_the_clock_of_one_that_is_not_trusted_is_found_and_then_it_is_trusted(early_s):
+    """It turns 0.2 rad/s otherwise than the gyroscope while the machine sets off; only its clock is wrong."""
+    rig = Rig(StopAndGo(start_s=-3.0), machine(), 20.0)
+    rig.odometries.distrust(["lidar"])
+    for t in np.arange(0.5, 19.0, 0.1):
+        track = rig.motion.pose(0.0).between(rig.motion.pose(t))
+        measured = rig.odometries.dated(TrackPose(ns(t - early_s), "lidar", track))
+        if round(t * 10) % 10 == 0:
+            rig.positions.add(rig.graph, position(rig.motion, t, ARM), ns(t))
+        rig.odometries.add(rig.graph, measured, ns(t))
+        rig.update()
+    told = [event.kind for event in rig.log.take_events() if event.sensor == "lidar"]
+    assert set(told[:-1]) == {EventKind.CLOCK_STEP} and told[-1] is EventKind.SENSOR_REGAINED  # nearer at each step
+    calibration = rig.odometries._odometries["lidar"].model.calibration
+    assert believed_calibration(rig.graph.main, "lidar", calibration)[-1] == pytest.approx(early_s, abs=0.02)

@@ -44,8 +44,11 @@ class OdometryTracks:
         self._noises = noises
 
     def add(self, pose: TrackPose) -> None:
-        """Take in a pose."""
-        self._tracks.setdefault(pose.sensor, deque()).append(pose)
+        """Take in a pose; what is known now of its clock holds for those before, too."""
+        track = self._tracks.setdefault(pose.sensor, deque())
+        if track and track[-1].early_ns != pose.early_ns:
+            self._tracks[pose.sensor] = track = deque(one.dated(pose.early_ns) for one in track)
+        track.append(pose)
 
     def forget(self, name: str) -> None:
         """Forget what an odometry has said."""

@@ -40,6 +40,7 @@ from holdfast.sensors.constants import Constant, priors_of_machine
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lever_arm import GNSS_ARM
 from holdfast.sensors.noise import Colour
+from holdfast.sensors.odometry import TrackPose
 from holdfast.sensors.sensor import ConstraintSensor, Measurement, Role, Sensor, of_role
 from holdfast.state import OptimisedState
 
@@ -237,9 +238,15 @@ class Tracking:
     def go_on_from(self, before: "Tracking") -> None:
         """Begin with what was found wrong of sensors before the estimate began anew."""
         for waiting in before.queue.drain():
-            self.queue.push(measured_later(waiting, self._early_ns(waiting) - before._early_ns(waiting)))
+            self.queue.push(self._dated(waiting, before._early_ns(waiting)))
         self.distrust(before.distrusted)
         self._odometries.go_on_from(self.graph, before._odometries)
+
+    def _dated(self, measurement: Measurement, in_stamp_ns: int = 0) -> Measurement:
+        """Return a measurement, its stamp corrected by what is known of the clock, of which so much is in it."""
+        if isinstance(measurement, TrackPose):
+            return self._odometries.dated(measurement)
+        return measured_later(measurement, self._early_ns(measurement) - in_stamp_ns)
 
     def _early_ns(self, measurement: Measurement) -> int:
         """Return by how much the stamp of a measurement is known to be early; of a velocity no graph estimates that."""
@@ -281,9 +288,9 @@ class Tracking:
 
         What would begin anew takes it as it was claimed: fixes that wander would else fit to each other.
         """
+        measurement = self._dated(measurement)
         if measurement.sensor not in self._odometries.distrusted:
-            self.successor.add(claimed)
-        measurement = measured_later(measurement, self._early_ns(measurement))
+            self.successor.add(measurement if isinstance(measurement, TrackPose) else claimed)
         stamp_ns, published = measurement.stamp_ns, self.graph.published
         name = measurement.sensor
         if stamp_ns < published.oldest_ns:

@@ -78,15 +78,15 @@ class OdometryTrack:
         """Join the node of a pose, which exists under `key`, to what was before."""
         before = self._newest
         motion, jump = None, None
-        if before is None or before.stamp_ns < pose.stamp_ns:
+        if before is None or before.claimed_ns < pose.claimed_ns:
             self._newest = pose
-        if before is not None and before.stamp_ns < pose.stamp_ns and pose.begins_anew:
+        if before is not None and before.claimed_ns < pose.claimed_ns and pose.begins_anew:
             before, self._epochs, self._T_W_I0 = None, [], None
-        if before is not None and before.stamp_ns < pose.stamp_ns:
+        if before is not None and before.claimed_ns < pose.claimed_ns:
             motion = before.T_I0_I.between(pose.T_I0_I)
             self._slack = _carried(self._slack, motion, pose.excess)
             jump = self._jump(smoother, before, pose, motion)
-            if not is_possible(motion, (pose.stamp_ns - before.stamp_ns) * 1e-9):
+            if not is_possible(motion, (pose.claimed_ns - before.claimed_ns) * 1e-9):
                 self._epochs, self._T_W_I0 = [], None
                 return Joined(Outcome.OUT_OF_RANGE, jump)
             if jump is not None:
@@ -99,7 +99,8 @@ class OdometryTrack:
 
     def _jump(self, smoother: Smoother, before: TrackPose, pose: TrackPose, motion: gtsam.Pose3) -> Array | None:
         """Return by how much the IMU contradicts the odometry; None if it does not, or has not measured all along."""
-        if before.stamp_ns < smoother.oldest_ns or not smoother.imu.is_trusted(before.stamp_ns, pose.stamp_ns):
+        is_comparable = before.early_ns == pose.early_ns and before.stamp_ns >= smoother.oldest_ns
+        if not is_comparable or not smoother.imu.is_trusted(before.stamp_ns, pose.stamp_ns):
             return None
         calibration = self._noise.calibration
         motion = calibration.motion(motion, believed_calibration(smoother, pose.sensor, calibration))
@@ -112,7 +113,7 @@ class OdometryTrack:
     def _add_relative(
         self, smoother: Smoother, key: int, before: TrackPose | None, pose: TrackPose, motion: gtsam.Pose3 | None
     ) -> Outcome:
-        if before is None or motion is None or pose.stamp_ns - before.stamp_ns > self._max_interval_ns:
+        if before is None or motion is None or pose.claimed_ns - before.claimed_ns > self._max_interval_ns:
             return Outcome.NO_PREDECESSOR
         previous_key = smoother.node(before.stamp_ns)
         if previous_key is None:
@@ -130,7 +131,7 @@ class OdometryTrack:
     def _add_anchored(self, smoother: Smoother, key: int, pose: TrackPose) -> Outcome:
         while self._epochs and not smoother.has_frame(self._epochs[0].key):  # they leave in the order of time
             del self._epochs[0]
-        at = next((epoch for epoch in reversed(self._epochs) if epoch.first.stamp_ns <= pose.stamp_ns), None)
+        at = next((epoch for epoch in reversed(self._epochs) if epoch.first.claimed_ns <= pose.claimed_ns), None)
         is_newest = bool(self._epochs) and at is self._epochs[-1]
         if not self._epochs or (is_newest and at is not None and _is_over(at, pose)):
             at = self._begin_epoch(smoother, at, pose)
@@ -139,11 +140,17 @@ class OdometryTrack:
         smoother.keep_frame(at.key, pose.stamp_ns)
         motion, state = at.first.T_I0_I.between(pose.T_I0_I), smoother.mean_at(pose.stamp_ns)
         calibration_keys, offset_s = self._calibration(smoother, pose)
-        rate, beyond = state.angular_velocity, state.twist_beyond(offset_s)
-        smoother.enter(
-            pose,
-            self._noise.anchored_factor(at.key, key, motion, calibration_keys, angular_velocity=rate, beyond=beyond),
+        known_s = pose.early_ns * 1e-9
+        factor = self._noise.anchored_factor(
+            at.key,
+            key,
+            motion,
+            calibration_keys,
+            angular_velocity=state.angular_velocity,
+            beyond=state.twist_beyond(offset_s - known_s),
+            known_s=known_s,
         )
+        smoother.enter(pose, factor)
         return Outcome.USED
 
     def _calibration(self, smoother: Smoother, pose: TrackPose) -> tuple[tuple[int, ...], float]:
@@ -161,7 +168,7 @@ class OdometryTrack:
             smoother.add(gtsam.PriorFactorNavState(key, gtsam.NavState(here, np.zeros(3)), free))
         else:
             motion = before.first.T_I0_I.between(pose.T_I0_I)
-            duration_s = (pose.stamp_ns - before.first.stamp_ns) * 1e-9
+            duration_s = (pose.claimed_ns - before.first.claimed_ns) * 1e-9
             calibration_keys, _ = self._calibration(smoother, pose)
             up = here.rotation().unrotate(np.array([0.0, 0.0, 1.0]))
             drift = self._noise.drift_factor(before.key, key, motion, duration_s, up, calibration_keys, pose.excess)
@@ -200,7 +207,7 @@ def _is_over(epoch: _Epoch, pose: TrackPose) -> bool:
         return True
     motion = epoch.first.T_I0_I.between(pose.T_I0_I)
     return (
-        pose.stamp_ns - epoch.first.stamp_ns >= EPOCH_NS
+        pose.claimed_ns - epoch.first.claimed_ns >= EPOCH_NS
         or float(np.linalg.norm(motion.translation())) > EPOCH_M
         or float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation()))) > EPOCH_RAD
     )

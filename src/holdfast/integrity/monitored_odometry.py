@@ -12,6 +12,7 @@ from holdfast.sensors.odometry import OdometryModel, OdometryNoise
 
 DISTRUST = 3.0  # factor on the noise of an odometry that proves to be worse than configured
 AGAIN_NS = 5_000_000_000  # an odometry whose noise is trebled twice in this time is lost
+FAR_S, FAR_SIGMA = 0.05, 3.0  # both: so far off is a clock that is to be in the stamps
 JUMPS, JUMPS_NS = 4, 20_000_000_000  # so many jumps in this time are no jumps but noise
 
 
@@ -22,7 +23,12 @@ class Jumps(Enum):
 
 
 class MonitoredOdometry:
-    """One odometry, as long as one start of the estimator lasts."""
+    """One odometry, as long as one start of the estimator lasts.
+
+    Attributes:
+        early_ns: by how much its stamps are known to be early; poses that come are dated by that.
+        contradicts_ns: when it contradicted the IMU last, and the fixes said the same.
+    """
 
     def __init__(self, model: OdometryModel, carried: LearntOdometry | None) -> None:
         self.model = model
@@ -31,7 +37,8 @@ class MonitoredOdometry:
         self.learning = OdometryLearning(self.noise, carried)
         self.trust = OdometryTrust(model.calibration)
         self.is_silent = False
-        self.contradicts_ns = NEVER_NS  # when it contradicted the IMU last, and the fixes said the same
+        self.early_ns = 0
+        self.contradicts_ns = NEVER_NS
         self._heard_ns: int | None = None  # what the IMU had reached when a pose came last that was of use
         self._period_ns = 0
         self._jumps_ns: list[int] = []
@@ -67,6 +74,11 @@ class MonitoredOdometry:
     def parts_from_gyroscope(self) -> bool:
         """Whether it has of late turned otherwise than the gyroscope, by far, and no clock explains it."""
         return self.learning.parts_from_gyroscope and not self.learning.clock_trace.may_be_late
+
+    def know_clock(self, early_s: float, sigma_s: float) -> None:
+        """Date the poses that come by what is believed of its clock, and of that the sigma."""
+        if abs(early_s - self.early_ns * 1e-9) > max(FAR_S, FAR_SIGMA * sigma_s):
+            self.early_ns = round(early_s * 1e3) * 1_000_000
 
     def pass_over(self, gap_ns: int) -> None:
         """Know that the IMU has not measured for so long: no pose that could come then is missing."""

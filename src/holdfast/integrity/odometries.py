@@ -110,6 +110,10 @@ class Odometries:
         for name in names:
             self._odometries[name].trust.lose()
 
+    def dated(self, pose: TrackPose) -> TrackPose:
+        """Return a pose, its stamp corrected by what is known of the clock."""
+        return pose.dated(self._odometries[pose.sensor].early_ns)
+
     def add(self, graph: DualGraph, pose: TrackPose, now_ns: int) -> Outcome:
         """Join a pose to its track in the graphs; a jump begins a new frame."""
         odometry = self._odometries[pose.sensor]
@@ -190,16 +194,19 @@ class Odometries:
         graph.main.imu_noise.yaw_scale = min(one.learning.gyroscope_scale for one in self._odometries.values())
         if (early_s := odometry.learning.clock_trace.stepped_s) is not None:
             self._step_clock(graph, odometry, pose.sensor, early_s)
+        elif odometry.model.calibration.prior is not None:
+            value, sigmas = graph.main.parameters.estimate(pose.sensor) or (np.zeros(1), np.ones(1))
+            odometry.know_clock(float(value[-1]), float(sigmas[-1]))
 
     def _step_clock(self, graph: DualGraph, odometry: MonitoredOdometry, name: str, early_s: float) -> None:
         """Know of an odometry that its clock is another one from now on."""
         calibration = odometry.model.calibration
-        known = graph.main.parameters.estimate(name)
-        if calibration.prior is None or known is None:
+        if calibration.prior is None:
             return
+        known, covariance = graph.main.parameters.belief(name, calibration.prior)
         reason = f"its stamps are {abs(early_s):.2f} s {'early' if early_s > 0.0 else 'late'} now"
         self._log.report(EventKind.CLOCK_STEP, graph.main.newest_ns, name, reason)
-        self._mount(graph, name, calibration.prior_by_clock(*known, early_s))
+        self._mount(graph, name, calibration.prior_by_clock(known, np.sqrt(covariance.diagonal()), early_s))
         for smoother in graph.smoothers():
             graph.begin_tracks_anew(smoother, name)
         odometry.forget_frame()
@@ -220,6 +227,9 @@ class Odometries:
             seen = None
             if before is not None and main.has_node(before.stamp_ns):
                 seen = Watched(before, self.estimated(graph, before), main.covariance(before.stamp_ns))
+                odometry.learning.watch_clock(main, before, pose)
+                if (early_s := odometry.learning.clock_trace.stepped_s) is not None:
+                    self._step_clock(graph, odometry, pose.sensor, early_s)
             if odometry.trust.watch(pose, seen, self._calibration(graph, pose.sensor), is_led=not graph.is_lost):
                 reason = "it moves as the estimate again"
                 if (mount := odometry.trust.mount) is not None:
@@ -301,9 +311,9 @@ class Odometries:
     def estimated(self, graph: DualGraph, pose: TrackPose) -> gtsam.Pose3:
         """Return where the main graph sees the machine when a pose was measured, by what it knows of its clock."""
         state, constants = graph.main.mean_at(pose.stamp_ns), self._calibration(graph, pose.sensor)
-        beyond = state.twist_beyond(float(constants[-1]))
+        left_s = float(constants[-1]) - pose.early_ns * 1e-9
         return self._odometries[pose.sensor].model.calibration.after(
-            state.nav, state.angular_velocity, constants, beyond
+            state.nav, state.angular_velocity, left_s, state.twist_beyond(left_s)
         )
 
     def has_agreed(self) -> bool:

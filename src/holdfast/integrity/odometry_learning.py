@@ -147,7 +147,7 @@ class OdometryLearning:
         """
         self._waiting.append(pose)
         believed = believed_calibration(smoother, pose.sensor, self._noise.calibration)
-        while self._waiting and self._waiting[0].stamp_ns + _early_ns(believed) <= smoother.imu.latest_ns:
+        while self._waiting and self._waiting[0].claimed_ns + _early_ns(believed) <= smoother.imu.latest_ns:
             self._compare(smoother, self._waiting.popleft(), witness, believed)
 
     def _compare(self, smoother: Smoother, pose: TrackPose, witness: HeadingWitness, believed: Array) -> None:
@@ -158,7 +158,7 @@ class OdometryLearning:
         before = self._scans[-1][0] if self._scans else None
         measured = None
         if before is not None:
-            if pose.stamp_ns <= before.stamp_ns:
+            if pose.claimed_ns <= before.claimed_ns:
                 return
             measured = _measured(smoother, before, pose, believed)
         self._scans.append((pose, measured))
@@ -167,12 +167,12 @@ class OdometryLearning:
             self._first = pose
             return
         motion = self._motion(before, pose, believed)
-        self._compare_rotation(motion, (pose.stamp_ns - before.stamp_ns) * 1e-9, measured, smoother)
+        self._compare_rotation(motion, (pose.claimed_ns - before.claimed_ns) * 1e-9, measured, smoother)
         if len(self._scans) == 3:
             self._compare_translation(smoother, believed)
         for posterior in self._noises:
             posterior.forget(1.0 / NOISE_MEMORY_SCANS)
-        if self._first is not None and pose.stamp_ns - self._first.stamp_ns >= STEP_NS:
+        if self._first is not None and pose.claimed_ns - self._first.claimed_ns >= STEP_NS:
             self._add_step(smoother, self._first, pose, witness, believed)
             self._first = pose
         self._tell()
@@ -234,7 +234,7 @@ class OdometryLearning:
         (first, _), (middle, to_middle), (last, to_last) = self._scans
         if to_middle is None or to_last is None or not smoother.has_node(middle.stamp_ns):
             return
-        dts = (middle.stamp_ns - first.stamp_ns) * 1e-9, (last.stamp_ns - middle.stamp_ns) * 1e-9
+        dts = (middle.claimed_ns - first.claimed_ns) * 1e-9, (last.claimed_ns - middle.claimed_ns) * 1e-9
         dt_1, dt_2 = dts
         gravity = smoother.nav(middle.stamp_ns).attitude().unrotate(np.array([0.0, 0.0, -smoother.imu_noise.gravity]))
         lever = self._noise.calibration.lever_arm
@@ -262,14 +262,12 @@ class OdometryLearning:
         if smoother.has_node(first.stamp_ns):
             said = witness(smoother, last.stamp_ns)
             self._yaw.learn(smoother, first, last, motion, measured_R=measured.R, witness=said)
-        duration_s = (last.stamp_ns - first.stamp_ns) * 1e-9
+        duration_s = (last.claimed_ns - first.claimed_ns) * 1e-9
         before = self._steps[-1] if self._steps else _Step(gtsam.Rot3(), gtsam.Rot3(), 0.0, 0.0, np.zeros(3), 0.0)
         if not self._steps:
             self._steps.append(before)
+        self._trace_clock(smoother, first, last, measured, believed)
         turned = gtsam.Rot3(measured.R)
-        rates = (smoother.imu.angular_velocity(one.stamp_ns + _early_ns(believed)) for one in (last, first))
-        beyond = gtsam.Rot3.Logmap(turned.between(motion.rotation()))
-        self.clock_trace.add(beyond, np.subtract(*rates), float(believed[-1]))
         step = _Step(
             before.by_gyroscope * turned,
             before.by_odometry * motion.rotation(),
@@ -296,6 +294,23 @@ class OdometryLearning:
                 self._drifts[0].learn(squared, 3, scaled, other, 1.0 / span)
         self._drifts[0].forget(duration_s / DRIFT_MEMORY_S)
 
+    def watch_clock(self, smoother: Smoother, first: TrackPose, last: TrackPose) -> None:
+        """Trace the clock alone, from two poses about a second apart: while it is off nothing else can be told."""
+        believed = believed_calibration(smoother, last.sensor, self._noise.calibration)
+        measured = _measured(smoother, first, last, believed)
+        if measured is None:
+            self.clock_trace.clear()
+        else:
+            self._trace_clock(smoother, first, last, measured, believed)
+
+    def _trace_clock(
+        self, smoother: Smoother, first: TrackPose, last: TrackPose, measured: InertialMotion, believed: Array
+    ) -> None:
+        rates = (smoother.imu.angular_velocity(one.claimed_ns + _early_ns(believed)) for one in (last, first))
+        turned, motion = gtsam.Rot3(measured.R), self._motion(first, last, believed)
+        beyond = gtsam.Rot3.Logmap(turned.between(motion.rotation()))
+        self.clock_trace.add(beyond, np.subtract(*rates), float(believed[-1]))
+
     def _tell(self) -> None:
         """Let the factors know what was learnt."""
         self._noise.learnt = LearntNoise(
@@ -315,7 +330,7 @@ def _early_ns(believed: Array) -> int:
 def _measured(smoother: Smoother, first: TrackPose, last: TrackPose, believed: Array) -> InertialMotion | None:
     """Return what the IMU measured between two poses of an odometry; None where it did not measure all along."""
     imu, early_ns = smoother.imu, _early_ns(believed)
-    start_ns, end_ns = first.stamp_ns + early_ns, last.stamp_ns + early_ns
+    start_ns, end_ns = first.claimed_ns + early_ns, last.claimed_ns + early_ns
     if end_ns - start_ns > MAX_STEP_NS or start_ns < imu.oldest_ns or not imu.is_trusted(start_ns, end_ns):
         return None
     return imu.motion(start_ns, end_ns, smoother.seen_bias(imu.turning(start_ns, end_ns)).vector())

@@ -114,7 +114,7 @@ class YawLearning:
         if not self._places:
             then = smoother.nav(first.stamp_ns).attitude()
             self._places.append(_Place(then, 0.0, 0.0, 0.0, 0.0, np.zeros(3), 0.0, None))
-        before, duration_s = self._places[-1], (last.stamp_ns - first.stamp_ns) * 1e-9
+        before, duration_s = self._places[-1], (last.claimed_ns - first.claimed_ns) * 1e-9
         estimated = now.between(before.R_W_I)  # back
         up = before.R_W_I.unrotate(np.array([0.0, 0.0, 1.0]))
         turned = gtsam.Rot3(measured_R)

@@ -54,7 +54,7 @@ class Supervisor:
         self._hang_s = settings.config.realtime.hang_s
         self._began_s = self._beat_s = monotonic()
         self._beat = board.words[Word.HEARTBEAT]
-        self._has_beaten = False
+        self._begun_beat = self._beat
         self._pause_s = 0.0
         self._collecting = Lock()
         self._stopping = Flag()
@@ -136,7 +136,7 @@ class Supervisor:
         memory = self._board.memory.descriptor
         command = [sys.executable, "-P", "-m", "holdfast.realtime.worker", str(memory), str(writable)]
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-        self._reported_fault, self._has_beaten = "", False
+        self._reported_fault, self._begun_beat = "", self._board.words[Word.HEARTBEAT]
         self._began_s = self._beat_s = monotonic()
         try:
             process = subprocess.Popen(
@@ -171,8 +171,9 @@ class Supervisor:
             return f"died (signal {-code})" if code < 0 else f"ended (exit code {code})"
         beat = self._board.words[Word.HEARTBEAT]
         if beat != self._beat:
-            self._beat, self._beat_s, self._has_beaten = beat, now_s, True
-        patience_s = self._hang_s if self._has_beaten else START_S
+            self._beat, self._beat_s = beat, now_s
+        has_taken_in = beat - self._begun_beat > 1  # what had come before it, which takes the longest
+        patience_s = self._hang_s if has_taken_in else START_S
         return f"hung for {patience_s:g} s" if now_s - self._beat_s > patience_s else None
 
     def _end(self, patience_s: float) -> None:

@@ -3,7 +3,7 @@
 Its poses are relative, so one state says nothing of them: `holdfast.graph.odometry_track` joins them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
 import gtsam
@@ -38,6 +38,7 @@ class TrackPose:
         excess: (6, 6) covariance in the tangent of I that the odometry itself adds to the motion since the pose before,
             rotation [rad] then translation [m]; None where it adds nothing.
         begins_anew: the odometry says that it did not measure the motion since the pose before.
+        early_ns: by how much its stamp was known to be early; that is in it already.
     """
 
     stamp_ns: int
@@ -45,6 +46,16 @@ class TrackPose:
     T_I0_I: gtsam.Pose3
     excess: Array | None = None
     begins_anew: bool = False
+    early_ns: int = 0
+
+    @property
+    def claimed_ns(self) -> int:
+        """When it was measured, by its own clock."""
+        return self.stamp_ns - self.early_ns
+
+    def dated(self, early_ns: int) -> "TrackPose":
+        """Return the same pose, its stamp known to be early by so much."""
+        return replace(self, stamp_ns=self.claimed_ns + early_ns, early_ns=early_ns)
 
 
 class OdometryModel:
@@ -198,19 +209,20 @@ class OdometryNoise:
         *,
         angular_velocity: Array = STANDING,
         beyond: Array = STEADY,
+        known_s: float = 0.0,
     ) -> gtsam.NonlinearFactor:
         """Return the factor that joins a node to a pose on the track, `motion` away: (29) in docs/math.md.
 
         Its noise is that of one pose, half the variance of a motion between two. Where the calibration is estimated,
-        it is on that, too; then it needs the `angular_velocity` (3,) of I [rad/s], and by how much the mean twist over
-        the offset of the clock is `beyond` (6,) that of the node.
+        it is on that, too; then it needs the `angular_velocity` (3,) of I [rad/s], by how much the mean twist over
+        the offset of the clock is `beyond` (6,) that of the node, and what of that offset is in the stamp already.
         """
         covariance = self._at_imu(0.5 * self._sigmas(self.learnt) ** 2)
         if not calibration_keys:
             return self._between(frame_key, key, motion, covariance)
         noise = noise_model(covariance, self._config.robust_loss)
         keys = frame_key, key, *calibration_keys
-        return self.calibration.anchored_factor(keys, motion, angular_velocity, beyond, noise)
+        return self.calibration.anchored_factor(keys, motion, angular_velocity, beyond, noise, known_s)
 
     def pseudo_global_factor(self, key: int, T_W_I: gtsam.Pose3, excess: Array | None = None) -> gtsam.NonlinearFactor:
         """Return the pose factor in W of the paper's fallback graph (IV-A.4b): roll and pitch are left to the IMU."""

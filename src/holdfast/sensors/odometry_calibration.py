@@ -105,16 +105,24 @@ class OdometryCalibration:
         of_sensor = gtsam.Pose3(measured.rotation(), exp(belief[6]) * measured.translation())
         return T_I_L.compose(of_sensor).compose(T_I_L.inverse())
 
-    def after(self, nav: gtsam.NavState, angular_velocity: Array, belief: Array, beyond: Array = STEADY) -> gtsam.Pose3:
-        """Return the pose of I at the time when a pose of the odometry with the stamp of a state was measured.
+    def after(
+        self, nav: gtsam.NavState, angular_velocity: Array, duration_s: float, beyond: Array = STEADY
+    ) -> gtsam.Pose3:
+        """Return the pose of I at the time when a pose was measured, by so much after its stamp, which a state has.
 
         `beyond` (6,) is by how much its mean twist until then differs from that of the state.
         """
         twist = np.concatenate([angular_velocity, nav.bodyVelocity()]) + beyond
-        return nav.pose().compose(gtsam.Pose3.Expmap(twist * belief[-1]))
+        return nav.pose().compose(gtsam.Pose3.Expmap(twist * duration_s))
 
-    def anchored_factor(
-        self, keys: Sequence[int], motion: gtsam.Pose3, rate: Array, beyond: Array, noise: gtsam.noiseModel.Base
+    def anchored_factor(  # noqa: PLR0917 (what was measured, and how the machine moved meanwhile)
+        self,
+        keys: Sequence[int],
+        motion: gtsam.Pose3,
+        rate: Array,
+        beyond: Array,
+        noise: gtsam.noiseModel.Base,
+        known_s: float = 0.0,
     ) -> gtsam.NonlinearFactor:
         """Return the factor on a frame, a node and the parameter: the node's pose after tau is `motion` from the frame.
 
@@ -124,6 +132,7 @@ class OdometryCalibration:
             rate: (3,) angular velocity of I at the node [rad/s].
             beyond: (6,) by how much the mean twist over tau differs from that at the node.
             noise: of the error (6,), rotation first.
+            known_s: what of tau is in the time of the node already.
         """
         frame_key, node_key, *parameter_keys = keys
         measured = self.of_sensor(motion)
@@ -133,7 +142,8 @@ class OdometryCalibration:
             belief = self.joined(map(values.atVector, parameter_keys))
             twist = np.concatenate([rate, node.bodyVelocity()]) + beyond
             by_twist = np.zeros((6, 6), order="F")
-            shift = gtsam.Pose3.Expmap(twist * belief[-1], by_twist)
+            left_s = belief[-1] - known_s
+            shift = gtsam.Pose3.Expmap(twist * left_s, by_twist)
             moved = frame.between(node.pose()).compose(shift)
             residual, by_moved, by_belief = self._compared(measured, moved, belief)
             if jacobians is None:
@@ -142,7 +152,7 @@ class OdometryCalibration:
             jacobians[0][:, :6] = -by_moved @ moved.inverse().AdjointMap()
             jacobians[1] = np.zeros((6, 9))
             jacobians[1][:, :6] = by_moved @ shift.inverse().AdjointMap()
-            by_velocity = by_moved @ by_twist[:, 3:] * belief[-1]
+            by_velocity = by_moved @ by_twist[:, 3:] * left_s
             jacobians[1][:, :3] += by_velocity @ gtsam.SO3.Hat(node.bodyVelocity())
             jacobians[1][:, 6:] = by_velocity
             by_belief[:, -1] = by_moved @ twist
