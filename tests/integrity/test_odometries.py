@@ -209,3 +209,13 @@ def test_the_clock_of_one_that_is_not_trusted_is_found_and_then_it_is_trusted(ea
     assert set(told[:-1]) == {EventKind.CLOCK_STEP} and told[-1] is EventKind.SENSOR_REGAINED  # nearer at each step
     calibration = rig.odometries._odometries["lidar"].model.calibration
     assert believed_calibration(rig.graph.main, "lidar", calibration)[-1] == pytest.approx(early_s, abs=0.02)
+
+
+def test_one_whose_track_has_broken_has_not_held_the_estimate_across_that():
+    rig = begun()
+    for t in np.arange(0.1, 4.0, 0.2):
+        receive(rig, pose(t, off=AHEAD if t > 2.0 else np.zeros(3)))
+    assert rig.odometries.has_held(ns(2.5))
+    assert not rig.odometries.has_held(ns(2.0))
+    rig.odometries.distrust(["lidar"])
+    assert not rig.odometries.has_held(ns(2.5))

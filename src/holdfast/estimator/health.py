@@ -85,7 +85,7 @@ class HealthMonitor:
         """
         if self._started_ns is None:
             return Health.INITIALISING
-        has_odometry = not self._silence_ns or not all(self._is_silent(one, now_ns) for one in self._silence_ns)
+        has_odometry = not self._silence_ns or not all(self._is_silent(one, now_ns, lost) for one in self._silence_ns)
         truths = (
             (now_ns - self._reset_ns < RESET_NS, Health.OPTIMISER_RESET),
             (not has_imu, Health.IMU_GAP),
@@ -106,7 +106,8 @@ class HealthMonitor:
         noise = {name: ratio for name, ratio in self._noise.items() if ratio != 1.0}
         return HealthReport(now_ns, health, (self._imu, *fused), ages_s, noise)
 
-    def _is_silent(self, odometry: str, now_ns: int) -> bool:
-        if self._started_ns is None:
+    def _is_silent(self, odometry: str, now_ns: int, lost: Collection[str]) -> bool:
+        """Whether nothing of an odometry enters; of one that is slow nothing is missing until it is lost."""
+        if self._started_ns is None or (odometry in self._entered_ns and odometry not in lost):
             return False
         return now_ns - self._entered_ns.get(odometry, self._started_ns) > self._silence_ns[odometry]

@@ -114,7 +114,8 @@ class Judgement:
         for name in self._odometries.distrusted:
             start.forget_odometry(name)
         vouches = departure is not None and start.odometry_vouches(departure)
-        has_odometry = self._odometries.has_trusted and not (vouches or is_turned)
+        since_ns = min(self._positions.suspects().values(), default=self._graph.published.newest_ns)
+        has_odometry = self._odometries.has_held(since_ns) and not (vouches or is_turned)
         have_jumped = self._positions.have_jumped
         self._positions.be_patient(self._gate.patience_s(has_odometry=has_odometry, have_jumped=have_jumped))
         return vouches

@@ -26,6 +26,7 @@ class MonitoredOdometry:
     """One odometry, as long as one start of the estimator lasts.
 
     Attributes:
+        broken_ns: when its track broke last, by a jump, a slip or a new map: across that it holds the estimate no more.
         early_ns: by how much its stamps are known to be early; poses that come are dated by that.
         contradicts_ns: when it contradicted the IMU last, and the fixes said the same.
     """
@@ -37,6 +38,7 @@ class MonitoredOdometry:
         self.learning = OdometryLearning(self.noise, carried)
         self.trust = OdometryTrust(model.calibration)
         self.is_silent = False
+        self.broken_ns = NEVER_NS
         self.early_ns = 0
         self.contradicts_ns = NEVER_NS
         self._heard_ns: int | None = None  # what the IMU had reached when a pose came last that was of use
@@ -58,6 +60,11 @@ class MonitoredOdometry:
         """It is trusted no more: its jumps were no noise."""
         self.trust.lose()
         self._jumps_ns.clear()
+        self.forget_frame()
+
+    def break_track(self, now_ns: int) -> None:
+        """The odometry has jumped, slipped or begun a new map."""
+        self.broken_ns = now_ns
         self.forget_frame()
 
     def forget_frame(self) -> None:

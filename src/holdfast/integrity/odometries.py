@@ -100,10 +100,9 @@ class Odometries:
         """The odometries that are not trusted."""
         return frozenset(name for name, one in self._odometries.items() if one.trust.is_lost)
 
-    @property
-    def has_trusted(self) -> bool:
-        """Whether any odometry is trusted."""
-        return any(not one.trust.is_lost for one in self._odometries.values())
+    def has_held(self, since_ns: int) -> bool:
+        """Whether any odometry that is trusted has held the estimate since a time: its track has not broken."""
+        return any(not one.trust.is_lost and one.broken_ns < since_ns for one in self._odometries.values())
 
     def distrust(self, names: Iterable[str]) -> None:
         """Begin with odometries that are not trusted."""
@@ -135,7 +134,7 @@ class Odometries:
         if pose.begins_anew:
             reason = "it begins a new map: the motion since the pose before is not measured"
             self._log.report(EventKind.ODOMETRY_JUMP, pose.stamp_ns, pose.sensor, reason)
-            odometry.forget_frame()
+            odometry.break_track(now_ns)
         if not is_doubtful:
             odometry.trust.note_motion(pose.stamp_ns, jump)
         seems_since_ns = odometry.trust.lies_since_ns
@@ -145,7 +144,7 @@ class Odometries:
             trebled = "" if jumps is Jumps.FEW else "; too often: its noise is trebled"
             reason = f"the IMU did not measure this motion{trebled}"
             self._log.report(EventKind.ODOMETRY_JUMP, pose.stamp_ns, pose.sensor, reason)
-            odometry.forget_frame()
+            odometry.break_track(now_ns)
         if jumps is Jumps.WILD:
             lies_since_ns = pose.stamp_ns
         reason = NOT_MEASURED
@@ -299,7 +298,7 @@ class Odometries:
                 self._odometries[name].contradicts_ns = now_ns
             if moves_as_fixes or (moves_as_fixes is None and parts_from_gyroscope):
                 continue  # which of the two is wrong, the next fixes say
-            self._odometries[name].forget_frame()
+            self._odometries[name].break_track(now_ns)
             beside = f"{found.distance_m:.2f} m beside GNSS"
             self._log.report(EventKind.ODOMETRY_SLIP, now_ns, name, beside)
             if self._odometries[name].trust.note_slip(now_ns, found.distance_m, found.moved_m):
