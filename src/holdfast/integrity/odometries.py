@@ -193,9 +193,9 @@ class Odometries:
         graph.main.imu_noise.yaw_scale = min(one.learning.gyroscope_scale for one in self._odometries.values())
         if (early_s := odometry.learning.clock_trace.stepped_s) is not None:
             self._step_clock(graph, odometry, pose.sensor, early_s)
-        elif odometry.model.calibration.prior is not None:
-            value, sigmas = graph.main.parameters.estimate(pose.sensor) or (np.zeros(1), np.ones(1))
-            odometry.know_clock(float(value[-1]), float(sigmas[-1]))
+        if (prior := odometry.model.calibration.prior) is not None:
+            known, covariance = graph.main.parameters.belief(pose.sensor, prior)
+            odometry.know_clock(float(known[-1]), float(covariance[-1, -1]) ** 0.5)
 
     def _step_clock(self, graph: DualGraph, odometry: MonitoredOdometry, name: str, early_s: float) -> None:
         """Know of an odometry that its clock is another one from now on."""
