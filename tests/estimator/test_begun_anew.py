@@ -19,6 +19,7 @@ from motion import (
     jumped_gyroscope,
     machine,
     ns,
+    prisms,
     run,
     scans,
     seconds,
@@ -103,6 +104,16 @@ def test_a_wrong_heading_is_found_beside_a_lidar_that_cannot_know_it():
     config = machine(heading_deg=HEADING_DEG + 60.0, initialisation={"heading_sigma_deg": 2.0})
     estimator, outputs = run(config, in_order(*sent.values()))
     assert_found(estimator, outputs, sent, RTK, ROAD.start_s, 60.0)
+
+
+def test_a_receiver_that_never_measures_does_not_speak_for_an_estimate_that_a_prism_contradicts():
+    """It was trusted for its first 20 s, and the lidar was found to agree meanwhile with what it led alone."""
+    rng = np.random.default_rng(1)
+    sent = imu(ROAD, 0.0, 25.0, 50.0, rng), prisms(ROAD, 0.0, 25.0, rng=rng)
+    lidar = scans(ROAD, 0.0, 25.0, 5.0, rng, phase_s=0.0071)
+    config = machine(heading_deg=HEADING_DEG + 30.0, more={"prism": {"kind": "prism", "frame": "gnss"}})
+    _, outputs = run(config, in_order(*sent, lidar))
+    assert max(errors_m(outputs, 15.0)) < 0.1
 
 
 @RECEIVERS

@@ -97,6 +97,11 @@ class Positions:
         return any(gate.trust is Trust.TRUSTED for gate in self.gates.values())
 
     @property
+    def lead(self) -> bool:
+        """Whether those of at least one receiver lead the estimate."""
+        return any(gate.leads for gate in self.gates.values())
+
+    @property
     def have_jumped(self) -> bool:
         """Whether the fixes of all lost receivers have moved faster than a machine: then it is them that changed."""
         lost = [gate for gate in self.gates.values() if gate.trust is Trust.LOST]
@@ -301,14 +306,14 @@ class Positions:
         return self._departures[name].are_rough()
 
     def contradiction(self, *, has_witness: bool = False) -> Contradiction | None:
-        """Return whose positions agree among themselves, not with the estimate; None if another receiver is trusted.
+        """Return whose positions agree among themselves, not with the estimate; None if another receiver leads it.
 
         Fewer are enough where there is a witness.
         """
         runs = self._credible_runs().items()
         against = {n: run.since_ns for n, run in runs if run.is_against() or (has_witness and run.is_suspicious())}
         others = (gate for name, gate in self.gates.items() if name not in against)
-        if not against or any(gate.trust is not Trust.LOST for gate in others):
+        if not against or any(gate.leads for gate in others):
             return None
         return Contradiction(*next(iter(against.items())))
 

@@ -117,6 +117,11 @@ class ReceiverGate:
         return inf if self._tested is None else self._tested[0].smallest_visible_m(self._tested[1])
 
     @property
+    def leads(self) -> bool:
+        """Whether positions of the receiver lead the estimate: one that has not measured yet is trusted, too."""
+        return self.trust is Trust.TRUSTED and self._last_ns is not None
+
+    @property
     def limit_on_nis(self) -> float:
         """The NIS beyond which a position is refused now: of a receiver that was never wrong it weighs less first."""
         if not self._gate.innovation:

@@ -46,7 +46,7 @@ class Recovery:
             return False  # it has just failed and begins anew at its last state: there is nothing to be tried in
         positions = self._positions
         positions.review(graph.main)
-        if positions.is_trusted:
+        if positions.lead:
             walk = self._odometries.find_walk(graph, now_ns)
             if walk is not None:
                 self._undo(graph, walk, now_ns)
@@ -126,7 +126,7 @@ class Recovery:
         """
         positions = self._positions
         gate = positions.gates[name]
-        is_disbelieved = positions.is_trusted or name in positions.disbelieved
+        is_disbelieved = positions.lead or name in positions.disbelieved
         if is_disbelieved or not gate.contradicts_for(positions.believe_after_s):
             return False
         distance = gate.distance_m()
