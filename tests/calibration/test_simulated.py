@@ -37,6 +37,15 @@ def test_offsets_of_clocks_are_found_and_written():
     assert is_worse(found.held_out[0], found.held_out[-1]) == ""  # the estimator finds them by itself, too
 
 
+def test_a_lidar_that_is_mounted_otherwise_is_turned_and_no_clock_is_accused():
+    found, by_key = rows("wrong-mount", 13, 15.0)
+    for axis in "xyz":
+        one, true = by_key[f"lidar, about its {axis}", "rotation"]
+        assert is_within(one, true), axis
+    assert any(one.is_written and one.what.startswith("lidar, about") for one in found.estimates)
+    assert not any(by_key[name, "time_offset_s"][0].is_written for name in CLOCKS)
+
+
 def test_the_zero_of_the_encoder_and_the_drift_of_the_lidar_are_found_on_rough_ground():
     _, by_key = rows("rough", 14, 30.0)  # before, the ground has not been rough enough for the zero
     zero, true = by_key["zero of joint", "zero_offset_deg"]

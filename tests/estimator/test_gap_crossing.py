@@ -105,7 +105,7 @@ def test_estimates_across_a_gap_are_marked_as_not_from_the_imu():
 @pytest.mark.slow
 def test_the_covariance_at_the_end_of_a_gap_explains_the_error():
     errors, covariances = [], []
-    for seed in range(15):
+    for seed in range(25):
         drive, _, outputs = crossed(missing, seed, GAP[1] + 0.1)
         (back,) = [e for e in estimates(outputs) if e.stamp_ns == ns(GAP[1])]
         assert not back.from_imu

@@ -9,7 +9,7 @@ from holdfast.evaluation.consistency import consistency
 
 IMU = {"accelerometer_noise_density": 2e-3, "gyroscope_noise_density": 2e-4, "accelerometer_bias_sigma": 0.05}
 WALK = (1e-4, 1e-5)
-RUNS = 40
+RUNS = 60
 PARTS = {"rotation": slice(0, 3), "position": slice(3, 6), "velocity": slice(6, 9)}
 
 

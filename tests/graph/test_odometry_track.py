@@ -143,8 +143,7 @@ def test_a_clock_that_becomes_known_is_no_jump(mode, early_s):
     smoother, one = smoother_of(DRIVE, 6.0), track(mode)
 
     def stamped(t, jump=NOT_TURNED):
-        seen_then = seen(t, jump)
-        return TrackPose(ns(t - early_s), "lidar", seen_then.T_I0_I)
+        return TrackPose(ns(t - early_s), "lidar", seen(t, jump).T_I0_I)
 
     for t in np.arange(0.4, 0.8, 0.2):
         add(one, smoother, stamped(t))

@@ -32,7 +32,8 @@ def test_every_mistake_is_named(name, receiver, early_s):
 
 
 @pytest.mark.parametrize("motion", [turning, straight, standing])
-def test_what_is_right_is_not_accused(motion, seed=0):
+@pytest.mark.parametrize("seed", range(2))
+def test_what_is_right_is_not_accused(motion, seed):
     assert mistake(compared(motion, seed=seed)) is None
 
 

@@ -19,6 +19,7 @@ STEP_S, STEPS = 0.15, 4  # in which offsets are looked for, and how many of them
 LEAST_S = 0.04  # that needs a batch to be found
 MOVED = 5.0  # sigmas, by which it is off
 REFINED = 2  # times
+SAME_S = 1e-3  # nearer, the parabola through two offsets and a third is rounding
 
 
 class Offset(NamedTuple):
@@ -94,6 +95,8 @@ def offset_of(misfit: Callable[[float], float], freedom: int) -> Offset | None:
         if curvature <= 0.0:
             return None
         lowest = -0.5 * slope / curvature
-        left.setdefault(lowest, misfit(lowest))
+        if min(abs(at - lowest) for at in left) < SAME_S:
+            break
+        left[lowest] = misfit(lowest)
     best = min(left, key=left.__getitem__)
     return Offset(best, sqrt(max(left[best], 1.0) / (curvature * freedom)))

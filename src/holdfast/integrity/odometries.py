@@ -191,16 +191,15 @@ class Odometries:
         odometry.learning.learn_from_scan(graph.main, pose, self._headings)
         # an error of the gyroscope shows against each of them
         graph.main.imu_noise.yaw_scale = min(one.learning.gyroscope_scale for one in self._odometries.values())
-        if (early_s := odometry.learning.clock_trace.stepped_s) is not None:
-            self._step_clock(graph, odometry, pose.sensor, early_s)
+        self._follow_clock(graph, odometry, pose.sensor)
         if (prior := odometry.model.calibration.prior) is not None:
             known, covariance = graph.main.parameters.belief(pose.sensor, prior)
             odometry.know_clock(float(known[-1]), float(covariance[-1, -1]) ** 0.5)
 
-    def _step_clock(self, graph: DualGraph, odometry: MonitoredOdometry, name: str, early_s: float) -> None:
-        """Know of an odometry that its clock is another one from now on."""
-        calibration = odometry.model.calibration
-        if calibration.prior is None:
+    def _follow_clock(self, graph: DualGraph, odometry: MonitoredOdometry, name: str) -> None:
+        """Know of an odometry whose clock has stepped that it is another one from now on."""
+        calibration, early_s = odometry.model.calibration, odometry.learning.clock_trace.stepped_s
+        if calibration.prior is None or early_s is None:
             return
         known, covariance = graph.main.parameters.belief(name, calibration.prior)
         reason = f"its stamps are {abs(early_s):.2f} s {'early' if early_s > 0.0 else 'late'} now"
@@ -227,8 +226,7 @@ class Odometries:
             if before is not None and main.has_node(before.stamp_ns):
                 seen = Watched(before, self.estimated(graph, before), main.covariance(before.stamp_ns))
                 odometry.learning.watch_clock(main, before, pose)
-                if (early_s := odometry.learning.clock_trace.stepped_s) is not None:
-                    self._step_clock(graph, odometry, pose.sensor, early_s)
+                self._follow_clock(graph, odometry, pose.sensor)
             if odometry.trust.watch(pose, seen, self._calibration(graph, pose.sensor), is_led=not graph.is_lost):
                 reason = "it moves as the estimate again"
                 if (mount := odometry.trust.mount) is not None:

@@ -222,8 +222,7 @@ class OdometryLearning:
         self, motion: gtsam.Pose3, duration_s: float, measured: InertialMotion, smoother: Smoother
     ) -> None:
         """Compare the rotation between two scans with that of the gyroscope: (68)."""
-        turned = gtsam.Rot3(measured.R)
-        residual = gtsam.Rot3.Logmap(turned.between(motion.rotation()))
+        turned, residual = gtsam.Rot3(measured.R), _beyond(measured, motion)
         drift = self._drifts[0].value * float(self._noise.drift(motion, duration_s)[0])
         other = drift**2 + _gyroscope_variance(smoother, motion, duration_s)
         other += _mean_variance(smoother.turning_covariance(gtsam.Rot3.Logmap(turned)))
@@ -266,7 +265,7 @@ class OdometryLearning:
         before = self._steps[-1] if self._steps else _Step(gtsam.Rot3(), gtsam.Rot3(), 0.0, 0.0, np.zeros(3), 0.0)
         if not self._steps:
             self._steps.append(before)
-        self._trace_clock(smoother, first, last, measured, believed)
+        self._trace_clock(smoother, first, last, _beyond(measured, motion), believed)
         turned = gtsam.Rot3(measured.R)
         step = _Step(
             before.by_gyroscope * turned,
@@ -301,14 +300,13 @@ class OdometryLearning:
         if measured is None:
             self.clock_trace.clear()
         else:
-            self._trace_clock(smoother, first, last, measured, believed)
+            motion = self._motion(first, last, believed)
+            self._trace_clock(smoother, first, last, _beyond(measured, motion), believed)
 
     def _trace_clock(
-        self, smoother: Smoother, first: TrackPose, last: TrackPose, measured: InertialMotion, believed: Array
+        self, smoother: Smoother, first: TrackPose, last: TrackPose, beyond: Array, believed: Array
     ) -> None:
         rates = (smoother.imu.angular_velocity(one.claimed_ns + _early_ns(believed)) for one in (last, first))
-        turned, motion = gtsam.Rot3(measured.R), self._motion(first, last, believed)
-        beyond = gtsam.Rot3.Logmap(turned.between(motion.rotation()))
         self.clock_trace.add(beyond, np.subtract(*rates), float(believed[-1]))
 
     def _tell(self) -> None:
@@ -334,6 +332,12 @@ def _measured(smoother: Smoother, first: TrackPose, last: TrackPose, believed: A
     if end_ns - start_ns > MAX_STEP_NS or start_ns < imu.oldest_ns or not imu.is_trusted(start_ns, end_ns):
         return None
     return imu.motion(start_ns, end_ns, smoother.seen_bias(imu.turning(start_ns, end_ns)).vector())
+
+
+def _beyond(measured: InertialMotion, motion: gtsam.Pose3) -> Array:
+    """Return by how much (3,) an odometry has turned further than the gyroscope [rad]."""
+    beyond: Array = gtsam.Rot3.Logmap(gtsam.Rot3(measured.R).between(motion.rotation()))
+    return beyond
 
 
 def _gyroscope_variance(smoother: Smoother, motion: gtsam.Pose3, duration_s: float) -> float:

@@ -22,7 +22,8 @@ from holdfast.realtime.reports import Inbox, Report
 from holdfast.realtime.worker import Settings
 
 PERIOD_S = 0.05
-START_S = 60.0 if FOLDER is not None else 600.0  # in which a process must have come up; without a cache it compiles
+# in which a process must have taken in what came before it; without a cache it compiles
+START_S = 60.0 if FOLDER is not None else 600.0
 STEADY_S = 10.0  # a process that lived for so long has not died of its start
 MAX_PAUSE_S = 30.0
 MANY = 1 << 20  # bytes of reports that nobody has asked for

@@ -222,7 +222,7 @@ class OdometryNoise:
             return self._between(frame_key, key, motion, covariance)
         noise = noise_model(covariance, self._config.robust_loss)
         keys = frame_key, key, *calibration_keys
-        return self.calibration.anchored_factor(keys, motion, angular_velocity, beyond, noise, known_s)
+        return self.calibration.anchored_factor(keys, motion, angular_velocity, beyond, noise, known_s=known_s)
 
     def pseudo_global_factor(self, key: int, T_W_I: gtsam.Pose3, excess: Array | None = None) -> gtsam.NonlinearFactor:
         """Return the pose factor in W of the paper's fallback graph (IV-A.4b): roll and pitch are left to the IMU."""

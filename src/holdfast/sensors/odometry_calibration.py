@@ -115,13 +115,14 @@ class OdometryCalibration:
         twist = np.concatenate([angular_velocity, nav.bodyVelocity()]) + beyond
         return nav.pose().compose(gtsam.Pose3.Expmap(twist * duration_s))
 
-    def anchored_factor(  # noqa: PLR0917 (what was measured, and how the machine moved meanwhile)
+    def anchored_factor(
         self,
         keys: Sequence[int],
         motion: gtsam.Pose3,
         rate: Array,
         beyond: Array,
         noise: gtsam.noiseModel.Base,
+        *,
         known_s: float = 0.0,
     ) -> gtsam.NonlinearFactor:
         """Return the factor on a frame, a node and the parameter: the node's pose after tau is `motion` from the frame.
