@@ -224,6 +224,21 @@ def drifts(messages: list[Message]) -> list[Message]:
     return of_imu(change)(messages)
 
 
+def folded(amplitude_m_s2: float, hz: float) -> Fault:
+    """An engine that shakes the IMU nearly as often as that measures: its samples swing slowly.
+
+    The machine does not move with them.
+    """
+    across = np.cross(AXIS, [0.0, 0.0, 1.0])
+
+    def change(one: ImuSample) -> ImuSample:
+        phase = 2.0 * np.pi * hz * (one.stamp_ns % 10**12) * 1e-9
+        swings = amplitude_m_s2 * (np.sin(phase) * AXIS + np.cos(phase) * across)
+        return replace(one, specific_force=one.specific_force + swings)
+
+    return of_imu(change)
+
+
 def turned(sample: ImuSample) -> ImuSample:
     """Return a sample of an IMU that has been knocked."""
     rate, force = KNOCKED @ sample.angular_velocity, KNOCKED @ sample.specific_force
@@ -244,6 +259,9 @@ FAULTS: dict[str, Fault] = {
         lambda one: replace(one, specific_force=one.specific_force + 0.5 * AXIS)
     ),
     "accelerometer's bias follows the speed": follows_speed,
+    "engine folded to 0.5 Hz, 0.3 m/s^2": folded(0.3, 0.5),
+    "engine folded to 0.5 Hz, 1 m/s^2": folded(1.0, 0.5),
+    "engine folded to 0.5 Hz, 3 m/s^2": folded(3.0, 0.5),
     "IMU knocked by 60 deg between two samples": of_imu(turned),
     "Doppler of the other sign": of_velocity(lambda velocity: -velocity),
     "Doppler north, east, down": of_velocity(lambda velocity: velocity[[1, 0, 2]] * [1.0, 1.0, -1.0]),

@@ -27,7 +27,7 @@ class Run:
         self.next = next(self.samples)
         self.scale = NoiseScale()
         self.stamps = EvenStamps(self.log)
-        self.scatters = Scatters(sensors_of(CONFIG), self.buffer, self.log)
+        self.scatters = Scatters(sensors_of(CONFIG), self.buffer, self.log, "imu")
 
     def go(self, start_s, end_s, error, hz=5.0, *, round_m=None, ahead_s=0.0):
         for t in np.arange(start_s, end_s, 1.0 / hz):

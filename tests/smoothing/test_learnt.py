@@ -68,6 +68,7 @@ def learnt(white):
         constants=dict,
         colour=lambda _, colour, above: colour.with_white(white / above),
         force_scale=lambda: 1.0,
+        sway=lambda: 0.0,
     )
 
 

@@ -17,6 +17,7 @@ class LearntView(NamedTuple):
         constants: what the graph knows of mountings and clocks.
         colour: how the errors of a sensor are composed, by name, where the claim is believed times a factor.
         force_scale: how many times larger the error of the accelerometer in proportion to the motion is.
+        sway: density of what the accelerometer feels and no receiver sees [m/s^2/sqrt(Hz)].
     """
 
     noise: Callable[[str], float]
@@ -24,3 +25,4 @@ class LearntView(NamedTuple):
     constants: Callable[[], Mapping[str, Constant]]
     colour: Callable[[str, Colour, float], Colour]
     force_scale: Callable[[], float]
+    sway: Callable[[], float]

@@ -81,7 +81,7 @@ class Optimiser:
         self._reported = Health.INITIALISING
         self._stamp_faults = StampFaults()
         self._assumptions = Assumptions(self._sensors, log)
-        self._scatters = Scatters(self._sensors, buffer, log)
+        self._scatters = Scatters(self._sensors, buffer, log, config.imu_name)
         self.monitor = HealthMonitor(config)
         self.world = World()
         self.gravity = config.frames.gravity or self.world.gravity
@@ -267,7 +267,7 @@ class Optimiser:
     def _begin_in_world(self) -> None:
         """Take gravity at the datum, which has just become known: what was collected in another W is begun anew."""
         self.gravity = self._config.frames.gravity or self.world.gravity
-        self._scatters = Scatters(self._sensors, self._buffer, self._log)
+        self._scatters = Scatters(self._sensors, self._buffer, self._log, self._config.imu_name)
         self._begin()
 
     def _try_to_start(self, phase: Initialising, measurement: Measurement) -> OptimisedState | None:

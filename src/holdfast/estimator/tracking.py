@@ -210,6 +210,7 @@ class Tracking:
             self.constants,
             self._colour,
             lambda: self.graph.main.imu_noise.force_scale,
+            lambda: self._buffer.sway,
         )
 
     def _colour(self, sensor: str, colour: Colour, above: float) -> Colour:

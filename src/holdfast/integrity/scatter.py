@@ -14,6 +14,8 @@ import numpy as np
 from holdfast.event_log import EventLog
 from holdfast.events import EventKind
 from holdfast.integrity.noise_scale import NoiseScale
+from holdfast.integrity.point_motion import SAME_M, divided_difference, motions_between, times_of
+from holdfast.integrity.sway import Sways
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.even_stamps import EvenStamps
@@ -26,7 +28,6 @@ MOST_NS = 2_500_000_000  # in which four positions tell anything: in more, what 
 MEMORY, ENOUGH = 48, (12, 24)  # fours; horizontal and vertical, as what follows
 QUANTILES = 0.25, 0.35  # positions that are elsewhere now and then do not count
 OF_CHANCE = 0.575, 0.206  # these quantiles of chi-square, with two degrees of freedom and one
-SAME_M = 1e-3
 BEGINS, ENDS = 2.5**2, 1.5**2  # of the factor that is believed: less may be chance
 KEPT = 0.98  # of the factor, from one four to the next: by motion, less is seen
 NEWS = 2.0  # times the sigma that was told last
@@ -77,21 +78,10 @@ class Scatter:
         return None if at_given is None else (float(at_given[0]), float(squares[0]))
 
     def _squares_of(self, positions: Sequence[Position]) -> Array | None:
-        moved = self._moved(positions)
-        return None if moved is None else beyond(positions, moved)
-
-    def _moved(self, positions: Sequence[Position]) -> Array | None:
-        """Return how the point has moved (N, 3) beside a fall, in the axes that I had first; None if nobody knows."""
-        first_ns, last_ns = positions[0].stamp_ns, positions[-1].stamp_ns
-        if last_ns - first_ns > MOST_NS or first_ns < self._buffer.oldest_ns or last_ns > self._buffer.latest_ns:
+        if positions[-1].stamp_ns - positions[0].stamp_ns > MOST_NS:
             return None
-        if not self._buffer.is_trusted(first_ns, last_ns):
-            return None
-        moved = [self._p_I_P]
-        for one in positions[1:]:
-            motion = self._buffer.motion(first_ns, one.stamp_ns, np.zeros(6))
-            moved.append(motion.p + motion.R @ self._p_I_P)
-        return np.array(moved)
+        found = motions_between(self._buffer, positions)
+        return None if found is None else beyond(positions, found.of_point(self._p_I_P))
 
     def _note(self, squares: Array) -> None:
         for k, (held, square) in enumerate(zip(self._squares, squares, strict=True)):
@@ -105,17 +95,14 @@ class Scatter:
                 self._factors[k] = factor if factor > least else 1.0
 
 
-def beyond(positions: Sequence[Position], moved: Array) -> Array:
+def beyond(positions: Sequence[Position], motion: Array) -> Array:
     """Return the squares (2,) of what positions scatter beyond the motion of their point, over the variance claimed.
 
     Compared is the combination of norm 1 in which no parabola is left, and with it neither the velocity nor gravity;
     horizontal and vertical. Where the numbers are all the same, as of rounded ones or repeated ones, it is nan.
     """
-    times = np.array([one.stamp_ns - positions[0].stamp_ns for one in positions]) * 1e-9
-    differences = times[:, None] - times + np.eye(len(times))
-    weights = 1.0 / differences.prod(axis=1)  # of the third divided difference
-    weights /= np.linalg.norm(weights)
-    motion_m = float(np.linalg.norm(weights @ moved))  # in whatever direction
+    weights = divided_difference(times_of(positions))
+    motion_m = float(np.linalg.norm(weights @ motion))  # in whatever direction
     track = np.array([one.p_W_P for one in positions])
     is_same, residual = np.ptp(track, axis=0) < SAME_M, weights @ track
     variances = np.mean([one.covariance.diagonal() for one in positions], axis=0)
@@ -127,16 +114,18 @@ def beyond(positions: Sequence[Position], moved: Array) -> Array:
 
 
 class Scatters:
-    """The scatter of all receivers of positions.
+    """The scatter of all receivers of positions, and the sway that none of them sees.
 
     Args:
         sensors: all models, by name.
         buffer: of the IMU's samples.
-        log: where is told what scatters by more than it claims.
+        log: where is told what scatters by more than it claims, and what sways.
+        imu: name of the IMU.
     """
 
-    def __init__(self, sensors: Mapping[str, Sensor], buffer: ImuBuffer, log: EventLog) -> None:
+    def __init__(self, sensors: Mapping[str, Sensor], buffer: ImuBuffer, log: EventLog, imu: str) -> None:
         self._receivers = {name: Scatter(buffer, one.p_I_P) for name, one in of_role(sensors, Role.POSITION).items()}
+        self._sways = Sways(sensors, buffer, log, imu)
         self._log = log
         self._told = dict.fromkeys(self._receivers, 1.0)
 
@@ -144,6 +133,7 @@ class Scatters:
         """Return a measurement as it arrives, a position with the covariance that is believed; its scale is told."""
         if not isinstance(position, Position):
             return position
+        self._sways.add(position)
         name = position.sensor
         squares = self._receivers[name].add(position, stamps.moved_ns(name))
         if squares is not None:

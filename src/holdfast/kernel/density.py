@@ -39,7 +39,7 @@ def density_between(buffer: Any, samples: Any, blocks: Any, start_ns: int, end_n
     """Return the white noise of accelerometer and gyroscope that the samples in a time show, or those just before it.
 
     Only samples until the end of that time count, in blocks: the answer does not depend on when it is asked for. It is
-    0 where there are none.
+    0 where there are none. Of the accelerometer it is no less than what receivers show.
     """
     last = (buffer.dropped + row_after(buffer, samples, end_ns)) // LENGTH - 1
     first = min(last, (buffer.dropped + row_after(buffer, samples, start_ns - 1)) // LENGTH)
@@ -52,8 +52,8 @@ def density_between(buffer: Any, samples: Any, blocks: Any, start_ns: int, end_n
         force += block.force * block.force
         rate += block.rate * block.rate
     if count == 0:
-        return 0.0, 0.0
-    return sqrt(force / count), sqrt(rate / count)
+        return buffer.sway, 0.0
+    return max(buffer.sway, sqrt(force / count)), sqrt(rate / count)
 
 
 @inner

@@ -43,6 +43,7 @@ BUFFER = np.dtype([
     ("delay_ns", INT), ("older_delay_ns", INT), ("delays", INT),
     ("periods", INT), ("periods_ns", INT, 64),
     ("accelerometer_range", FLOAT), ("gyroscope_range", FLOAT),
+    ("sway", FLOAT),  # density of what the accelerometer feels, and no receiver sees
 ])  # fmt: skip
 """The buffer of the IMU's samples."""
 

@@ -296,6 +296,15 @@ class ImuBuffer:
         """
         return Density(*find_density(self.record, self.samples, self.blocks, start_ns, end_ns))
 
+    @property
+    def sway(self) -> float:
+        """Density of what the accelerometer feels and no receiver sees [m/s^2/sqrt(Hz)]: the least of its noise."""
+        return float(self._one["sway"])
+
+    @sway.setter
+    def sway(self, density: float) -> None:
+        self._one["sway"] = density
+
     def forget_before(self, stamp_ns: int) -> None:
         """Drop samples that no interval after `stamp_ns` needs, many at a time."""
         forget_before(self.record, self.samples, stamp_ns)

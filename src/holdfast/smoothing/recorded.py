@@ -80,6 +80,7 @@ class Recorded:
     def update(self, update: Update, learnt: LearntView) -> None:
         """Take in what the causal estimator found."""
         state, self._learnt = update.state, learnt
+        self.buffer.sway = learnt.sway()
         if not update.begins_anew:
             stamp = to_grid(state.stamp_ns)
             if not self._covariance_stamps or stamp > self._covariance_stamps[-1]:
