@@ -280,6 +280,15 @@ def late(messages, delays_s):
     return [replace(m, arrival_ns=m.arrival_ns + round(d * 1e9)) for m, d in zip(messages, delays_s, strict=True)]
 
 
+def swung(samples, since_s=0.0, until_s=np.inf, amplitude_m_s2=3.0, hz=0.55):
+    """Samples of an engine that turns nearly as often as the IMU measures: a swing that the machine does not make."""
+    for one in samples:
+        t = seconds(one.stamp_ns)
+        phase = 2.0 * np.pi * hz * t
+        swing = amplitude_m_s2 * np.array([np.sin(phase), np.cos(phase), 0.3 * np.sin(phase)])
+        yield replace(one, specific_force=one.specific_force + swing) if since_s <= t < until_s else one
+
+
 def in_order(*streams):
     """All messages in the order of arrival; at the same instant the IMU comes first."""
     return sorted((m for stream in streams for m in stream), key=lambda m: (m.arrival_ns, m.sensor != "imu", m.sensor))

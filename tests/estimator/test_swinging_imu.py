@@ -1,21 +1,12 @@
 """An engine that turns nearly as often as the IMU measures: its samples swing slowly, and the machine does not."""
 
-from dataclasses import replace
-
 import numpy as np
-from motion import ARM, Drive, estimates, fixes, imu, in_order, machine, ns, run, seconds
+from motion import ARM, Drive, estimates, fixes, imu, in_order, machine, ns, run, seconds, swung
 
 from holdfast.events import EventKind
 
 ROAD = Drive(radius_m=8.0, speed=0.3)  # 2.4 m/s
 SINCE_S, FOUND_S, END_S = 15.0, 25.0, 50.0
-
-
-def swung(samples, amplitude_m_s2, hz=0.55):
-    for one in samples:
-        phase = 2.0 * np.pi * hz * seconds(one.stamp_ns)
-        swing = amplitude_m_s2 * np.array([np.sin(phase), np.cos(phase), 0.3 * np.sin(phase)])
-        yield one if one.stamp_ns < ns(SINCE_S) else replace(one, specific_force=one.specific_force + swing)
 
 
 def antenna_off_m(estimate):
@@ -28,7 +19,7 @@ def test_good_fixes_are_not_refused_for_long():
     """The estimate began anew every other second to the end of the drive, and was up to 50 m off in between."""
     rng = np.random.default_rng(0)
     messages = in_order(
-        swung(imu(ROAD, 0.0, END_S, 100.0, rng), 3.0),
+        swung(imu(ROAD, 0.0, END_S, 100.0, rng), since_s=SINCE_S),
         fixes(ROAD, 0.0, END_S, 5.0, rng),
     )
     estimator, outputs = run(machine(lidar=False), messages)
