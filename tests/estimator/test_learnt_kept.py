@@ -67,7 +67,7 @@ def test_it_is_there_before_and_after_the_start_that_follows(known):
         later.add(message) if not hasattr(message, "specific_force") else later.receive(receive(later._buffer, message))
         if later.is_due:
             later.update()
-    assert later.has_started
+    assert later.tracking is not None
     before, after = (one.odometries["lidar"].translation_noise.log_mean for one in (known, later.learnt()))
     assert after == pytest.approx(before, abs=0.3)
 
@@ -80,7 +80,7 @@ def test_a_clock_that_goes_back_does_not_make_it_forget():
         if buffer.check(shifted) is Outcome.USED:
             optimiser.receive(receive(buffer, shifted))
     assert [event.kind for event in log.take_events()].count(EventKind.CLOCK_STEP) == 1
-    assert not optimiser.has_started
+    assert optimiser.tracking is None
     assert before.odometries and optimiser.learnt() == before
 
 

@@ -32,7 +32,7 @@ def fresh(config):
 
 def test_before_the_start_there_is_no_tracking_and_it_says_what_it_waits_for():
     optimiser, _, log = fresh(machine())
-    assert optimiser.tracking is None and not optimiser.has_started and not optimiser.is_due
+    assert optimiser.tracking is None and not optimiser.is_due
     assert optimiser.waiting_for == "no usable IMU sample has come, and no usable position has come"
     assert (optimiser.lost(), optimiser.waiting.total(), optimiser.health) == ([], 0, Health.INITIALISING)
     optimiser.add(fixes(DRIVE, 0.0, 0.0)[0])
@@ -41,7 +41,7 @@ def test_before_the_start_there_is_no_tracking_and_it_says_what_it_waits_for():
 
 def test_the_first_state_is_reported_and_tracking_begins():
     optimiser, log, _ = optimised(machine(), messages())
-    assert optimiser.has_started and optimiser.waiting_for == ""
+    assert optimiser.tracking is not None and optimiser.waiting_for == ""
     (event,) = [event for event in log.events if event.kind is EventKind.INITIALISED]
     assert event.reason == "standstill"
     assert optimiser.health is Health.NOMINAL
@@ -120,7 +120,7 @@ def test_a_clock_that_goes_back_for_good_begins_anew():
         shifted = replace(sample, stamp_ns=sample.stamp_ns - 3_600_000_000_000)
         if buffer.check(shifted) is Outcome.USED:
             optimiser.receive(receive(buffer, shifted))
-    assert not optimiser.has_started
+    assert optimiser.tracking is None
     assert [event.kind for event in log.take_events()].count(EventKind.CLOCK_STEP) == 1
 
 
@@ -131,7 +131,7 @@ def test_a_successor_goes_on_at_the_last_state_of_its_predecessor(lost):
     state = predecessor.tracking.graph.published.newest
     successor = Optimiser(config, buffer, EventLog("imu"))
     successor.resume(state, lost)
-    assert successor.has_started and successor.lost() == lost
+    assert successor.tracking is not None and successor.lost() == lost
     assert successor.health is Health.OPTIMISER_RESET
     successor.receive(receive(buffer, imu(DRIVE, 6.6, 6.6)[0]))
     assert successor.is_due

@@ -223,6 +223,22 @@ def test_in_motion_the_clock_of_the_receiver_may_be_off():
     assert step @ np.linalg.solve(state.covariance[:6, :6], step) < 22.46  # chi-square of six, 99.9 %
 
 
+@pytest.mark.parametrize("off_m", [3.0, 30.0])
+@pytest.mark.parametrize("right", [False, True])
+def test_in_motion_a_fix_that_is_elsewhere_does_not_keep_it_from_starting(off_m, right):
+    """The second of all, by a receiver of 1 Hz, kept it waiting for 17 to 31 s, or for good."""
+    road, rng = Drive(start_s=-6.0, ramp_s=4.0, radius_m=8.0, speed=0.2), np.random.default_rng(4)
+    left = fixes(road, 0.0, 12.0, 1.0, rng, phase_s=0.0137)
+    left[1] = replace(left[1], latitude_deg=left[1].latitude_deg + off_m * 9e-6)
+    streams = [imu(road, 0.0, 12.0, 50.0, rng), left, scans(road, 0.0, 12.0, 5.0, rng, (0.001, 0.01))]
+    if right:
+        streams.append(fixes(road, 0.0, 12.0, 1.0, rng, phase_s=0.0137, sensor="gnss_right", arm=ARM_RIGHT))
+    _, outputs = run(without_heading(right=right), in_order(*streams))
+    assert seconds(first_state(outputs).stamp_ns) < 6.0
+    off = [deviation(road, one)[0] for one in estimates(outputs) if one.stamp_ns > ns(9.0)]
+    assert np.sqrt(np.mean(np.square(off))) < 0.1
+
+
 def test_a_straight_slow_creep_is_too_short_for_a_heading():
     """Less than two metres: the motion is known, no heading is guessed."""
 

@@ -10,7 +10,7 @@ from motion import ARM, Drive, G, imu, jumped_gyroscope, machine, ns
 from rig import NO_BIAS, buffered, position
 
 from holdfast.estimator.initialisation import Initialising
-from holdfast.estimator.successor import DOUBT_RAD, FASTER, Successor
+from holdfast.estimator.successor import DOUBT_RAD, FASTER, GROWN, Successor
 from holdfast.sensors.odometry import TrackPose
 from holdfast.sensors.registry import sensors_of
 from holdfast.sensors.sensor import Velocity
@@ -242,6 +242,18 @@ def test_the_same_said_twice_is_no_more():
     successor = jumped(36.0)
     assert successor.after_jump(ns(36.0), has_witness=False) is None
     assert successor.after_jump(ns(37.0), has_witness=False) is None
+
+
+def test_the_same_positions_say_no_more_where_older_ones_have_left():
+    """Fixes had stopped, and with each that left what was left looked more like a jump: the estimate left by 500 m."""
+    successor = jumped(36.0)
+    assert successor.after_jump(ns(36.0), has_witness=False) is None
+    jump, newest_ns = successor._suspected
+    weaker = jump._replace(evidence=jump.evidence - 2.0 * GROWN)
+    successor._suspected = weaker, newest_ns
+    assert successor.after_jump(ns(37.0), has_witness=False) is None
+    successor._suspected = weaker, newest_ns - 1
+    assert successor.after_jump(ns(38.0), has_witness=False) is not None
 
 
 def test_without_velocities_it_is_not_asked_before_the_positions_contradict():

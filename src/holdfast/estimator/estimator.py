@@ -71,7 +71,7 @@ class Estimator(Intake):
     @property
     def initialised(self) -> bool:
         """Whether estimates are being given."""
-        return self._optimiser.has_started
+        return self._optimiser.tracking is not None
 
     @property
     def waiting_for(self) -> str:

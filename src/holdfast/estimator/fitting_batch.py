@@ -5,7 +5,7 @@ a receiver that is none of GNSS, whose station somebody has typed in, and an odo
 lies. GNSS and IMU are what is left.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from itertools import combinations
 from math import inf, log
 from typing import Any, NamedTuple
@@ -17,7 +17,7 @@ from holdfast.estimator.collected import exchanged
 from holdfast.estimator.fixes_in_motion import MIN_POSITIONS
 from holdfast.estimator.odometry_tracks import OdometryTracks
 from holdfast.graph.alignment import FITS, JUMPED, Alignment, BatchAligner
-from holdfast.graph.alignment_problem import CLAIMED_DEGREES, MAX_EXCESS, BiasPrior, Evidence, Problems
+from holdfast.graph.alignment_problem import BUCKET_NS, CLAIMED_DEGREES, MAX_EXCESS, BiasPrior, Evidence, Problems
 from holdfast.integrity.exchanges import Pair
 from holdfast.messages import Array
 from holdfast.sensors.gnss import GnssModel, is_measured
@@ -30,6 +30,7 @@ DOUBTFUL = 2.0  # squared residuals over what is claimed, where an odometry is a
 FREED_M = 10.0  # sigma of an arm in doubt: nothing shall hold it
 MOST_LATE_S = 1.0  # of clocks
 TELLING = 8  # positions that may tell a clock
+STRAYS = 2  # positions of a batch, at most, that are elsewhere
 CLEARLY = 10.0  # evidence, by which one explanation is better than another
 TOLD_M, MOVED = 0.5, 5.0  # sigma to which motions must tell an element of an arm, and sigmas by which it is off
 
@@ -76,7 +77,7 @@ class FittingBatches:
         velocities: Mapping[str, VelocitySensor],
         odometries: OdometryTracks,
     ) -> None:
-        self._points, self._odometries = points, odometries
+        self._points, self._odometries, self._measured = points, odometries, dict(points)
         self._freed = {name: _freed(one) if is_measured(one) else one for name, one in points.items()}
         self.may_be_moved = any(is_measured(one) for one in points.values())
         receivers = {name for name, one in points.items() if is_gnss(one)}
@@ -88,6 +89,12 @@ class FittingBatches:
     def settle_arms(self) -> None:
         """Know that the lever arms of antennas are as they were measured, for good: they are constants."""
         self.may_be_moved = False
+
+    def put_back_antennas(self) -> None:
+        """Know no more that antennas are elsewhere than they were believed to be at first, nor that they are there."""
+        self.may_be_moved = any(is_measured(one) for one in self._measured.values())
+        for name, point in self._measured.items():
+            self._points[name], self._freed[name] = point, _freed(point) if is_measured(point) else point
 
     def move_antennas(self, shift: Parameter) -> None:
         """Know from now on that antennas are elsewhere than they were believed to be, in `points`, too."""
@@ -125,6 +132,8 @@ class FittingBatches:
             clocked = self._with_clock(evidence, prior, max_heading_sigma_rad, alignment)
             if clocked is not None:
                 return clocked
+        if is_at_odds and (purged := self._without_strays(whole, alignment, solved)) is not None:
+            return purged
         if is_at_odds:
             renamed = self.with_exchanged_antennas(evidence, prior, max_heading_sigma_rad, alignment)
             if renamed is not None:
@@ -132,15 +141,42 @@ class FittingBatches:
             moved = self.with_moved_antennas(evidence, prior, max_heading_sigma_rad, jump_sigmas)
             if moved is not None:
                 return moved
+        found = FittingBatch(alignment, whole)
         for names in self._doubtful(whole, alignment):
             fewer = self._without(whole, names)
             if len({one.stamp_ns for one in fewer.positions}) < MIN_POSITIONS:
                 continue
             other = solved(fewer)
-            is_better = len(fewer.positions) == len(whole.positions) or other.misfit <= FITS
+            fits_better = other.misfit <= FITS or _evidence(alignment, other, fewer) >= JUMPED
+            is_better = len(fewer.positions) == len(whole.positions) or fits_better
             if is_better and other.excess <= (DOUBTFUL if fewer.motions else FITS):
                 return FittingBatch(other, fewer, names)
-        return FittingBatch(alignment, whole)
+            if names <= self._points.keys() and (purged := self._without_strays(fewer, other, solved)) is not None:
+                return purged._replace(left_out=names)
+            if found.alignment.is_contradictory and other.state is None and other.excess <= FITS:
+                found = FittingBatch(other, fewer, names)  # it tells what is missing
+        return found
+
+    def _without_strays(
+        self, evidence: Evidence, alignment: Alignment, solved: Callable[[Evidence], Alignment]
+    ) -> FittingBatch | None:
+        """Return the batch without a few positions that are elsewhere, if nothing of what is left is at odds.
+
+        The newest are none of them: what came last may be the first that is right.
+        """
+        fewer, other = evidence, alignment
+        for _ in range(STRAYS):
+            newest_ns = max(one.stamp_ns for one in fewer.positions)
+            if other.worst is None or other.worst.stamp_ns > newest_ns - BUCKET_NS:
+                return None
+            positions = [one for one in fewer.positions if one is not other.worst]
+            if len({one.stamp_ns for one in positions}) < MIN_POSITIONS:
+                return None
+            fewer = self._with_motions(fewer._replace(positions=positions))
+            other = solved(fewer)
+            if _fits(other) and _evidence(alignment, other, fewer) >= JUMPED:
+                return FittingBatch(other, fewer)
+        return None
 
     def _with_clock(
         self, evidence: Evidence, prior: BiasPrior, max_heading_sigma_rad: float, alignment: Alignment

@@ -14,13 +14,13 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig
-from holdfast.estimator.batch_clock import Offset
 from holdfast.estimator.collected import Collected, between
 from holdfast.estimator.compass import Compass
 from holdfast.estimator.course import Course, course_of
 from holdfast.estimator.first_heading import Antennas, FirstHeading
 from holdfast.estimator.fitting_batch import FittingBatch, FittingBatches
 from holdfast.estimator.fixes_in_motion import fixes_in_motion, turn
+from holdfast.estimator.found_constants import FoundConstants
 from holdfast.estimator.known_biases import KnownBiases
 from holdfast.estimator.odometry_tracks import OdometryTracks
 from holdfast.estimator.pose_as_point import PoseAsPoint
@@ -33,9 +33,9 @@ from holdfast.integrity.consensus import Departure, agreeing, first_of_shape
 from holdfast.integrity.exchanges import Exchange, Pair
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array, Message
-from holdfast.sensors.clock import GNSS_CLOCK, with_estimated_clock
+from holdfast.sensors.clock import with_estimated_clock
 from holdfast.sensors.imu import ImuBuffer
-from holdfast.sensors.lever_arm import GNSS_ARM, is_in_doubt
+from holdfast.sensors.lever_arm import is_in_doubt
 from holdfast.sensors.odometry import OdometryNoise
 from holdfast.sensors.preintegration import ImuNoise
 from holdfast.sensors.sensor import Measurement, Parameter, Position, Role, Sensor, Velocity, is_gnss, of_role
@@ -60,12 +60,11 @@ class Initialising:
         buffer: of the IMU's samples.
         sensors: all models, by name.
         gravity: [m/s^2].
-        found: constants of sensors that are known to be far from what is configured: where antennas are, and the clock
-            of GNSS.
+        found: constants of sensors that were found before: where antennas are, and the clock of GNSS.
 
     Attributes:
         is_contradictory: whether no state explains what the last attempt was made of.
-        found: the same, and what was found since.
+        found: constants that are known to be far from what is configured.
         compass: tells by how much an attitude is beside what is measured.
     """
 
@@ -104,17 +103,14 @@ class Initialising:
         self.misfit = inf  # of the last attempt: squared residuals over what is claimed
         self.is_contradictory = False
         self.doubtful: frozenset[str] = frozenset()  # odometries and receivers that the last attempt has left out
-        self.found: dict[str, Parameter] = {}
         self._limit_rad = radians(config.initialisation.max_heading_sigma_deg)
         self._velocity_check = VelocityCheck(self._points, of_role(sensors, Role.VELOCITY))
         self.compass = Compass(self._collected, self._antennas, self._headings, self._velocity_check)
         self._last_try_ns = NEVER_NS
         noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
         self._batches = FittingBatches(buffer, noise, self._points, of_role(sensors, Role.VELOCITY), self._odometries)
-        if (shift := found.get(GNSS_ARM)) is not None:
-            self._move_antennas(shift)
-        if (clock := found.get(GNSS_CLOCK)) is not None:
-            self._know_clock(clock)
+        clock = next((with_estimated_clock(one).parameters[-1] for one in self._points.values() if is_gnss(one)), None)
+        self.found = FoundConstants(self._batches, self._collected, clock, found)
         has_messages = any(one.message is not None for one in sensors.values())
         self.reason = NO_POSITION if self._points else NO_OTHER if has_messages else NO_SENSOR
 
@@ -202,17 +198,6 @@ class Initialising:
     def settle_arms(self) -> None:
         """Know that the lever arms of antennas are as they were measured."""
         self._batches.settle_arms()
-
-    def _move_antennas(self, shift: Parameter) -> None:
-        """Know that antennas are elsewhere than they were believed to be."""
-        self._batches.move_antennas(shift)
-        before = self.found[GNSS_ARM].mean if GNSS_ARM in self.found else 0.0
-        self.found[GNSS_ARM] = shift._replace(mean=before + shift.mean)
-
-    def _know_clock(self, clock: Parameter) -> None:
-        """Know by how much stamps of GNSS are early [s]."""
-        self.found[GNSS_CLOCK] = clock
-        self._collected.know_clock(round(float(clock.mean[0]) * 1e9))
 
     def forget_odometry(self, name: str) -> None:
         """Forget what an odometry has said, which is not trusted any more."""
@@ -337,9 +322,9 @@ class Initialising:
         if pair is not None:
             self.exchange(Exchange(pair, headings=self._opposite(pair, alignment.state)))
         if offset is not None:
-            self.know_clock_off(offset)
+            self.found.know_clock_off(offset)
         if shift is not None:
-            self._move_antennas(shift)
+            self.found.move_antennas(shift)
         self.misfit, self.jump = alignment.misfit, alignment.jump
         self.is_contradictory = alignment.is_contradictory
         left_out = [*lying, *sorted(self.doubtful)]
@@ -373,14 +358,6 @@ class Initialising:
         """Return the antennas that have been found to be exchanged since this was asked last."""
         found, self._exchanges = self._exchanges, []
         return found
-
-    def know_clock_off(self, offset: Offset) -> None:
-        """Know that the clock of GNSS is off by so much from what was known."""
-        receiver = next(one for one in self._points.values() if is_gnss(one))
-        prior: Parameter = with_estimated_clock(receiver).parameters[-1]
-        by_s = self.clock_ns * 1e-9 + offset.by_s
-        sigmas = np.hypot(prior.sigmas, offset.sigma_s)
-        self._know_clock(prior._replace(mean=np.array([by_s]), sigmas=sigmas, if_right=None))
 
     def _credible_velocities(self, fixes: Sequence[Position], end_ns: int) -> tuple[list[Velocity], list[str]]:
         """Return velocities since the first of some positions, and the sensors that are left out."""

@@ -79,14 +79,16 @@ class Judgement:
     def tell_clock(self, now_ns: int) -> None:
         """Let what would begin anew know the clock of GNSS that the graph has found, while positions are expected."""
         prior, start = self._clock, self._successor.start
-        if prior is None or now_ns - self._told_clock_ns < CLOCK_NS or self._positions.suspects():
+        if prior is None or self._successor.is_in_doubt or self._positions.suspects():
+            return
+        if now_ns - self._told_clock_ns < CLOCK_NS:
             return
         self._told_clock_ns = now_ns
         clock = self._graph.main.parameters.constant(GNSS_CLOCK, prior)
         if clock is not None and clock.is_off:
             offset = Offset(float(clock.value[0]) - start.clock_ns * 1e-9, float(clock.sigmas[0]))
             if offset.is_off:
-                start.know_clock_off(offset)
+                start.found.know_clock_off(offset)
 
     def hold_mistaken(self, now_ns: int) -> None:
         """Keep velocities out that are late, of another sign or in other axes."""
@@ -98,7 +100,7 @@ class Judgement:
         """Return a state to begin from if antennas that are elsewhere explain what was measured better."""
         if self._positions.are_arms_proven:
             self._successor.start.settle_arms()
-        is_suspected = bool(self._positions.suspects())
+        is_suspected = not self._positions.suspects().keys() <= self._positions.disbelieved
         return self._successor.with_moved_antennas(now_ns, is_suspected=is_suspected)
 
     def _is_astray(self) -> bool:

@@ -5,7 +5,7 @@ the sensors, unless someone asked for the restart.
 """
 
 from collections import Counter
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from typing import TYPE_CHECKING
 
 from holdfast.chassis.encoder import JointModel
@@ -139,11 +139,6 @@ class Optimiser:
         return self._phase if isinstance(self._phase, Tracking) else None
 
     @property
-    def has_started(self) -> bool:
-        """Whether there is a state."""
-        return self.tracking is not None
-
-    @property
     def is_due(self) -> bool:
         """Whether an update should follow."""
         return isinstance(self._phase, Tracking) and self._phase.is_due
@@ -230,6 +225,8 @@ class Optimiser:
             return None
         self._assumptions.tell(message)
         weighed = self._scatters.weighed(measurement, self._scales, self._stamps.even)
+        if self._scatters.newly_swaying():
+            self._start_of_now.found.forget()
         if self._listener is not None:
             self._listener.add(weighed, self._joint_at(measurement.stamp_ns))
         if isinstance(self._phase, Tracking):
@@ -290,7 +287,7 @@ class Optimiser:
             self._log.report(EventKind.WAITING, self._buffer.latest_ns, "", phase.reason)
         return state
 
-    def resume(self, state: OptimisedState, lost: Iterable[str]) -> None:
+    def resume(self, state: OptimisedState, lost: Collection[str]) -> None:
         """Go on where another optimiser has ended, at its last state, with receivers that it did not trust.
 
         What was in its window and came after the state is lost; the covariance of the state tells the rest.
@@ -302,7 +299,7 @@ class Optimiser:
         self.world.settle()
         sensors = self._believed()
         if self._listener is not None:
-            self._listener.start(state, sensors, self.gravity, successor.start.found)
+            self._listener.start(state, sensors, self.gravity, successor.start.found.priors)
         tracking = Tracking(
             self._config,
             self._buffer,
@@ -385,7 +382,7 @@ class Optimiser:
 
     def _leave_out(self, tracking: Tracking, names: Collection[str]) -> None:
         """Begin without odometries and receivers that the start has left out."""
-        tracking.distrust(names)
+        tracking.leave_out(names)
         for name in sorted(names):
             self._report(LOST, name, "at odds with the positions")
 

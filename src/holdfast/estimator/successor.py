@@ -53,10 +53,15 @@ class Successor:
         self.start = start
         self._is_in_doubt = is_in_doubt
         self._begun_ns = self._tried_ns = self._tried_arms_ns = NEVER_NS
-        self._suspected: Jump | None = None
+        self._suspected: tuple[Jump, int] | None = None  # and stamp of the newest of what it would explain
         self._doubts, self._doubted_ns = 0, NEVER_NS
         self._lying: frozenset[str] = frozenset()  # as of the last contradiction
         self._told: set[str] = set()
+
+    @property
+    def is_in_doubt(self) -> bool:
+        """Whether the estimate begins anew as soon as a start is told."""
+        return self._is_in_doubt
 
     @property
     def walk_scale(self) -> float:
@@ -117,15 +122,18 @@ class Successor:
             return None
         self._tried_ns, clock_ns = now_ns, self.start.clock_ns
         state = self.start.attempt(may_have_jumped=True, may_be_late=is_astray)
-        jump, before = self.start.jump, self._suspected
-        if state is not None and self.start.clock_ns != clock_ns:
+        if state is None:
+            return None
+        if self.start.clock_ns != clock_ns:
             return self._begun(state)
-        if jump is None or before is None or not jump.is_same(before):
-            self._suspected = jump
+        jump, suspected = self.start.jump, self._suspected
+        if jump is None or suspected is None or not jump.is_same(suspected[0]):
+            self._suspected = None if jump is None else (jump, state.stamp_ns)
             return None
-        if not jump.is_believed or jump.evidence - before.evidence < GROWN:
+        before, newest_ns = suspected
+        if state.stamp_ns <= newest_ns or not jump.is_believed or jump.evidence - before.evidence < GROWN:
             return None
-        if state is None or self.start.misfit > FITS:
+        if self.start.misfit > FITS:
             return None
         self._is_in_doubt = False
         return self._begun(state)
@@ -135,7 +143,7 @@ class Successor:
 
         It is asked now and then, and more often where positions are refused.
         """
-        is_found = GNSS_ARM in self.start.found
+        is_found = GNSS_ARM in self.start.found.priors
         if now_ns - self._tried_arms_ns < (TRIED_NS if is_suspected else LOOKED_NS) or (is_found and not is_suspected):
             return None
         self._tried_arms_ns = now_ns
@@ -179,8 +187,10 @@ class Successor:
     def settle_doubt(self) -> Beginning | None:
         """Return a state to begin from once more, as soon as the motion tells the heading that was kept in doubt.
 
+        Or where what was found of antennas and clock is believed no more: the estimate rests on it.
         What no state explains has a fault in it that may be over: its older half is forgotten.
         """
+        self._is_in_doubt |= self.start.found.newly_forgotten()
         if not self._is_in_doubt:
             return None
         state = self.start.attempt()

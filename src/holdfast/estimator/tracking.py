@@ -1,6 +1,6 @@
 """All that exists only after the start: the graphs, what guards them, and the measurements that wait for the IMU."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import gtsam
@@ -162,7 +162,7 @@ class Tracking:
             self._odometries.new_tracks(),
             state,
             carried=known,
-            found={name: one for name, one in successor.start.found.items() if name in self._priors},
+            found={name: one for name, one in successor.start.found.priors.items() if name in self._priors},
             arm=self._priors.get(GNSS_ARM),
         )
         self.graph.main.imu_noise.walk_scale = successor.walk_scale
@@ -230,17 +230,21 @@ class Tracking:
             accelerometer=self._positions.learnt_accelerometer(),
         )
 
-    def distrust(self, names: Iterable[str]) -> None:
+    def distrust(self, names: Collection[str]) -> None:
         """Begin with receivers and odometries that are not trusted."""
-        names = list(names)
-        self._positions.distrust(name for name in names if self._roles.get(name) is Role.POSITION)
-        self._odometries.distrust(name for name in names if self._roles.get(name) is Role.ODOMETRY)
+        self._positions.distrust(names)
+        self._odometries.distrust(names)
+
+    def leave_out(self, names: Collection[str]) -> None:
+        """Begin without odometries that lie, and receivers that are elsewhere than they say."""
+        self._positions.leave_out(names)
+        self._odometries.distrust(names)
 
     def go_on_from(self, before: "Tracking") -> None:
         """Begin with what was found wrong of sensors before the estimate began anew."""
         for waiting in before.queue.drain():
             self.queue.push(self._dated(waiting, before._early_ns(waiting)))
-        self.distrust(before.distrusted)
+        self.leave_out(before.distrusted)
         self._odometries.go_on_from(self.graph, before._odometries)
 
     def _dated(self, measurement: Measurement, in_stamp_ns: int = 0) -> Measurement:

@@ -25,6 +25,7 @@ from holdfast.graph.alignment_problem import (
 )
 from holdfast.graph.first_guess import course, first_attitudes
 from holdfast.messages import Array
+from holdfast.sensors.sensor import Position
 from holdfast.state import OptimisedState
 
 HEADINGS = 3  # the first guess, and others evenly beside it
@@ -82,6 +83,7 @@ class Alignment:
         is_contradictory: whether no state explains what was measured, whatever else would be measured.
         arms: shifts (3,) [m] of lever arms that were in doubt, with covariance (3, 3), by name.
         clock_s: offset of the clock of positions that looks most like the first of them [s].
+        worst: the position that is furthest beside the solution.
     """
 
     state: OptimisedState | None
@@ -93,6 +95,7 @@ class Alignment:
     is_contradictory: bool = False
     arms: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     clock_s: float = 0.0
+    worst: Position | None = None
 
     @property
     def has_jumped(self) -> bool:
@@ -150,7 +153,7 @@ class BatchAligner:
             max_heading_sigma_rad = max(max_heading_sigma_rad, VAGUE_RAD)
         decided = self._judge(found, evidence, max_heading_sigma_rad)
         told = decided if decided.state is None else self._told(decided, found, evidence)
-        return replace(told, jump=found.jump)
+        return replace(told, jump=found.jump, worst=found.problem.worst(found.solutions[0][1]))
 
     def _reweighted(self, found: Explained, evidence: Evidence, claims: Belief) -> Explained:
         """Solve once more, with the noise that residuals show, from each solution that there is, if there is any."""

@@ -88,12 +88,21 @@ class Belief(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """The graph of a batch, which factors are those of positions and velocities, and the key of the newest bias."""
+    """The graph of a batch, which factors are those of positions and velocities, and the key of the newest bias.
+
+    `of_positions` are what the factors of positions are of.
+    """
 
     graph: gtsam.NonlinearFactorGraph
     positions: range
     velocities: range
     last_bias: int
+    of_positions: Sequence[Position]
+
+    def worst(self, values: gtsam.Values) -> Position:
+        """Return the position that is furthest from where values have it, beside what it claims."""
+        left = [self.graph.at(k).error(values) for k in self.positions]
+        return self.of_positions[left.index(max(left))]
 
     def noise(self, values: gtsam.Values, used: Noise, freedom: int, claims: Belief) -> Noise:
         """Return what residuals say of the noise, given that with which the values were found: (71) in docs/math.md."""
@@ -180,9 +189,10 @@ class Problems:
         for (start, end), pim in zip(pairwise(stamps), deltas, strict=True):
             spell = sum(one.since_ns <= start for one in spells) - 1
             graph.add(gtsam.ImuFactor2(keys[start], keys[end], gtsam.symbol("b", spell), pim))
-        first = graph.size()
+        first, placed = graph.size(), list[Position]()
         for name, sensor in self.positions.items():
             own = [one for one in evidence.positions if one.sensor == name]
+            placed += own
             arm_key = self.arms.get(name)
             gaps_s = [(b.stamp_ns - a.stamp_ns) * 1e-9 for a, b in pairwise(own)]
             correlation_s = max((one.correlation_s for one in own), default=0.0)
@@ -206,7 +216,7 @@ class Problems:
         for k, (_, prior) in enumerate(spells):
             of_biases = gtsam.noiseModel.Diagonal.Sigmas(prior.sigmas)
             graph.add(gtsam.PriorFactorConstantBias(gtsam.symbol("b", k), prior.bias, of_biases))
-        return Problem(graph, of_positions, of_velocities, gtsam.symbol("b", len(spells) - 1))
+        return Problem(graph, of_positions, of_velocities, gtsam.symbol("b", len(spells) - 1), placed)
 
     def shifts(self) -> dict[str, tuple[int, PositionSensor]]:
         """Return the key of the lever arm that tells each shift, by its name, and whose arm it is."""

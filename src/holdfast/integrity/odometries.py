@@ -1,6 +1,6 @@
 """Odometries on their way into both graphs: which jump, slip, lie or fall silent, and what they say against GNSS."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
 from math import degrees
 from types import MappingProxyType
@@ -104,10 +104,11 @@ class Odometries:
         """Whether any odometry that is trusted has held the estimate since a time: its track has not broken."""
         return any(not one.trust.is_lost and one.broken_ns < since_ns for one in self._odometries.values())
 
-    def distrust(self, names: Iterable[str]) -> None:
-        """Begin with odometries that are not trusted."""
-        for name in names:
-            self._odometries[name].trust.lose()
+    def distrust(self, names: Collection[str]) -> None:
+        """Trust those odometries no more that are among some sensors."""
+        for name, one in self._odometries.items():
+            if name in names:
+                one.trust.lose()
 
     def dated(self, pose: TrackPose) -> TrackPose:
         """Return a pose, its stamp corrected by what is known of the clock."""

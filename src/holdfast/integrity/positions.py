@@ -1,6 +1,6 @@
 """Positions of receivers on their way into the main graph: tested, weighed, and taken out again."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from math import inf, isfinite
@@ -28,7 +28,7 @@ from holdfast.integrity.review import UsedPositions
 from holdfast.integrity.yaw_learning import WITNESS_NS, Witness
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
-from holdfast.sensors.coloured import NAV_SIZE, Compared, coloured, coloured_factor
+from holdfast.sensors.coloured import Compared, coloured, coloured_factor
 from holdfast.sensors.noise import WHITE, correlation_inflation, shared_inflation
 from holdfast.sensors.sensor import Position, PositionSensor, is_gnss
 
@@ -117,13 +117,27 @@ class Positions:
         """Return the receivers that are not trusted."""
         return [name for name, gate in self.gates.items() if gate.trust is Trust.LOST]
 
-    def distrust(self, names: Iterable[str]) -> None:
-        """Begin with receivers that are not trusted; those that are none of GNSS, beside it, are elsewhere."""
-        of_gnss = {name for name, sensor in self._sensors.items() if is_gnss(sensor)}
-        for name in names:
-            self.gates[name].become(Trust.LOST, hold_s=self._config.regain_s)
-            if of_gnss and name not in of_gnss:
-                self._misplaced.add(name)
+    def distrust(self, names: Collection[str]) -> None:
+        """Trust those receivers no more that are among some sensors, until their positions are right for a while."""
+        for name, gate in self.gates.items():
+            if name in names:
+                gate.become(Trust.LOST, hold_s=self._config.regain_s)
+
+    def leave_out(self, names: Collection[str]) -> None:
+        """Begin without them; those that are none of GNSS, beside it, are elsewhere than they say."""
+        self.distrust(names)
+        if self._antennas:
+            self._misplaced.update(self.gates.keys() & set(names) - self._antennas)
+
+    def regained(self) -> list[str]:
+        """Return the lost receivers whose positions the estimate has expected for long enough to trust them again.
+
+        One that is elsewhere is expected by an estimate that has drifted as far: only beside another it is.
+        """
+        ready, elsewhere = [name for name, gate in self.gates.items() if gate.regains()], self.misplaced
+        elsewhere = frozenset() if self.lead else elsewhere
+        self.distrust(elsewhere.intersection(ready))
+        return [name for name in ready if name not in elsewhere]
 
     def newly_exchanged(self) -> list[Exchange]:
         """Return which antennas have been found to be each where the other is expected, since this was asked last."""
@@ -232,11 +246,7 @@ class Positions:
         """Learn from a position that was used what the accelerometer is worth; such as are not resolved jump."""
         if claimed.correlation_s >= SLOW_S or graph.published is not graph.main:
             return
-        innovation, slow = found.innovation, found.slow
-        beyond = innovation.y
-        if slow is not None:
-            beyond = beyond + innovation.H[:, NAV_SIZE:] @ slow.value[slow.first : slow.first + 3]
-        self._force[claimed.sensor].learn(graph.main, claimed, beyond, claimed.colour or WHITE)
+        self._force[claimed.sensor].learn(graph.main, claimed, found.residual, claimed.colour or WHITE)
         graph.main.imu_noise.force_scale = least_scale(self._force.values())
 
     def heading_witness(self, smoother: Smoother, stamp_ns: int) -> Witness | None:
@@ -292,8 +302,9 @@ class Positions:
                 self.take_out(smoother, worst, Outcome.CONTRADICTED)
 
     def suspects(self) -> dict[str, int]:
-        """Return since when the estimate has refused all positions of receivers, more than one."""
-        return {name: run.since_ns for name, run in self._consensus.items() if run.is_suspicious() or run.is_against()}
+        """Return since when the estimate has refused all positions of receivers that are in place, more than one."""
+        runs = [(name, run) for name, run in self._consensus.items() if name not in self.misplaced]
+        return {name: run.since_ns for name, run in runs if run.is_suspicious() or run.is_against()}
 
     @property
     def are_unexpected(self) -> bool:

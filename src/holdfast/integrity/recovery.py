@@ -54,7 +54,7 @@ class Recovery:
         if positions.gates and not positions.is_trusted and not graph.is_lost:
             self._log.report(EventKind.GNSS_LOST, now_ns, "", "no receiver is trusted")
             graph.lose()
-        regained = [name for name, gate in positions.gates.items() if gate.regains()]
+        regained = positions.regained()
         if regained and self._regain(graph, regained, now_ns):
             return True
         return any(self._believe(graph, name, now_ns) for name in positions.gates)

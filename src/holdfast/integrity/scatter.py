@@ -129,6 +129,10 @@ class Scatters:
         self._log = log
         self._told = dict.fromkeys(self._receivers, 1.0)
 
+    def newly_swaying(self) -> bool:
+        """Whether the accelerometer was found to sway, or by much more, since this was asked last."""
+        return self._sways.newly_told()
+
     def weighed(self, position: Measurement, scales: Mapping[str, NoiseScale], stamps: EvenStamps) -> Measurement:
         """Return a measurement as it arrives, a position with the covariance that is believed; its scale is told."""
         if not isinstance(position, Position):

@@ -133,7 +133,12 @@ class Sways:
     def __init__(self, sensors: Mapping[str, Sensor], buffer: ImuBuffer, log: EventLog, imu: str) -> None:
         self._receivers = {name: Sway(buffer, one.p_I_P) for name, one in of_role(sensors, Role.POSITION).items()}
         self._buffer, self._log, self._imu = buffer, log, imu
-        self._told = LEAST
+        self._told, self._is_new = LEAST, False
+
+    def newly_told(self) -> bool:
+        """Whether something was told since this was asked last."""
+        is_new, self._is_new = self._is_new, False
+        return is_new
 
     def add(self, position: Position) -> None:
         """Take in a position as it arrives."""
@@ -145,6 +150,6 @@ class Sways:
         density = sqrt(squared) if squared > LEAST**2 else 0.0
         self._buffer.sway = density
         if density > self._told * NEWS:
-            self._told = density
+            self._told, self._is_new = density, True
             reason = f"its accelerometer swings as no receiver sees the machine do, by {density:.1f} m/s^2/sqrt(Hz)"
             self._log.report(EventKind.NOISE, position.stamp_ns, self._imu, reason)

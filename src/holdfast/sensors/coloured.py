@@ -55,6 +55,15 @@ class Compared(NamedTuple):
     innovation: Innovation
     slow: SlowError | None = None
 
+    @property
+    def residual(self) -> Array:
+        """(m,) By how much the measurement is beside the state, its slow error included."""
+        if self.slow is None:
+            return self.innovation.y
+        root, first = self.innovation.H[:, NAV_SIZE:], self.slow.first
+        residual: Array = self.innovation.y + root @ self.slow.value[first : first + len(self.innovation.y)]
+        return residual
+
 
 def coloured(keys: Sequence[int], state: State, innovation: Innovation, colour: Colour, slow: SlowError) -> Compared:
     """Return what is known of a measurement whose error has a colour; `R` of the innovation is what it claims."""

@@ -1,0 +1,74 @@
+"""Constants of sensors that are far from what is configured, as a start finds them."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+
+from holdfast.estimator.batch_clock import Offset
+from holdfast.estimator.collected import Collected
+from holdfast.estimator.fitting_batch import FittingBatches
+from holdfast.sensors.clock import GNSS_CLOCK
+from holdfast.sensors.lever_arm import GNSS_ARM
+from holdfast.sensors.sensor import Parameter
+
+
+class FoundConstants:
+    """Where antennas are, and the clock of GNSS; what is known is believed of all that a start is made of.
+
+    Args:
+        batches: what a start is made of.
+        collected: and from what.
+        clock: of GNSS, before anything is measured; None without GNSS.
+        before: what was found before.
+
+    Attributes:
+        priors: what was found until now, by name, as a graph takes it.
+    """
+
+    def __init__(
+        self,
+        batches: FittingBatches,
+        collected: Collected,
+        clock: Parameter | None,
+        before: Mapping[str, Parameter] = MappingProxyType({}),
+    ) -> None:
+        self._batches, self._collected, self._clock, self._before = batches, collected, clock, before
+        self.priors: dict[str, Parameter] = {}
+        self.forget()
+        self._is_forgotten = False
+
+    def newly_forgotten(self) -> bool:
+        """Whether it was forgotten since this was asked last."""
+        is_new, self._is_forgotten = self._is_forgotten, False
+        return is_new
+
+    def forget(self) -> None:
+        """Know what was found before, and nothing else."""
+        self._is_forgotten = True
+        self.priors.clear()
+        self._batches.put_back_antennas()
+        self._know_clock(None)
+        if (shift := self._before.get(GNSS_ARM)) is not None:
+            self.move_antennas(shift)
+        if (clock := self._before.get(GNSS_CLOCK)) is not None:
+            self._know_clock(clock)
+
+    def move_antennas(self, shift: Parameter) -> None:
+        """Know that antennas are elsewhere than they were believed to be."""
+        self._batches.move_antennas(shift)
+        before = self.priors[GNSS_ARM].mean if GNSS_ARM in self.priors else 0.0
+        self.priors[GNSS_ARM] = shift._replace(mean=before + shift.mean)
+
+    def know_clock_off(self, offset: Offset) -> None:
+        """Know that the clock of GNSS is off by so much from what was known."""
+        assert self._clock is not None
+        by_s = self._collected.clock_ns * 1e-9 + offset.by_s
+        sigmas = np.hypot(self._clock.sigmas, offset.sigma_s)
+        self._know_clock(self._clock._replace(mean=np.array([by_s]), sigmas=sigmas, if_right=None))
+
+    def _know_clock(self, clock: Parameter | None) -> None:
+        """Know by how much stamps of GNSS are early [s]; None: by nothing."""
+        if clock is not None:
+            self.priors[GNSS_CLOCK] = clock
+        self._collected.know_clock(0 if clock is None else round(float(clock.mean[0]) * 1e9))
