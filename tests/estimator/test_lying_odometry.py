@@ -21,7 +21,7 @@ from motion import (
     seconds,
 )
 
-from holdfast.events import EventKind
+from holdfast.events import EventKind, Outcome
 
 ROAD = Drive(start_s=4.0, ramp_s=4.0, radius_m=20.0, speed=0.3, tilt=0.0, heave_m=0.0)  # 6 m/s
 SWINGING = StopAndGo(start_s=4.0, radius_m=20.0, speed=0.3)  # 2 to 10 m/s
@@ -46,10 +46,19 @@ def of_lidar(estimator, kind):
     return [seconds(event.stamp_ns) for event in estimator.events if (event.kind, event.sensor) == (kind, "lidar")]
 
 
-def frozen(poses):
+def stuck(poses, noise_m=0.0):
+    rng = np.random.default_rng(7)
     at = next(one for one in poses if one.stamp_ns > ns(LIES_S))
-    held = {"position": at.position, "quaternion": at.quaternion}
-    return [replace(one, **held) if ns(LIES_S) < one.stamp_ns < ns(RIGHT_S) else one for one in poses]
+
+    def held(one):
+        return replace(one, position=at.position + rng.normal(0.0, noise_m, 3), quaternion=at.quaternion)
+
+    return [held(one) if ns(LIES_S) < one.stamp_ns < ns(RIGHT_S) else one for one in poses]
+
+
+def frozen(poses):
+    """As in a tunnel: it says that the machine stands."""
+    return stuck(poses, 1e-3)
 
 
 def run_away(poses):
@@ -75,6 +84,23 @@ def test_one_that_lies_is_lost_and_regained_when_it_moves_as_the_estimate(lie):
     assert RIGHT_S + 5.0 < regained_s < RIGHT_S + 9.0
     assert max(errors_m(outputs, LIES_S)) < 0.5
     assert EventKind.BEGUN_ANEW not in {event.kind for event in estimator.events}
+
+
+@pytest.mark.parametrize("scale", [1.0, 10.0])
+def test_one_that_says_the_same_in_every_digit_says_nothing(scale):
+    """However noisy it is: one whose noise was learnt to be much larger was believed for 8 s, and fixes were not."""
+    sent = streams()
+    sent["lidar"] = stuck(sent["lidar"])
+    config = machine(lidar={"translation_sigma_m": 0.02 * scale, "rotation_sigma_rad": 0.002 * scale})
+    estimator, outputs = run(config, in_order(*sent.values()))
+    lost = [event for event in estimator.events if (event.kind, event.sensor) == (EventKind.SENSOR_LOST, "lidar")]
+    assert [event.reason for event in lost] == ["it says the same pose again and again, though the machine has moved"]
+    (regained_s,) = of_lidar(estimator, EventKind.SENSOR_REGAINED)
+    assert LIES_S < seconds(lost[0].stamp_ns) < LIES_S + 3.0 and RIGHT_S <= regained_s < RIGHT_S + 0.5
+    assert max(errors_m(outputs, LIES_S)) < 0.5
+    assert estimator.counts["lidar", Outcome.FROZEN] > 60
+    kinds = {event.kind for event in estimator.events}
+    assert kinds.isdisjoint({EventKind.BEGUN_ANEW, EventKind.RECEIVER_LOST, EventKind.ODOMETRY_SLIP})
 
 
 def test_one_that_lies_while_fixes_are_rare_is_not_believed_in_a_gap_of_the_imu():

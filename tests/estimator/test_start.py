@@ -118,6 +118,19 @@ def test_two_antennas_give_the_heading_though_they_are_not_mounted_square(yaw_ra
     assert 0.2 * 0.01 / length < sigma < 3.0 * 0.01 / length
 
 
+@pytest.mark.parametrize("off_deg", [5.0, 180.0])
+def test_a_heading_beside_which_two_antennas_say_another_waits_for_the_motion(off_deg):
+    """A machine that stood began the wrong way round, and was 22 m off before it was believed."""
+    off_rad = np.radians(off_deg)
+    heading = Heading(ns(0.5), ns(0.5), "heading", STANDING.yaw_rad + off_rad, np.radians(1.0))
+    streams = [standing(), fixes(STANDING, 0.0, 3.0), fixes(STANDING, 0.0, 3.0, sensor="gnss_right", arm=ARM_RIGHT)]
+    config = without_heading(right=True, heading=True, heading_={"mounting_yaw_deg": 0.0})
+    estimator, _ = run(config, in_order(*streams, [heading]))
+    assert estimator.initialised == (off_deg == 5.0)
+    apart = "the headings of heading and of gnss to gnss_right are 180 deg apart: which is right, motion tells"
+    assert estimator.waiting_for == ("" if estimator.initialised else apart)
+
+
 def test_antennas_at_another_distance_than_in_the_extrinsics_are_refused_with_both_lengths():
     rng = np.random.default_rng(4)
     left = fixes(STANDING, 0.0, 3.0, rng=rng)

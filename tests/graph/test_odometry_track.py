@@ -1,5 +1,7 @@
 """The poses of one odometry in a smoother: anchored, relative or frozen; jumps, gaps and late poses."""
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
@@ -175,3 +177,33 @@ def test_a_direction_that_the_odometry_claims_not_to_know_is_left_to_the_imu(mod
         assert add(one, smoother, pose).jump is None
     off = DRIVE.nav(3.9).pose().between(smoother.newest.nav.pose()).translation()
     assert np.linalg.norm(off) < 0.3
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_pose_that_comes_again_while_the_machine_goes_on_says_nothing(mode):
+    smoother, one = smoother_of(DRIVE, 8.0), track(mode)
+    for t in np.arange(0.1, 2.0, 0.2):
+        add(one, smoother, seen(t))
+    outcomes = [add(one, smoother, replace(seen(1.9), stamp_ns=ns(t))).outcome for t in np.arange(2.1, 7.0, 0.2)]
+    assert set(outcomes) == {Outcome.FROZEN}  # also when the window has left the first of them
+    assert apart(smoother.newest.nav, DRIVE.nav(6.9))[0] < 0.1
+    goes_on = [add(one, smoother, seen(t)) for t in np.arange(7.1, 7.8, 0.2)]
+    assert goes_on[-1].outcome is Outcome.USED and all(each.jump is None for each in goes_on)
+
+
+def test_one_that_stands_says_so_however_wrong_the_estimate_is():
+    """Of wheels that stand every pose is the one before: an IMU that runs away does not accuse them."""
+    still = Drive(start_s=100.0)
+    smoother, one = drifting(), track()  # it moves, as the IMU says
+    outcomes = [add(one, smoother, TrackPose(ns(t), "lidar", still.pose(t))).outcome for t in np.arange(0.1, 4.0, 0.2)]
+    assert Outcome.FROZEN not in outcomes
+
+
+@pytest.mark.parametrize(("speed_m_s", "outcome"), [(1.5, Outcome.USED), (6.0, Outcome.FROZEN)])
+def test_while_the_imu_is_silent_a_machine_may_stop_but_not_at_once(speed_m_s, outcome):
+    road = Drive(start_s=-6.0, ramp_s=4.0, radius_m=20.0, speed=speed_m_s / 20.0)
+    smoother, one = smoother_of(road, 1.95), track()
+    poses = [TrackPose(ns(t), "lidar", road.pose(0.1).between(road.pose(t))) for t in np.arange(0.1, 2.0, 0.2)]
+    for each in poses:
+        add(one, smoother, each)
+    assert add(one, smoother, replace(poses[-1], stamp_ns=ns(2.1))).outcome is outcome

@@ -1,7 +1,7 @@
 """The heading before there is a state: from the first source that knows it, with its sigma."""
 
 from collections.abc import Mapping, Sequence
-from math import atan2, hypot, radians, sqrt
+from math import atan2, degrees, hypot, radians, remainder, sqrt, tau
 from typing import Any
 
 import gtsam
@@ -16,7 +16,8 @@ from holdfast.sensors.sensor import Position, PositionSensor
 MIN_BASELINE_M = 0.2  # horizontal; a shorter one tells no heading
 PAIRED_NS = 20_000_000  # fixes of a machine that stands
 MIN_SIGMA_RAD = 1e-3
-PAIRS_S = 1.0  # of fixes of two antennas that are averaged
+ALIKE_RAD, ALIKE_SIGMA = radians(10.0), 5.0  # a compass beside iron is off by as much
+PAIRS_S, OLDEST_S = 1.0, 2.0  # of fixes of two antennas that are averaged, and the oldest: the next may be on its way
 Antennas = tuple[PositionSensor, PositionSensor]
 
 
@@ -49,21 +50,44 @@ class FirstHeading:
             now_ns: when.
             level: the IMU's attitude with zero heading.
         """
+        told: dict[str, tuple[float, float] | None] = {}
         for heading in self._collected.newest_of(self._headings):
-            found: tuple[float, float] | None = self._headings[heading.sensor].of_imu(heading, level)
-            if found is not None:
-                return found
+            told[heading.sensor] = self._headings[heading.sensor].of_imu(heading, level)
         baseline = None
         if self._antennas is not None:
-            since_ns = now_ns - round(max(PAIRS_S, self._config.standstill_s) * 1e9)
+            since_ns = now_ns - round(max(OLDEST_S, self._config.standstill_s) * 1e9)
             baseline = baseline_heading(self._antennas, self._collected.positions, since_ns, level)
             if isinstance(baseline, tuple):
-                return baseline
+                told[" to ".join(one.name for one in self._antennas)] = baseline
         for pose in self._collected.newest_of(self._poses):
-            return pose_heading(pose.T_F_I.rotation(), level, float(np.sqrt(pose.covariance[:3, :3].max())))
+            sigma_rad = float(np.sqrt(pose.covariance[:3, :3].max()))
+            told[pose.sensor] = pose_heading(pose.T_F_I.rotation(), level, sigma_rad)
+        known = {name: one for name, one in told.items() if one is not None}
+        if known:
+            return believed(known)
         if self._config.heading_deg is not None:
             return radians(self._config.heading_deg), radians(self._config.heading_sigma_deg)
         return baseline
+
+
+def believed(told: Mapping[str, tuple[float, float]]) -> tuple[float, float] | str:
+    """Return the heading and its sigma [rad] that most of those who tell one say, by name; of as many, the first.
+
+    One that is mounted the other way round is right about nothing else than that: where it is one against one, the
+    motion has to tell, and this says so.
+    """
+    of = {name: [other for other in told if _are_alike(told[name], told[other])] for name in told}
+    most = max(of, key=lambda name: len(of[name]))
+    if len(of[most]) > 1 or len(told) == 1:
+        return told[most]
+    other = next(name for name in told if name != most)
+    apart_deg = abs(degrees(remainder(told[other][0] - told[most][0], tau)))
+    return f"the headings of {most} and of {other} are {apart_deg:.0f} deg apart: which is right, motion tells"
+
+
+def _are_alike(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    apart_rad = abs(remainder(one[0] - other[0], tau))
+    return apart_rad <= ALIKE_RAD + ALIKE_SIGMA * hypot(one[1], other[1])
 
 
 def baseline_heading(
@@ -92,6 +116,8 @@ def baseline_heading(
     ]
     if length < MIN_BASELINE_M or not pairs:
         return None
+    newest_ns = max(a.stamp_ns for a, _ in pairs)
+    pairs = [(a, b) for a, b in pairs if a.stamp_ns >= newest_ns - round(PAIRS_S * 1e9)]
     baseline = np.mean([b.p_W_P - a.p_W_P for a, b in pairs], axis=0)
     a, b = pairs[-1]
     sigma = sqrt(float(np.trace(a.covariance[:2, :2] + b.covariance[:2, :2])) / 2) / length

@@ -8,6 +8,7 @@ frozen: the track stays where it was when the chain was frozen, at the loss of G
 """
 
 from copy import copy
+from math import radians, sqrt
 from typing import Literal, NamedTuple
 
 import gtsam
@@ -21,6 +22,9 @@ from holdfast.sensors.odometry_calibration import OdometryCalibration
 from holdfast.sensors.sensor import State
 
 EPOCH_NS, EPOCH_M, EPOCH_RAD = 1_000_000_000, 0.4, 0.1  # within which the track does not drift
+STUCK_SIGMA, STUCK_M, STUCK_RAD = 5.0, 0.05, radians(1.0)  # of the motion beside which an odometry says nothing new
+AS_FAST = 2.0  # times as fast as it came there, at most
+STOPS_M_S, STOPS_M_S2 = 1.0, 10.0  # no machine stops faster than that, but for the noise of poses
 
 Mode = Literal["anchored", "relative", "frozen"]
 
@@ -50,6 +54,9 @@ class OdometryTrack:
         self._max_interval_ns = max_interval_ns
         self._mode = mode
         self._newest: TrackPose | None = None
+        self._since: TrackPose | None = None  # the first of those that are the newest in every digit
+        self._speeds = 0.0, 0.0  # at which the odometry came there [m/s, rad/s]
+        self._is_stuck = False
         self._epochs: list[_Epoch] = []
         self._T_W_I0: gtsam.Pose3 | None = None  # where the frame is frozen
         self._slack = np.zeros((6, 6))  # what the odometry has claimed since then not to know
@@ -78,6 +85,8 @@ class OdometryTrack:
         """Join the node of a pose, which exists under `key`, to what was before."""
         before = self._newest
         motion, jump = None, None
+        if self._repeats(smoother, pose):
+            return Joined(Outcome.FROZEN)
         if before is None or before.claimed_ns < pose.claimed_ns:
             self._newest = pose
         if before is not None and before.claimed_ns < pose.claimed_ns and pose.begins_anew:
@@ -97,10 +106,44 @@ class OdometryTrack:
             return Joined(self._add_frozen(smoother, key, pose), jump)
         return Joined(self._add_anchored(smoother, key, pose), jump)
 
+    def _repeats(self, smoother: Smoother, pose: TrackPose) -> bool:
+        """Whether an odometry is stuck: a pose is the one before in every digit, though the machine cannot stand."""
+        since = self._since
+        if since is None or not pose.repeats(since):
+            if since is not None and since.claimed_ns < pose.claimed_ns:
+                duration_s = (pose.claimed_ns - since.claimed_ns) * 1e-9
+                moved_m, turned_rad = _size(since.T_I0_I.between(pose.T_I0_I))
+                self._speeds = moved_m / duration_s, turned_rad / duration_s
+            self._since, self._is_stuck = pose, False
+        elif not self._is_stuck and self._is_comparable(smoother, since, pose):
+            self._is_stuck = self._has_moved(smoother, since, pose)
+        elif not self._is_stuck:
+            self._is_stuck = self._speeds[0] > STOPS_M_S + STOPS_M_S2 * (pose.claimed_ns - since.claimed_ns) * 1e-9
+        return self._is_stuck
+
+    def _has_moved(self, smoother: Smoother, since: TrackPose, pose: TrackPose) -> bool:
+        """Whether the machine has moved since a pose, about as fast as the odometry came there.
+
+        One that stands says the same pose, too, however wrong the estimate is.
+        """
+        duration_s = (pose.stamp_ns - since.stamp_ns) * 1e-9
+        motion = smoother.nav(since.stamp_ns).pose().between(smoother.nav(pose.stamp_ns).pose())
+        moved_m, turned_rad = _size(motion)
+        known_m = sqrt(_of_prediction(smoother.state_at(pose.stamp_ns), duration_s).trace())
+        turned = gtsam.Rot3.Logmap(motion.rotation())
+        known_rad = sqrt(smoother.turning_covariance(turned, duration_s).trace())
+        most_m, most_rad = (AS_FAST * speed * duration_s for speed in self._speeds)
+        has_moved = STUCK_M + STUCK_SIGMA * known_m < moved_m < most_m
+        return has_moved or STUCK_RAD + STUCK_SIGMA * known_rad < turned_rad < most_rad
+
+    def _is_comparable(self, smoother: Smoother, before: TrackPose, pose: TrackPose) -> bool:
+        """Whether the IMU has measured all along between two poses, and the graph still knows the first."""
+        is_known = before.early_ns == pose.early_ns and smoother.oldest_ns <= before.stamp_ns < pose.stamp_ns
+        return is_known and smoother.imu.is_trusted(before.stamp_ns, pose.stamp_ns)
+
     def _jump(self, smoother: Smoother, before: TrackPose, pose: TrackPose, motion: gtsam.Pose3) -> Array | None:
         """Return by how much the IMU contradicts the odometry; None if it does not, or has not measured all along."""
-        is_comparable = before.early_ns == pose.early_ns and before.stamp_ns >= smoother.oldest_ns
-        if not is_comparable or not smoother.imu.is_trusted(before.stamp_ns, pose.stamp_ns):
+        if not self._is_comparable(smoother, before, pose):
             return None
         calibration = self._noise.calibration
         motion = calibration.motion(motion, believed_calibration(smoother, pose.sensor, calibration))
@@ -191,6 +234,11 @@ def _of_prediction(state: State, duration_s: float) -> Array:
     covariance = np.zeros((6, 6))
     covariance[3:, 3:] = by_state @ state.covariance @ by_state.T
     return covariance
+
+
+def _size(motion: gtsam.Pose3) -> tuple[float, float]:
+    """Return how long a motion is [m], and how far it turns [rad]."""
+    return float(np.linalg.norm(motion.translation())), float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation())))
 
 
 def _frame_seen_by(smoother: Smoother, pose: TrackPose) -> gtsam.Pose3:

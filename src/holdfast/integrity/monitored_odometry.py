@@ -37,7 +37,7 @@ class MonitoredOdometry:
         self.monitor = DriftMonitor(self.noise)
         self.learning = OdometryLearning(self.noise, carried)
         self.trust = OdometryTrust(model.calibration)
-        self.is_silent = False
+        self.is_silent = self.is_stuck = False
         self.broken_ns = NEVER_NS
         self.early_ns = 0
         self.contradicts_ns = NEVER_NS

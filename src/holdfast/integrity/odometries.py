@@ -26,6 +26,7 @@ from holdfast.sensors.scale import CHANGE as SCALE_CHANGE
 from holdfast.sensors.sensor import Parameter
 
 NOT_MEASURED = "the IMU did not measure its motions, one after another"
+STUCK = "it says the same pose again and again, though the machine has moved"
 TURNED = "its motions beside the fixes turn its mount further than the configuration is known to be wrong"
 ERRS_NS = 5_000_000_000  # for so long a gyroscope is doubted
 
@@ -127,6 +128,7 @@ class Odometries:
         if is_doubtful:
             odometry.forget_frame()
         outcome, jump = graph.add_pose(replace(pose, begins_anew=True) if is_doubtful else pose)
+        odometry.is_stuck = outcome is Outcome.FROZEN
         if outcome is Outcome.USED:
             odometry.hear(now_ns)
             if odometry.is_silent:
@@ -269,7 +271,7 @@ class Odometries:
         for name, one in self._odometries.items():
             if not one.is_silent and one.falls_silent(now_ns):
                 one.is_silent = True
-                self._log.report(EventKind.SENSOR_LOST, now_ns, name, "silent")
+                self._log.report(EventKind.SENSOR_LOST, now_ns, name, STUCK if one.is_stuck else "silent")
 
     def find_walk(self, graph: DualGraph, now_ns: int) -> Walk | None:
         """Compare where each odometry sees the machine with where GNSS has led the estimate.

@@ -53,6 +53,10 @@ class TrackPose:
         """When it was measured, by its own clock."""
         return self.stamp_ns - self.early_ns
 
+    def repeats(self, other: "TrackPose") -> bool:
+        """Whether it is another one in every digit."""
+        return np.array_equal(self.T_I0_I.matrix(), other.T_I0_I.matrix())
+
     def dated(self, early_ns: int) -> "TrackPose":
         """Return the same pose, its stamp known to be early by so much."""
         return replace(self, stamp_ns=self.claimed_ns + early_ns, early_ns=early_ns)
