@@ -23,6 +23,7 @@ from motion import (
     seconds,
 )
 
+from holdfast.estimator.first_heading import believed
 from holdfast.events import EventKind, Outcome
 from holdfast.messages import Heading
 
@@ -116,6 +117,19 @@ def test_two_antennas_give_the_heading_though_they_are_not_mounted_square(yaw_ra
     assert abs(off) < 4.0 * 0.01 * np.sqrt(2.0) / length / np.sqrt(10.0)
     sigma = np.sqrt((state.nav.attitude().matrix() @ state.covariance[:3, :3] @ state.nav.attitude().matrix().T)[2, 2])
     assert 0.2 * 0.01 / length < sigma < 3.0 * 0.01 / length
+
+
+@pytest.mark.parametrize(
+    ("told", "found"),
+    [
+        ({"compass": (1.0, 0.1)}, (1.0, 0.1)),
+        ({"compass": (1.0, 0.1), "antennas": (1.1, 0.01)}, (1.1, 0.01)),  # the surer
+        ({"compass": (3.1, 0.01), "antennas": (-3.1, 0.02)}, (3.1, 0.01)),  # across the south
+        ({"compass": (-2.0, 0.001), "antennas": (1.1, 0.02), "markers": (1.1, 0.01)}, (1.1, 0.01)),
+    ],
+)
+def test_of_those_who_tell_a_first_heading_most_are_believed(told, found):
+    assert believed(told) == found
 
 
 @pytest.mark.parametrize("off_deg", [5.0, 180.0])

@@ -71,18 +71,17 @@ class FirstHeading:
 
 
 def believed(told: Mapping[str, tuple[float, float]]) -> tuple[float, float] | str:
-    """Return the heading and its sigma [rad] that most of those who tell one say, by name; of as many, the first.
+    """Return the surest heading with its sigma [rad] of those that most agree with, by who tells it.
 
-    One that is mounted the other way round is right about nothing else than that: where it is one against one, the
-    motion has to tell, and this says so.
+    One against one the motion has to tell, and this says so: a device may be mounted the other way round.
     """
-    of = {name: [other for other in told if _are_alike(told[name], told[other])] for name in told}
-    most = max(of, key=lambda name: len(of[name]))
-    if len(of[most]) > 1 or len(told) == 1:
-        return told[most]
-    other = next(name for name in told if name != most)
-    apart_deg = abs(degrees(remainder(told[other][0] - told[most][0], tau)))
-    return f"the headings of {most} and of {other} are {apart_deg:.0f} deg apart: which is right, motion tells"
+    alike = [[other for other in told if _are_alike(told[name], told[other])] for name in told]
+    most = max(alike, key=len)
+    if len(most) > 1 or len(told) == 1:
+        return min((told[name] for name in most), key=lambda one: one[1])
+    one, other, *_ = told
+    apart_deg = abs(degrees(remainder(told[other][0] - told[one][0], tau)))
+    return f"the headings of {one} and of {other} are {apart_deg:.0f} deg apart: which is right, motion tells"
 
 
 def _are_alike(one: tuple[float, float], other: tuple[float, float]) -> bool:

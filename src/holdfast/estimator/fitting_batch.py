@@ -5,7 +5,7 @@ a receiver that is none of GNSS, whose station somebody has typed in, and an odo
 lies. GNSS and IMU are what is left.
 """
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import combinations
 from math import inf, log
 from typing import Any, NamedTuple
@@ -24,7 +24,7 @@ from holdfast.sensors.gnss import GnssModel, is_measured
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lever_arm import GNSS_ARM, IF_RIGHT_M, doubtful_arm
 from holdfast.sensors.preintegration import ImuNoise
-from holdfast.sensors.sensor import Parameter, VelocitySensor, is_gnss
+from holdfast.sensors.sensor import Parameter, Position, VelocitySensor, is_gnss
 
 DOUBTFUL = 2.0  # squared residuals over what is claimed, where an odometry is among them
 FREED_M = 10.0  # sigma of an arm in doubt: nothing shall hold it
@@ -172,7 +172,7 @@ class FittingBatches:
             positions = [one for one in fewer.positions if one is not other.worst]
             if len({one.stamp_ns for one in positions}) < MIN_POSITIONS:
                 return None
-            fewer = self._with_motions(fewer._replace(positions=positions))
+            fewer = self._of_positions(positions, fewer)
             other = solved(fewer)
             if _fits(other) and _evidence(alignment, other, fewer) >= JUMPED:
                 return FittingBatch(other, fewer)
@@ -283,7 +283,10 @@ class FittingBatches:
 
     def _without(self, evidence: Evidence, names: Collection[str]) -> Evidence:
         """Return the evidence without some odometries and receivers."""
-        positions = [one for one in evidence.positions if one.sensor not in names]
+        return self._of_positions([one for one in evidence.positions if one.sensor not in names], evidence, names)
+
+    def _of_positions(self, positions: Sequence[Position], evidence: Evidence, names: Collection[str] = ()) -> Evidence:
+        """Return the evidence with these of its positions alone, without some odometries."""
         velocities = [one for one in evidence.velocities if one.stamp_ns >= positions[0].stamp_ns]
         fewer = Evidence(positions, velocities)
         return fewer._replace(motions=self._odometries.factors(fewer.stamps, names) if evidence.motions else ())
