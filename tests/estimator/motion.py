@@ -5,7 +5,7 @@ It stands, sets off smoothly and then drives a circle of 1.5 m radius at 1.5 m/s
 and pitching. Everything is a function of a phase that is zero at standstill and grows by 1 per second at full speed.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -275,20 +275,6 @@ def heights(
     return messages
 
 
-def late(messages, delays_s):
-    """The same messages, each arriving later."""
-    return [replace(m, arrival_ns=m.arrival_ns + round(d * 1e9)) for m, d in zip(messages, delays_s, strict=True)]
-
-
-def swung(samples, since_s=0.0, until_s=np.inf, amplitude_m_s2=3.0, hz=0.55):
-    """Samples of an engine that turns nearly as often as the IMU measures: a swing that the machine does not make."""
-    for one in samples:
-        t = seconds(one.stamp_ns)
-        phase = 2.0 * np.pi * hz * t
-        swing = amplitude_m_s2 * np.array([np.sin(phase), np.cos(phase), 0.3 * np.sin(phase)])
-        yield replace(one, specific_force=one.specific_force + swing) if since_s <= t < until_s else one
-
-
 def in_order(*streams):
     """All messages in the order of arrival; at the same instant the IMU comes first."""
     return sorted((m for stream in streams for m in stream), key=lambda m: (m.arrival_ns, m.sensor != "imu", m.sensor))
@@ -370,14 +356,6 @@ def optimised(config, messages, after_update=lambda *_: None):
 
 def estimates(outputs):
     return [output.estimate for output in outputs if output.estimate is not None]
-
-
-def jumped_gyroscope(samples, at_s, by_deg_s):
-    """Samples of a gyroscope whose bias about the vertical axis jumps."""
-    by = np.radians([0.0, 0.0, by_deg_s])
-    return [
-        replace(one, angular_velocity=one.angular_velocity + by) if one.stamp_ns > ns(at_s) else one for one in samples
-    ]
 
 
 def horizontal_errors_m(motion, outputs, since_s):

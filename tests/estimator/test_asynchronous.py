@@ -4,22 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from motion import (
-    Drive,
-    apart,
-    deviation,
-    estimates,
-    fix_at,
-    fixes,
-    imu,
-    in_order,
-    late,
-    machine,
-    ns,
-    run,
-    scans,
-    seconds,
-)
+from faults import late
+from motion import Drive, apart, deviation, estimates, fix_at, fixes, imu, in_order, machine, ns, run, scans, seconds
 
 from holdfast.estimator.estimator import Estimator
 from holdfast.events import EventKind, Outcome

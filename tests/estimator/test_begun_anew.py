@@ -7,6 +7,7 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
+from faults import jumped_gyroscope
 from motion import (
     HEADING_DEG,
     Drive,
@@ -16,7 +17,6 @@ from motion import (
     horizontal_errors_m,
     imu,
     in_order,
-    jumped_gyroscope,
     machine,
     ns,
     prisms,

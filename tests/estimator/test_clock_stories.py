@@ -5,7 +5,8 @@ from time import thread_time
 
 import numpy as np
 import pytest
-from motion import Drive, fixes, imu, in_order, late, machine, ns, scans, seconds
+from faults import late
+from motion import Drive, fixes, imu, in_order, machine, ns, scans, seconds
 
 from holdfast.estimator.estimator import Estimator
 from holdfast.events import EventKind, Health

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from motion import Drive, deviation, estimates, fixes, imu, in_order, late, machine, ns, run, scans
+from faults import late
+from motion import Drive, deviation, estimates, fixes, imu, in_order, machine, ns, run, scans
 
 from holdfast.config.model import GraphConfig
 from holdfast.estimator.window_length import MOST_NS, RECENT, SEVERAL, WindowLength

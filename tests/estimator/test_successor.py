@@ -6,7 +6,8 @@ from time import thread_time
 import gtsam
 import numpy as np
 import pytest
-from motion import ARM, Drive, G, imu, jumped_gyroscope, machine, ns
+from faults import jumped_gyroscope
+from motion import ARM, Drive, G, imu, machine, ns
 from rig import NO_BIAS, buffered, position
 
 from holdfast.estimator.initialisation import Initialising

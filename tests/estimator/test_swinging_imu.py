@@ -1,21 +1,8 @@
 """An engine that turns nearly as often as the IMU measures: its samples swing slowly, and the machine does not."""
 
 import numpy as np
-from motion import (
-    ARM,
-    ARM_RIGHT,
-    Drive,
-    deviation,
-    estimates,
-    fixes,
-    imu,
-    in_order,
-    machine,
-    ns,
-    run,
-    seconds,
-    swung,
-)
+from faults import swung
+from motion import ARM, ARM_RIGHT, Drive, deviation, estimates, fixes, imu, in_order, machine, ns, run, seconds
 
 from holdfast.events import EventKind
 

@@ -7,7 +7,8 @@ from math import atan2
 import gtsam
 import numpy as np
 import pytest
-from motion import ARM, ARM_RIGHT, Drive, imu, jumped_gyroscope, machine, ns, seconds
+from faults import jumped_gyroscope
+from motion import ARM, ARM_RIGHT, Drive, imu, machine, ns, seconds
 from rig import Rig, position
 
 from holdfast.events import EventKind

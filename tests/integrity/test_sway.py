@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from motion import ARM, ARM_RIGHT, Drive, StopAndGo, imu, machine, ns, swung
+from faults import swung
+from motion import ARM, ARM_RIGHT, Drive, StopAndGo, imu, machine, ns
 
 from holdfast.event_log import EventLog
 from holdfast.integrity.point_motion import Motions

@@ -78,8 +78,8 @@ class FittingBatches:
         odometries: OdometryTracks,
     ) -> None:
         self._points, self._odometries, self._measured = points, odometries, dict(points)
-        self._freed = {name: _freed(one) if is_measured(one) else one for name, one in points.items()}
-        self.may_be_moved = any(is_measured(one) for one in points.values())
+        self._freed: dict[str, Any] = {}
+        self.put_back_antennas()
         receivers = {name for name, one in points.items() if is_gnss(one)}
         is_known = any(points[name].offset_sigma_s == 0.0 for name in receivers)
         self._by_gnss_clock = frozenset() if is_known or not receivers else receivers | velocities.keys()

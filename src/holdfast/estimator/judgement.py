@@ -79,9 +79,9 @@ class Judgement:
     def tell_clock(self, now_ns: int) -> None:
         """Let what would begin anew know the clock of GNSS that the graph has found, while positions are expected."""
         prior, start = self._clock, self._successor.start
-        if prior is None or self._successor.is_in_doubt or self._positions.suspects():
+        if prior is None or now_ns - self._told_clock_ns < CLOCK_NS:
             return
-        if now_ns - self._told_clock_ns < CLOCK_NS:
+        if self._successor.is_in_doubt or self._positions.suspects():
             return
         self._told_clock_ns = now_ns
         clock = self._graph.main.parameters.constant(GNSS_CLOCK, prior)

@@ -131,9 +131,8 @@ class Successor:
             self._suspected = None if jump is None else (jump, state.stamp_ns)
             return None
         before, newest_ns = suspected
-        if state.stamp_ns <= newest_ns or not jump.is_believed or jump.evidence - before.evidence < GROWN:
-            return None
-        if self.start.misfit > FITS:
+        has_grown = state.stamp_ns > newest_ns and jump.evidence - before.evidence >= GROWN
+        if not has_grown or not jump.is_believed or self.start.misfit > FITS:
             return None
         self._is_in_doubt = False
         return self._begun(state)

@@ -15,6 +15,7 @@ import gtsam
 import numpy as np
 
 from holdfast.events import Outcome
+from holdfast.geometry.motions import size_of
 from holdfast.graph.smoother import FREE, Smoother
 from holdfast.messages import Array
 from holdfast.sensors.odometry import STILL_M_S, OdometryNoise, TrackPose, is_possible, with_excess
@@ -112,7 +113,7 @@ class OdometryTrack:
         if since is None or not pose.repeats(since):
             if since is not None and since.claimed_ns < pose.claimed_ns:
                 duration_s = (pose.claimed_ns - since.claimed_ns) * 1e-9
-                moved_m, turned_rad = _size(since.T_I0_I.between(pose.T_I0_I))
+                moved_m, turned_rad = size_of(since.T_I0_I.between(pose.T_I0_I))
                 self._speeds = moved_m / duration_s, turned_rad / duration_s
             self._since, self._is_stuck = pose, False
         elif not self._is_stuck and self._is_comparable(smoother, since, pose):
@@ -128,7 +129,7 @@ class OdometryTrack:
         """
         duration_s = (pose.stamp_ns - since.stamp_ns) * 1e-9
         motion = smoother.nav(since.stamp_ns).pose().between(smoother.nav(pose.stamp_ns).pose())
-        moved_m, turned_rad = _size(motion)
+        moved_m, turned_rad = size_of(motion)
         known_m = sqrt(_of_prediction(smoother.state_at(pose.stamp_ns), duration_s).trace())
         turned = gtsam.Rot3.Logmap(motion.rotation())
         known_rad = sqrt(smoother.turning_covariance(turned, duration_s).trace())
@@ -236,11 +237,6 @@ def _of_prediction(state: State, duration_s: float) -> Array:
     return covariance
 
 
-def _size(motion: gtsam.Pose3) -> tuple[float, float]:
-    """Return how long a motion is [m], and how far it turns [rad]."""
-    return float(np.linalg.norm(motion.translation())), float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation())))
-
-
 def _frame_seen_by(smoother: Smoother, pose: TrackPose) -> gtsam.Pose3:
     """Return the pose of the odometry's frame in W as one of its poses sees it."""
     return smoother.nav(pose.stamp_ns).pose() * pose.T_I0_I.inverse()
@@ -253,9 +249,5 @@ def _is_over(epoch: _Epoch, pose: TrackPose) -> bool:
     """
     if pose.excess is not None:
         return True
-    motion = epoch.first.T_I0_I.between(pose.T_I0_I)
-    return (
-        pose.claimed_ns - epoch.first.claimed_ns >= EPOCH_NS
-        or float(np.linalg.norm(motion.translation())) > EPOCH_M
-        or float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation()))) > EPOCH_RAD
-    )
+    moved_m, turned_rad = size_of(epoch.first.T_I0_I.between(pose.T_I0_I))
+    return pose.claimed_ns - epoch.first.claimed_ns >= EPOCH_NS or moved_m > EPOCH_M or turned_rad > EPOCH_RAD

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 
+from holdfast.geometry.motions import size_of
 from holdfast.integrity.mount_finding import found_mount
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
@@ -167,12 +168,8 @@ class OdometryTrust:
         """Whether the run of poses that agree is long enough, and the machine has moved meanwhile."""
         if not self._seen or self._seen[-1].pose.stamp_ns - self._seen[0].pose.stamp_ns < AGREES_NS:
             return False
-        moved = [self._seen[0].T_W_I.between(one.T_W_I) for one in self._seen]
-        return any(
-            np.linalg.norm(one.translation()) >= MOVED_M
-            or np.linalg.norm(gtsam.Rot3.Logmap(one.rotation())) >= MOVED_RAD
-            for one in moved
-        )
+        moved = (size_of(self._seen[0].T_W_I.between(one.T_W_I)) for one in self._seen)
+        return any(moved_m >= MOVED_M or turned_rad >= MOVED_RAD for moved_m, turned_rad in moved)
 
     def _agrees(self, now: Watched, calibration: Array) -> bool:
         """Whether the odometry has moved as the estimate since the first pose of a run, and since the one before."""
@@ -188,8 +185,8 @@ class OdometryTrust:
         moved_m = max(float(np.linalg.norm(motion.translation())), by_estimate_m)
         attitude_rad = np.sqrt(now.covariance.diagonal()[:3].mean())
         reach_m = max(AGREES_M, AGREES * moved_m) + SIGMA * _sigma_m(then, now, moved_m)
-        turned_rad = np.linalg.norm(gtsam.Rot3.Logmap(apart.rotation()))
-        return bool(np.linalg.norm(apart.translation()) <= reach_m and turned_rad <= AGREES_RAD + SIGMA * attitude_rad)
+        apart_m, turned_rad = size_of(apart)
+        return bool(apart_m <= reach_m and turned_rad <= AGREES_RAD + SIGMA * attitude_rad)
 
 
 def _sigma_m(then: Watched, now: Watched, moved_m: float) -> float:

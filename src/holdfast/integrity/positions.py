@@ -134,8 +134,8 @@ class Positions:
 
         One that is elsewhere is expected by an estimate that has drifted as far: only beside another it is.
         """
-        ready, elsewhere = [name for name, gate in self.gates.items() if gate.regains()], self.misplaced
-        elsewhere = frozenset() if self.lead else elsewhere
+        ready = [name for name, gate in self.gates.items() if gate.regains()]
+        elsewhere = frozenset[str]() if self.lead else self.misplaced
         self.distrust(elsewhere.intersection(ready))
         return [name for name in ready if name not in elsewhere]
 
@@ -303,7 +303,8 @@ class Positions:
 
     def suspects(self) -> dict[str, int]:
         """Return since when the estimate has refused all positions of receivers that are in place, more than one."""
-        runs = [(name, run) for name, run in self._consensus.items() if name not in self.misplaced]
+        elsewhere = self.misplaced
+        runs = [(name, run) for name, run in self._consensus.items() if name not in elsewhere]
         return {name: run.since_ns for name, run in runs if run.is_suspicious() or run.is_against()}
 
     @property

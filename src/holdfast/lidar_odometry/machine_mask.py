@@ -15,6 +15,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from holdfast.geometry.motions import size_of
 from holdfast.lidar_odometry.range_image import BINS, ROWS, Rays, lengths, pixels, with_neighbours
 from holdfast.messages import Array
 
@@ -105,8 +106,8 @@ class MachineMask:
 
 
 def _has_moved(motion: gtsam.Pose3) -> bool:
-    turned = float(np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation())))
-    return turned > STEP_RAD or float(np.linalg.norm(motion.translation())) > STEP_M
+    moved_m, turned_rad = size_of(motion)
+    return turned_rad > STEP_RAD or moved_m > STEP_M
 
 
 def _is_near(points: Array) -> NDArray[np.bool_]:

@@ -12,6 +12,7 @@ import numpy as np
 from holdfast.config.sensors import DriftingConfig, OdometryConfig, ScansConfig
 from holdfast.errors import EstimatorError
 from holdfast.events import Outcome
+from holdfast.geometry.motions import size_of
 from holdfast.geometry.world import World
 from holdfast.messages import Array, Message, SensorPose
 from holdfast.sensors.noise import FREE_VARIANCE, noise_model
@@ -111,9 +112,8 @@ def _is_unmeasured(covariance: Array | None) -> bool:
 
 def is_possible(motion: gtsam.Pose3, duration_s: float) -> bool:
     """Whether a machine can have moved like this between two poses."""
-    turned_rad = np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation()))
-    has_way = np.linalg.norm(motion.translation()) <= MAX_SPEED_M_S * duration_s
-    return bool(has_way and turned_rad <= MAX_RATE_RAD_S * duration_s)
+    moved_m, turned_rad = size_of(motion)
+    return moved_m <= MAX_SPEED_M_S * duration_s and turned_rad <= MAX_RATE_RAD_S * duration_s
 
 
 class LearntNoise(NamedTuple):
