@@ -29,7 +29,6 @@ from holdfast.sensors.gnss import point_of
 AXIS = np.array([0.6, -0.5, 0.62])  # of what happens to the IMU: no axis of any car
 KNOCKED = exponentials(np.radians(60.0) * AXIS[None] / np.linalg.norm(AXIS))[0].T
 LATE_S = 1.0
-EARLY_NS = 250_000_000
 WITHIN_BURST_NS = 200_000
 WANDER_S = 10.0  # after which the error of a fix in a narrow street is another one
 
@@ -186,10 +185,12 @@ def moved(fix: GnssFix, by: np.ndarray) -> GnssFix:
     return replace(fix, covariance=np.eye(3), **{name: getattr(there, name) for name in names})
 
 
-def early(messages: list[Message]) -> list[Message]:
-    """All of the receiver is stamped before it was measured, and arrives when it did."""
-    of_receiver = GnssFix | GnssVelocity
-    return changed(of_receiver, messages, lambda one: replace(one, stamp_ns=one.stamp_ns - EARLY_NS))
+def by_another_clock(ahead_s: float) -> Fault:
+    """All of the receiver is stamped by a clock that is off by so much, and arrives when it did."""
+    by_ns = round(ahead_s * 1e9)
+    return lambda messages: changed(
+        GnssFix | GnssVelocity, messages, lambda one: replace(one, stamp_ns=one.stamp_ns + by_ns)
+    )
 
 
 def arrive_late(by_s: float) -> Fault:
@@ -289,10 +290,16 @@ OF_ALL: dict[str, Fault] = {
     "samples of the IMU in bursts of 0.1 s": bursts(0.1),
     "GNSS arrives 4 s late": arrive_late(4.0),
     "GNSS arrives 10 s late": arrive_late(10.0),
-    "stamps of GNSS 0.25 s early": early,
+    "stamps of GNSS 0.25 s early": by_another_clock(-0.25),
     "stamps of GNSS 0.25 s early, gyroscope's bias jumps by 3 deg/s": lambda messages: FAULTS[
         "gyroscope's bias jumps by 3 deg/s"
-    ](early(messages)),
+    ](by_another_clock(-0.25)(messages)),
+    "clock of GNSS 1 s behind": by_another_clock(-1.0),
+    "clock of GNSS 3 s behind": by_another_clock(-3.0),
+    "clock of GNSS 8 s behind": by_another_clock(-8.0),
+    "clock of GNSS 1 s ahead": by_another_clock(1.0),
+    "clock of GNSS 18 s ahead": by_another_clock(18.0),
+    "clock of GNSS 50 years ahead": by_another_clock(50.0 * 365.25 * 86400.0),
 }
 """Those that change what judges, too: a fix that is held out may be missing, or has the clock that was found."""
 

@@ -54,7 +54,7 @@ def rough(*, zero=0.0, cabin=(0.0, 0.0), chassis=(0.0, 0.0), rough_rad_s=0.05, s
     nothing = np.zeros((0, 3))
     none = np.zeros(0, np.int64)
     return Evidence(
-        "rough", CONFIG, END_S, [], Nodes(none, nothing, np.zeros((0, 3, 3))),
+        "rough", CONFIG, END_S, [], {}, Nodes(none, nothing, np.zeros((0, 3, 3))),
         States(none, nothing, nothing, np.zeros(0, np.bool_)), readings, {}, {}, [], [],
     )  # fmt: skip
 

@@ -24,7 +24,7 @@ def evidence(stand_s=30.0, move_s=30.0, vibration=0.0, seed=0):
     values[t > stand_s] += 3.0 * rng.standard_normal((int((t > stand_s).sum()), 6))
     none, nothing = np.zeros(0, np.int64), np.zeros((0, 3))
     return Evidence(
-        "stand", config_with(), float(t[-1]), [], Nodes(none, nothing, np.zeros((0, 3, 3))),
+        "stand", config_with(), float(t[-1]), [], {}, Nodes(none, nothing, np.zeros((0, 3, 3))),
         States(none, nothing, nothing, np.zeros(0, np.bool_)),
         {"imu": Readings(np.round(t * 1e9).astype(np.int64), values)}, {}, {}, [], [],
     )  # fmt: skip

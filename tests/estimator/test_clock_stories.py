@@ -35,7 +35,8 @@ def step(by_s, at_s=STEP_S, sensors=ALL, end_s=np.inf):
 class Story:
     """What clocks show at a true time, one after another; when the last thing happens; what is not delivered.
 
-    `events` are reasons that must be told, `silent_s` is for how long the answers may stop.
+    `events` are reasons that must be told, `silent_s` is for how long the answers may stop. A start takes its time
+    until `begun_s`.
     """
 
     clocks: tuple
@@ -44,6 +45,7 @@ class Story:
     events: tuple = ()
     silent_s: float = SILENT_S
     arrivals_step: bool = False
+    begun_s: float = 4.0
 
 
 def recorded(end_s=END_S, seed=3):
@@ -86,7 +88,7 @@ def lived(estimator, story, messages=None):
         output = estimator.process(shown)
         took_s = thread_time() - began_s
         t = seconds(message.stamp_ns)
-        if message.sensor == "imu" and t > 4.0:
+        if message.sensor == "imu" and t > story.begun_s:
             calls_s.append(took_s)
         if output.estimate is not None:
             error_m = float(np.linalg.norm(output.estimate.nav.position() - DRIVE.nav(t).position()))
@@ -118,8 +120,14 @@ for size, by_s in SIZES_S.items():
         STORIES[f"all sensors {name}"] = Story((step(d),), events=(f"stepped {way} by {by_s:.2f} s",))
         STORIES[f"the IMU {name}"] = Story((step(d, sensors=("imu",)),), events=(f"stepped {way} by {by_s:.2f} s",))
         STORIES[f"GNSS {name} and again right"] = Story(
-            (step(d, sensors=("gnss",), end_s=BACK_S),), BACK_S, events=() if d == -1.0 else ("refused until", "again")
+            (step(d, sensors=("gnss",), end_s=BACK_S),), BACK_S, events=() if d == -1.0 else ("refused", "again")
         )
+        if d != -1.0:  # which may be late as well
+            of_gnss = step(d, sensors=("gnss",))
+            STORIES[f"GNSS {name} for good"] = Story((of_gnss,), STEP_S + 2.0, events=("read by a clock",))
+            STORIES[f"GNSS and lidar {name} from the start"] = Story(
+                (step(d, -1.0, ("gnss", "lidar")),), 3.0, events=("read by a clock",), begun_s=3.0 + AGAIN_S
+            )
         STORIES[f"in an outage {name}"] = Story((step(d),), BACK_S, outages=(("gnss", 5.0, BACK_S),))
 STORIES |= {
     "all at the start": Story((step(DECADES_S, 0.5),)),

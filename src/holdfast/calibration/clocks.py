@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from math import hypot
+from statistics import median
 
 from holdfast.calibration.constants import combined, is_off, of_name
 from holdfast.calibration.estimated import Estimated, Family, Found, judged
@@ -38,7 +39,8 @@ def clocks(evidence: Sequence[Evidence], original: Config, config: Config) -> Fo
                 estimates.append(lost)
                 continue
             offset, covariance = combined(known)
-            after = config.sensors[name].time_offset_s + float(offset[-1])
+            early_s = median(one.early_s.get(name, 0.0) for one in evidence)
+            after = config.sensors[name].time_offset_s + early_s + float(offset[-1])
             sigma = hypot(float(covariance[-1, -1]) ** 0.5, FLOOR_S)
             found = judged(Estimated(Family.CLOCKS, path, name, "s", before, after, sigma, prior))
             if not is_off(after - before, sigma, prior, IF_RIGHT_S):

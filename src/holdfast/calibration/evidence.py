@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from holdfast.config.model import Config
 from holdfast.errors import EstimatorError
 from holdfast.estimator.estimator import Estimator
+from holdfast.estimator.far_clocks import stamped_later
 from holdfast.events import EventKind, Health
 from holdfast.geometry.world import World
 from holdfast.lidar_odometry.replayed import ReplayedScans
@@ -89,6 +90,7 @@ class Evidence:
         config: under which the estimator ran.
         duration_s: of it.
         constants: of sensors, one entry for each start of the estimator.
+        early_s: what is added to stamps of sensors whose clocks are far off, beside `constants`.
         readings: of `imu` and `base_imu` (N, 6) angular velocity and specific force, of the encoder (N, 1) the angle.
         tracks: poses of odometries, by name.
         fixes: positions and headings that the sensors claim, by name and stamp.
@@ -100,6 +102,7 @@ class Evidence:
     config: Config
     duration_s: float
     constants: Sequence[Mapping[str, Constant]]
+    early_s: Mapping[str, float]
     nodes: Nodes
     states: States
     readings: Mapping[str, Readings]
@@ -184,7 +187,8 @@ class _Readings:
                 self._stamps[name].append(message.stamp_ns + self._offsets[name])
                 self._values[name].extend(message.values())
             elif name in self._sensors:
-                self._take(self._sensors[name], message)
+                early_ns = 0 if self.estimator is None else self.estimator.early_ns.get(name, 0)
+                self._take(self._sensors[name], stamped_later(message, early_ns))
 
     def _take(self, sensor: Any, message: Message) -> None:
         frame = None if self.estimator is None else self.estimator.world
@@ -265,9 +269,9 @@ def collected(
         why = never_started(run.estimator.waiting_for, run.estimator.counts, config)
         raise EstimatorError(f"{path}: the estimator never started: {why}")
     collector.read()
-    found = collector.kept
+    found, early_s = collector.kept, {name: by_ns * 1e-9 for name, by_ns in run.estimator.early_ns.items()}
     return Evidence(
-        Path(path).name, config, run.timing.recorded_s, found.constants, _nodes(found.nodes), _states(found),
+        Path(path).name, config, run.timing.recorded_s, found.constants, early_s, _nodes(found.nodes), _states(found),
         kept.readings(), kept.tracks, kept.fixes, run.causal.judgements, run.smoothed.judgements,
     )  # fmt: skip
 

@@ -175,6 +175,7 @@ def _fitting(file: LearntFile, config: Config) -> Loaded:
         accelerometer=accelerometer,
         joint=joint,
         names=names if are_mounted_so else NAMES_ARE_RIGHT,
+        early_ns={one: by for one, by in file.learnt.early_ns.items() if _holds(changed.get(one), CLOCK_KEYS)},
     )
     return Loaded(learnt, warnings)
 

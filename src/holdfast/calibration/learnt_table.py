@@ -81,7 +81,7 @@ def learnt_rows(learnt: LearntSnapshot, config: Config) -> list[Row]:
     for name, sensor in sensors_of(config).items():
         for prior in with_estimated_clock(sensor).parameters:
             if (constant := learnt.constants.get(prior.name(name))) is not None:
-                rows += _of_constant(name, config, prior, constant, learnt.constants.get(name))
+                rows += _of_constant(name, config, prior, constant, learnt)
     for name, prior in priors_of_imu(config).items():
         if name in learnt.constants:
             rows += _of_imu(name, prior, learnt.constants[name])
@@ -162,9 +162,10 @@ def _of_noise(name: str, config: Config, learnt: LearntNoiseScale) -> list[Row]:
 
 
 def _of_constant(
-    name: str, config: Config, prior: Parameter, learnt: LearntConstant, own: LearntConstant | None
+    name: str, config: Config, prior: Parameter, learnt: LearntConstant, of_all: LearntSnapshot
 ) -> Iterator[Row]:
-    """Yield the rows of one of a sensor's constants; `own` is that which has the sensor's name."""
+    """Yield the rows of one of a sensor's constants, beside what was learnt of all sensors."""
+    own, early_s = of_all.constants.get(name), of_all.early_ns.get(name, 0) * 1e-9
     section, mean, sigmas = config.sensors[name], np.array(learnt.mean), np.array(learnt.sigmas)
     if prior.part == ARM:
         is_told = learnt.is_off or prior.if_right is None
@@ -178,7 +179,8 @@ def _of_constant(
             yield _of_scale(name, section.scale, float(mean[0]), float(sigmas[0]))
         return
     if prior.has_clock and getattr(section, "time_offset_sigma_s", 0.0) > 0.0:
-        yield _of_clock(name, section.time_offset_s, float(mean[-1]), float(sigmas[-1]), is_off=learnt.is_off)
+        off_s, is_off = early_s + float(mean[-1]), learnt.is_off or early_s != 0.0
+        yield _of_clock(name, section.time_offset_s, off_s, float(sigmas[-1]), is_off=is_off)
     if isinstance(section, DriftingConfig) and section.mounting_sigma_deg > 0.0:
         yield from _of_mounting(name, config, mean[:3], sigmas[:3])
     elif isinstance(section, TwistConfig):

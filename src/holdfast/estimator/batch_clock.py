@@ -16,6 +16,7 @@ from holdfast.graph.alignment_problem import Evidence, Point
 from holdfast.sensors.sensor import Position
 
 STEP_S, STEPS = 0.15, 4  # in which offsets are looked for, and how many of them
+REACH_S = STEP_S * STEPS
 LEAST_S = 0.04  # that needs a batch to be found
 MOVED = 5.0  # sigmas, by which it is off
 REFINED = 2  # times
@@ -23,10 +24,11 @@ SAME_S = 1e-3  # nearer, the parabola through two offsets and a third is roundin
 
 
 class Offset(NamedTuple):
-    """Of a clock [s]: positive where its stamps are early."""
+    """Of a clock [s]: positive where its stamps are early; `near_s` is the offset about which it was looked for."""
 
     by_s: float
     sigma_s: float
+    near_s: float = 0.0
 
     def __str__(self) -> str:
         return f"{abs(self.by_s):.2f} s {'early' if self.by_s > 0.0 else 'late'}"
@@ -34,7 +36,8 @@ class Offset(NamedTuple):
     @property
     def is_off(self) -> bool:
         """Whether it matters, and is no chance."""
-        return LEAST_S < abs(self.by_s) < STEPS * STEP_S and abs(self.by_s) > MOVED * self.sigma_s
+        is_within = abs(self.by_s - self.near_s) < REACH_S
+        return is_within and abs(self.by_s) > max(LEAST_S, MOVED * self.sigma_s)
 
 
 def restamped(evidence: Evidence, sensors: Collection[str], by_s: float) -> Evidence | None:
@@ -68,22 +71,25 @@ def kept(evidence: Evidence, moved: Evidence, sensors: Collection[str], by_s: fl
     )
 
 
-def offset_of(misfit: Callable[[float], float], freedom: int) -> Offset | None:
+def offset_of(misfit: Callable[[float], float], freedom: int, origins_s: Sequence[float] = (0.0,)) -> Offset | None:
     """Return the offset at which what was measured fits best; None if there is none within reach.
 
     Args:
         misfit: squared residuals over their expectation, given an offset [s]; inf where nothing can be said.
         freedom: how many residuals there are.
+        origins_s: offsets about which it is looked for.
     """
-    left = {0.0: misfit(0.0)}
-    for side in (STEP_S, -STEP_S):
-        before_s = 0.0
-        for steps in range(1, STEPS + 1):
-            by_s = steps * side
-            left[by_s] = misfit(by_s)
-            if left[by_s] >= left[before_s]:
-                break
-            before_s = by_s
+    left: dict[float, float] = {}
+    for origin_s in origins_s:
+        left[origin_s] = misfit(origin_s)
+        for side in (STEP_S, -STEP_S):
+            before_s = origin_s
+            for steps in range(1, STEPS + 1):
+                by_s = origin_s + steps * side
+                left[by_s] = misfit(by_s)
+                if left[by_s] >= left[before_s]:
+                    break
+                before_s = by_s
     curvature = 0.0
     for _ in range(REFINED):
         best = min(left, key=left.__getitem__)
@@ -99,4 +105,5 @@ def offset_of(misfit: Callable[[float], float], freedom: int) -> Offset | None:
             break
         left[lowest] = misfit(lowest)
     best = min(left, key=left.__getitem__)
-    return Offset(best, sqrt(max(left[best], 1.0) / (curvature * freedom)))
+    sigma_s = sqrt(max(left[best], 1.0) / (curvature * freedom))
+    return Offset(best, sigma_s, min(origins_s, key=lambda origin_s: abs(best - origin_s)))

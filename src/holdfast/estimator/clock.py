@@ -8,10 +8,10 @@ the IMU has had makes them as old as they use to be, so it does not matter which
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, cast
 
 import gtsam
 
+from holdfast.estimator.far_clocks import stamped_later
 from holdfast.event_log import EventLog, MeasurementRecord
 from holdfast.events import Event, EventKind
 from holdfast.messages import ImuSample, Message
@@ -61,10 +61,7 @@ class Clock:
             age_ns = min(max(age_ns, usual_ns - AGE_STEP_NS), usual_ns + AGE_STEP_NS)
         if abs(age_ns) < MAX_SILENCE_NS:
             self._ages_ns[name] = age_ns
-        if not offset_ns:
-            return message
-        read: Message = replace(cast("Any", message), stamp_ns=message.stamp_ns - offset_ns)
-        return read
+        return stamped_later(message, -offset_ns)
 
     def read_sample(self, sample: ImuSample) -> ImuSample:
         """Return a sample of the primary IMU in continuous time, by the clock that it has had until now."""

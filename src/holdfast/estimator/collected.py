@@ -85,9 +85,14 @@ class Collected:
     def know_clock(self, clock_ns: int) -> None:
         """Know by how much stamps of GNSS are early, in what has come, too."""
         later_ns, self.clock_ns = clock_ns - self.clock_ns, clock_ns
-        self.positions = deque(self._later(one, later_ns) for one in self.positions)
-        self.all_positions = deque(self._later(one, later_ns) for one in self.all_positions)
-        self.velocities = deque(self._later(one, later_ns) for one in self.velocities)
+        self.stamp_later(later_ns)
+
+    def stamp_later(self, by_ns: int) -> None:
+        """Know that all that has come by the clock of GNSS was measured later than it was stamped."""
+        self.positions = deque(self._later(one, by_ns) for one in self.positions)
+        self.all_positions = deque(self._later(one, by_ns) for one in self.all_positions)
+        self.velocities = deque(self._later(one, by_ns) for one in self.velocities)
+        self.others = {name: deque(self._later(one, by_ns) for one in series) for name, series in self.others.items()}
 
     def exchange(self, pair: Pair, since_ns: int = NEVER_NS) -> None:
         """Know that two antennas' positions have come by each other's name since a time."""

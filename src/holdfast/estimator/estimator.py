@@ -118,6 +118,11 @@ class Estimator(Intake):
         check_sensor(self.config, sensor)
         return self._optimiser.monitor.noise(sensor)
 
+    @property
+    def early_ns(self) -> dict[str, int]:
+        """What is added to the stamps of sensors whose clocks are far off [ns], by name."""
+        return self._optimiser.clocks.learnt()
+
     def constants(self) -> dict[str, Constant]:
         """Return what is known of mountings and clocks since the last start, by sensor or by what sensors share."""
         return self._optimiser.constants()

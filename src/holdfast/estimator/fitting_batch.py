@@ -6,13 +6,15 @@ lies. GNSS and IMU are what is left.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 from math import inf, log
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from holdfast.estimator.batch_clock import Offset, kept, offset_of, restamped
+from holdfast.estimator.batch_clock import REACH_S, Offset, kept, offset_of, restamped
 from holdfast.estimator.collected import exchanged
 from holdfast.estimator.fixes_in_motion import MIN_POSITIONS
 from holdfast.estimator.odometry_tracks import OdometryTracks
@@ -83,12 +85,17 @@ class FittingBatches:
         receivers = {name for name, one in points.items() if is_gnss(one)}
         is_known = any(points[name].offset_sigma_s == 0.0 for name in receivers)
         self._by_gnss_clock = frozenset() if is_known or not receivers else receivers | velocities.keys()
+        self.ask_for_clock()
         self._aligner = BatchAligner(Problems(buffer, noise, points, velocities))
         self._of_freed = BatchAligner(Problems(buffer, noise, self._freed, velocities))
 
     def settle_arms(self) -> None:
         """Know that the lever arms of antennas are as they were measured, for good: they are constants."""
         self.may_be_moved = False
+
+    def ask_for_clock(self) -> None:
+        """Know no more whether the clock of GNSS is far off."""
+        self._is_clock_told = not self._by_gnss_clock
 
     def put_back_antennas(self) -> None:
         """Know no more that antennas are elsewhere than they were believed to be at first, nor that they are there."""
@@ -109,8 +116,7 @@ class FittingBatches:
         prior: BiasPrior,
         max_heading_sigma_rad: float,
         jump_sigmas: Array | None,
-        *,
-        may_be_late: bool = True,
+        late_s: float | None = 0.0,
     ) -> FittingBatch:
         """Solve the batch of some evidence and the motions of odometries; leave out who is at odds, if it fits then.
 
@@ -119,7 +125,8 @@ class FittingBatches:
             prior: of the biases.
             max_heading_sigma_rad: what is wanted.
             jump_sigmas: (6,) by how much the biases may have jumped; None: not.
-            may_be_late: whether the clock of GNSS may be off, if biases may have jumped.
+            late_s: by how much stamps of GNSS are behind the IMU when they arrive, where their clock may be off: if
+                biases may have jumped, or by as much as that, if it is much; None: it is not.
         """
 
         def solved(evidence: Evidence) -> Alignment:
@@ -128,9 +135,9 @@ class FittingBatches:
         whole = self._with_motions(evidence)
         alignment = solved(whole)
         is_at_odds = not _fits(alignment)
-        if jump_sigmas is not None and may_be_late and (alignment.has_jumped or is_at_odds):
-            clocked = self._with_clock(evidence, prior, max_heading_sigma_rad, alignment)
-            if clocked is not None:
+        if late_s is not None:
+            seek = self._as_it_arrives if jump_sigmas is None else self._with_clock
+            if (clocked := seek(evidence, prior, max_heading_sigma_rad, alignment, late_s)) is not None:
                 return clocked
         if is_at_odds and (purged := self._without_strays(whole, alignment, solved)) is not None:
             return purged
@@ -179,25 +186,17 @@ class FittingBatches:
         return None
 
     def _with_clock(
-        self, evidence: Evidence, prior: BiasPrior, max_heading_sigma_rad: float, alignment: Alignment
+        self, evidence: Evidence, prior: BiasPrior, max_heading_sigma_rad: float, alignment: Alignment, late_s: float
     ) -> FittingBatch | None:
         """Return the batch with GNSS by another clock, if nothing else makes it fit; as it is where nobody can tell.
 
-        `alignment` is that of the whole, in which biases may have jumped.
+        `alignment` is that of the whole, in which biases may have jumped; None where that fits.
         """
-        if not self._by_gnss_clock or len({one.stamp_ns for one in evidence.positions}) < TELLING:
+        is_amiss = alignment.has_jumped or not _fits(alignment)
+        if not is_amiss or not self._by_gnss_clock or len({one.stamp_ns for one in evidence.positions}) < TELLING:
             return None
-        solved: dict[float, FittingBatch] = {}
-
-        def misfit(by_s: float) -> float:
-            moved = restamped(evidence, self._by_gnss_clock, by_s)
-            if moved is None:
-                return inf
-            whole = self._with_motions(moved)
-            solved[by_s] = FittingBatch(self._aligner.solve(whole, prior, max_heading_sigma_rad), whole)
-            return _misfit(solved[by_s].alignment)
-
-        offset = offset_of(misfit, evidence.freedom)
+        origins = [0.0, late_s] if abs(late_s) > REACH_S else [0.0]
+        offset, solved = self._by_other_clocks(evidence, prior, max_heading_sigma_rad, origins)
         if offset is None or not offset.is_off:
             return None
         clocked, as_stamped = solved[offset.by_s], solved[0.0]
@@ -212,6 +211,51 @@ class FittingBatches:
         if better < -CLEARLY:
             return None
         return clocked._replace(clock=offset) if better > CLEARLY else as_stamped
+
+    def _as_it_arrives(
+        self, evidence: Evidence, prior: BiasPrior, max_heading_sigma_rad: float, alignment: Alignment, late_s: float
+    ) -> FittingBatch | None:
+        """Return the batch with GNSS by a clock by which it comes at once, if it is that and not late.
+
+        None if it is late; a batch without a state where nobody can tell. Arguments as of `_with_clock`.
+        """
+        if abs(late_s) < REACH_S or self._is_clock_told:
+            return None
+        way = "late, or by a clock that is behind" if late_s > 0.0 else "by a clock that is ahead, or the IMU is late"
+        reason = f"GNSS is {abs(late_s):.1f} s {way}: the motion so far does not tell"
+        waiting = FittingBatch(replace(alignment, state=None, reason=reason), evidence)
+        offset, solved = self._by_other_clocks(evidence, prior, max_heading_sigma_rad, [late_s])
+        if not solved:
+            return waiting
+        by_s, other = min(solved.items(), key=lambda one: _misfit(one[1].alignment))
+        if other.alignment.is_contradictory or DOUBTFUL < other.alignment.excess < inf:  # nor is it by this clock
+            return None
+        better = -CLEARLY
+        if abs(by_s - late_s) < abs(by_s):  # nearer to when it came than to its stamps
+            in_time = self._with_motions(kept(evidence, other.evidence, self._by_gnss_clock, by_s))
+            as_stamped = self._aligner.solve(in_time, prior, max_heading_sigma_rad)
+            better = _evidence(as_stamped, other.alignment, other.evidence, attrgetter("excess"))
+        is_off = better >= JUMPED and _fits(other.alignment) and offset is not None and offset.is_off
+        self._is_clock_told = is_off or better <= -CLEARLY
+        if not self._is_clock_told:
+            return waiting
+        return other._replace(clock=offset) if is_off else None
+
+    def _by_other_clocks(
+        self, evidence: Evidence, prior: BiasPrior, max_heading_sigma_rad: float, origins_s: Sequence[float]
+    ) -> tuple[Offset | None, dict[float, FittingBatch]]:
+        """Return the offset of the clock of GNSS about some with which the batch fits best, and all that were tried."""
+        solved: dict[float, FittingBatch] = {}
+
+        def misfit(by_s: float) -> float:
+            moved = restamped(evidence, self._by_gnss_clock, by_s)
+            if moved is None:
+                return inf
+            whole = self._with_motions(moved)
+            solved[by_s] = FittingBatch(self._aligner.solve(whole, prior, max_heading_sigma_rad), whole)
+            return _misfit(solved[by_s].alignment)
+
+        return offset_of(misfit, evidence.freedom, origins_s), solved
 
     def with_exchanged_antennas(
         self, evidence: Evidence, prior: BiasPrior, max_heading_sigma_rad: float, alignment: Alignment | None = None
@@ -319,10 +363,17 @@ def _younger(evidence: Evidence, by_s: float) -> Evidence:
     return restamped(evidence, receivers, float(np.clip(by_s, -MOST_LATE_S, MOST_LATE_S))) or evidence
 
 
-def _evidence(before: Alignment, after: Alignment, evidence: Evidence) -> float:
-    """Return twice the logarithm of how many times likelier other arms make what was measured: as (85)."""
+def _misfit(alignment: Alignment) -> float:
+    """Return the squared residuals over what is claimed, or of positions or velocities alone if these vary by more."""
+    return alignment.misfit if alignment.misfit > 1.0 else alignment.excess
+
+
+def _evidence(
+    before: Alignment, after: Alignment, evidence: Evidence, measure: Callable[[Alignment], float] = _misfit
+) -> float:
+    """Return twice the logarithm of how many times likelier other constants make what was measured: as (85)."""
     n = evidence.freedom
-    of_before, of_after = (min(_misfit(one), MAX_EXCESS) * n + CLAIMED_DEGREES for one in (before, after))
+    of_before, of_after = (min(measure(one), MAX_EXCESS) * n + CLAIMED_DEGREES for one in (before, after))
     return n * log(of_before / of_after)
 
 
@@ -334,8 +385,3 @@ def _fits(alignment: Alignment) -> bool:
 def _is_vague(alignment: Alignment) -> bool:
     """Whether what was measured may fit, but tells too little to say how well."""
     return alignment.misfit == inf and alignment.excess < inf
-
-
-def _misfit(alignment: Alignment) -> float:
-    """Return the squared residuals over what is claimed, or of positions or velocities alone if these vary by more."""
-    return alignment.misfit if alignment.misfit > 1.0 else alignment.excess

@@ -48,6 +48,7 @@ class FoundConstants:
         self._is_forgotten = True
         self.priors.clear()
         self._batches.put_back_antennas()
+        self._batches.ask_for_clock()
         self._know_clock(None)
         if (shift := self._before.get(GNSS_ARM)) is not None:
             self.move_antennas(shift)

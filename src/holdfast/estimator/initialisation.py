@@ -14,9 +14,11 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.config.sensors import GnssConfig
+from holdfast.estimator.batch_clock import REACH_S, Offset
 from holdfast.estimator.collected import Collected, between
 from holdfast.estimator.compass import Compass
 from holdfast.estimator.course import Course, course_of
+from holdfast.estimator.far_clocks import FarClocks
 from holdfast.estimator.first_heading import Antennas, FirstHeading
 from holdfast.estimator.fitting_batch import FittingBatch, FittingBatches
 from holdfast.estimator.fixes_in_motion import fixes_in_motion, turn
@@ -26,6 +28,7 @@ from holdfast.estimator.odometry_tracks import OdometryTracks
 from holdfast.estimator.pose_as_point import PoseAsPoint
 from holdfast.estimator.standing_start import StandingStart
 from holdfast.estimator.velocity_check import Company, VelocityCheck
+from holdfast.event_log import EventLog
 from holdfast.events import Outcome
 from holdfast.graph.alignment import Jump
 from holdfast.graph.alignment_problem import Evidence, thin
@@ -33,7 +36,7 @@ from holdfast.integrity.consensus import Departure, agreeing, first_of_shape
 from holdfast.integrity.exchanges import Exchange, Pair
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array, Message
-from holdfast.sensors.clock import with_estimated_clock
+from holdfast.sensors.clock import is_by_gnss_clock, with_estimated_clock
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lever_arm import is_in_doubt
 from holdfast.sensors.odometry import OdometryNoise
@@ -61,6 +64,7 @@ class Initialising:
         sensors: all models, by name.
         gravity: [m/s^2].
         found: constants of sensors that were found before: where antennas are, and the clock of GNSS.
+        clocks: tell by how much stamps are behind the IMU when they arrive.
 
     Attributes:
         is_contradictory: whether no state explains what the last attempt was made of.
@@ -75,11 +79,13 @@ class Initialising:
         sensors: Mapping[str, Sensor],
         gravity: float,
         found: Mapping[str, Parameter] = MappingProxyType({}),
+        *,
+        clocks: FarClocks | None = None,
     ) -> None:
         imu = config.imu
         self._exchanges: list[Exchange] = []
         self._config, self._buffer, self._gravity = config, buffer, gravity
-        self._sensors = sensors
+        self._sensors, self._clocks = sensors, clocks or FarClocks(EventLog(config.imu_name))
         self.jump: Jump | None = None  # of the biases, as of the last attempt
         points = of_role(sensors, Role.POSITION)  # those of GNSS first: of another somebody has typed where it stands
         self._points = dict(sorted(points.items(), key=lambda one: not is_gnss(one[1])))
@@ -294,8 +300,21 @@ class Initialising:
         evidence, lying = self._evidence(fixes, now_ns)
         is_explained = may_have_jumped and self._velocity_check.are_explained(self._collected.velocities, lying)
         jump_sigmas = self.biases.doubted if is_explained else None
-        batch = self._batches.solve(evidence, self.biases.prior, limit_rad, jump_sigmas, may_be_late=may_be_late)
+        late_s = self._clocks.late_s(fixes[-1].sensor) - self.clock_ns * 1e-9 if may_be_late else None
+        batch = self._batches.solve(evidence, self.biases.prior, limit_rad, jump_sigmas, late_s)
+        if batch.clock is not None and abs(batch.clock.by_s) > REACH_S:  # what it was made of was longer ago than that
+            self._know_far_off(batch.clock)
+            state = self._in_motion(now_ns, limit_rad, may_have_jumped=may_have_jumped, may_be_late=may_be_late)
+            self.reason += f"; stamps of GNSS are {batch.clock}"
+            return state
         return self._judged(batch, lying, now_ns)
+
+    def _know_far_off(self, offset: Offset) -> None:
+        """Know that stamps of GNSS are early by so much, those that will come, too."""
+        by_ns = round(offset.by_s * 1e9)
+        self._collected.stamp_later(by_ns)
+        self._clocks.move([name for name, one in self._sensors.items() if is_by_gnss_clock(one)], by_ns)
+        self.found.know_clock_off(offset._replace(by_s=0.0))
 
     def attempt_with_moved_antennas(self) -> OptimisedState | None:
         """Return a state if antennas that are elsewhere than configured, or exchanged, explain what was measured."""

@@ -13,11 +13,11 @@ from holdfast.chassis.joint_track import JointTrack
 from holdfast.config.model import Config
 from holdfast.estimator.assumptions import Assumptions
 from holdfast.estimator.density import Density
+from holdfast.estimator.far_clocks import FarClocks
 from holdfast.estimator.health import HealthMonitor
 from holdfast.estimator.imu_path import Received
 from holdfast.estimator.initialisation import Initialising
 from holdfast.estimator.stamp_check import StampCheck
-from holdfast.estimator.stamp_faults import StampFaults
 from holdfast.estimator.successor import Successor
 from holdfast.estimator.tracking import Tracking, Update
 from holdfast.event_log import EventLog
@@ -79,7 +79,6 @@ class Optimiser:
         self._joint = None if config.joint is None else JointTrack(JointModel(config.joint[1]))
         self._has_imu = True
         self._reported = Health.INITIALISING
-        self._stamp_faults = StampFaults()
         self._assumptions = Assumptions(self._sensors, log)
         self._scatters = Scatters(self._sensors, buffer, log, config.imu_name)
         self.monitor = HealthMonitor(config)
@@ -98,7 +97,7 @@ class Optimiser:
         self.monitor.stop()
         if self._listener is not None:
             self._listener.stop()
-        self._stamps = StampCheck(self._buffer, self._log, self._config.graph, self._stamp_faults, self._start_span_ns)
+        self._stamps = StampCheck(self._buffer, self._log, self._config.graph, self.clocks)
         self._lever_arms = LeverArms(self._sensors)
         self._phase = self._initialising()
 
@@ -112,7 +111,7 @@ class Optimiser:
     def _initialising(self, config: Config | None = None) -> Initialising:
         sensors = self._believed()
         found = found_before(self._learnt.constants, sensors)
-        return Initialising(config or self._config, self._buffer, sensors, self.gravity, found)
+        return Initialising(config or self._config, self._buffer, sensors, self.gravity, found, clocks=self.clocks)
 
     def _believed(self) -> dict[str, Sensor]:
         """Return the models as they are believed to be."""
@@ -121,12 +120,13 @@ class Optimiser:
     def _know(self, learnt: LearntSnapshot) -> None:
         """Know this of the sensors, and nothing else."""
         self._learnt, self._exchanges = learnt, Exchanges(learnt.names)
+        self.clocks = FarClocks(self._log, learnt.early_ns)
         self._scales = {name: NoiseScale(learnt.noise.get(name)) for name in self._sensors}
 
     def learnt(self) -> LearntSnapshot:
         """Return what was learnt of the sensors until now, in this start or before it."""
         learnt = self._learnt.updated(self._phase.learnt()) if isinstance(self._phase, Tracking) else self._learnt
-        return learnt.with_names(self._exchanges.learnt())
+        return learnt.with_names(self._exchanges.learnt(), self.clocks.learnt())
 
     @property
     def _start_of_now(self) -> Initialising:
@@ -148,7 +148,7 @@ class Optimiser:
         """What keeps the estimator from starting."""
         if not isinstance(self._phase, Initialising):
             return ""
-        return self._stamp_faults.why_not(of_role(self._sensors, Role.POSITION)) or self._phase.waiting_for
+        return self._stamps.faults.why_not(of_role(self._sensors, Role.POSITION)) or self._phase.waiting_for
 
     @property
     def waiting(self) -> Counter[str]:
@@ -203,8 +203,8 @@ class Optimiser:
             if self._joint is not None:
                 self._joint.add(message)
             return None
-        message = self._stamps.even.read(message)
         frame, name = self.world.frame, message.sensor
+        message = self._stamps.read(message, self._sensors[name].offset_ns)
         measurement = self._exchanges.named(self._sensors[name].convert(message, self.world))
         if self.world.frame is not frame:
             self._begin_in_world()
@@ -224,6 +224,8 @@ class Optimiser:
             self._record(message, measurement, Outcome.OVERLOAD)
             return None
         self._assumptions.tell(message)
+        if self.clocks.newly_moved():
+            self._scatters.forget()
         weighed = self._scatters.weighed(measurement, self._scales, self._stamps.even)
         if self._scatters.newly_swaying():
             self._start_of_now.found.forget()
@@ -250,9 +252,10 @@ class Optimiser:
         what = "reset" if datum is None else f"datum {datum.latitude_deg:.8f} {datum.longitude_deg:.8f}"
         self._log.report(EventKind.RESET, self._buffer.latest_ns, "", f"{what}: starting over")
         if datum is None:
-            self._begin()
+            self.close()
             self._know(NOTHING_LEARNT)
             self._phase = self._initialising()
+            self._begin()
         else:
             self.place(datum)
 
@@ -264,7 +267,7 @@ class Optimiser:
     def _begin_in_world(self) -> None:
         """Take gravity at the datum, which has just become known: what was collected in another W is begun anew."""
         self.gravity = self._config.frames.gravity or self.world.gravity
-        self._scatters = Scatters(self._sensors, self._buffer, self._log, self._config.imu_name)
+        self._scatters.forget()
         self._begin()
 
     def _try_to_start(self, phase: Initialising, measurement: Measurement) -> OptimisedState | None:

@@ -3,6 +3,7 @@
 from collections import Counter
 
 from holdfast.config.model import GraphConfig
+from holdfast.estimator.far_clocks import LATE_NS, FarClocks
 from holdfast.estimator.stamp_faults import StampFaults
 from holdfast.estimator.window_length import WindowLength
 from holdfast.event_log import EventLog
@@ -19,17 +20,18 @@ class StampCheck:
     Attributes:
         window: follows how late measurements are.
         even: gives receivers the stamps at which they measure.
+        faults: tells which stamps stand still.
 
     Args:
         buffer: of the IMU's samples.
         log: where events go.
         graph: how long its window is at least.
-        faults: is told of every stamp.
-        late_ns: by which a measurement may be behind the IMU at its arrival.
+        clocks: reads those that are far off.
     """
 
-    def __init__(self, buffer: ImuBuffer, log: EventLog, graph: GraphConfig, faults: StampFaults, late_ns: int) -> None:
-        self._buffer, self._log, self._faults, self._late_ns = buffer, log, faults, late_ns
+    def __init__(self, buffer: ImuBuffer, log: EventLog, graph: GraphConfig, clocks: FarClocks) -> None:
+        self._buffer, self._log, self._clocks = buffer, log, clocks
+        self.faults = StampFaults()
         self.window = WindowLength(graph, log)
         self.even = EvenStamps(log)
         self._filter = StampFilter()
@@ -42,24 +44,28 @@ class StampCheck:
             return None
         return reached_ns + max(0, message.arrival_ns - self._buffer.arrival_ns) - stamp_ns
 
+    def read(self, message: Message, offset_ns: int) -> Message:
+        """Return a message with the stamp that it should have, given what is configured to be added to that later."""
+        behind_ns = self._behind_ns(message, message.stamp_ns + offset_ns)
+        return self.even.read(message if behind_ns is None else self._clocks.read(message, behind_ns))
+
     def check(self, message: Message, stamp_ns: int) -> Outcome:
         """Say whether the stamp of a message, time offset applied, can be right."""
         name, buffer = message.sensor, self._buffer
         outcome = self._filter.check(name, stamp_ns, message.arrival_ns, buffer.latest_ns, buffer.arrival_ns)
-        behind_ns = self._behind_ns(message, stamp_ns)
-        self._faults.note(name, message.stamp_ns, behind_ns)
-        behind_ns = behind_ns or 0
-        if outcome is Outcome.USED and behind_ns > self._late_ns:
+        behind_ns = self._behind_ns(message, stamp_ns) or 0
+        self.faults.note(name, message.stamp_ns)
+        if outcome is Outcome.USED and behind_ns > LATE_NS:
             outcome = Outcome.LATE
         if outcome is Outcome.USED:
             self.window.note(name, behind_ns, stamp_ns)
-            if self._astray.pop(name, 0) > 1:
+            if self._astray.pop(name, 0) > 1 and name not in self._clocks.learnt():
                 self._report(name, "stamps agree with the IMU's again")
         elif outcome is not Outcome.DUPLICATE:
             self._astray[name] += 1
             if self._astray[name] == 2:
                 apart = f"{abs(behind_ns) * 1e-9:.3f} s {'ahead of' if behind_ns < 0 else 'behind'}"
-                self._report(name, f"stamps are {apart} the IMU's: refused until they agree")
+                self._report(name, f"stamps are {apart} the IMU's: refused")
         return outcome
 
     def is_told(self, name: str, outcome: Outcome) -> bool:

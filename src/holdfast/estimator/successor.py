@@ -51,6 +51,7 @@ class Successor:
 
     def __init__(self, start: Initialising, *, is_in_doubt: bool = False) -> None:
         self.start = start
+        start.found.newly_forgotten()  # before this estimate, which does not rest on it
         self._is_in_doubt = is_in_doubt
         self._begun_ns = self._tried_ns = self._tried_arms_ns = NEVER_NS
         self._suspected: tuple[Jump, int] | None = None  # and stamp of the newest of what it would explain

@@ -185,9 +185,10 @@ class LearntSnapshot(Section):
     accelerometer: LearntScale | None = Field(None, description="factor on `accelerometer_error_ratio`")
     joint: LearntJoint = Field(NOTHING_OF_JOINT, description="encoder and mountings at the turn joint")
     names: LearntNames = Field(NAMES_ARE_RIGHT, description="antennas that are exchanged")
+    early_ns: dict[str, int] = Field({}, description="by how much clocks are behind that of the IMU, where it is far")
 
     def updated(self, newer: "LearntSnapshot") -> "LearntSnapshot":
-        """Return what was learnt later, and of what nothing was learnt since, this; of joint and names always this."""
+        """Return what was learnt later, and of what nothing was learnt since, this; of the last three always this."""
         return LearntSnapshot(
             odometries={**self.odometries, **newer.odometries},
             noise={**self.noise, **newer.noise},
@@ -195,15 +196,16 @@ class LearntSnapshot(Section):
             accelerometer=newer.accelerometer or self.accelerometer,
             joint=self.joint,
             names=self.names,
+            early_ns=self.early_ns,
         )
 
     def with_joint(self, joint: LearntJoint) -> "LearntSnapshot":
         """Return it with what the IMU path knows of the turn joint, which no graph learns."""
         return self.model_copy(update={"joint": joint})
 
-    def with_names(self, names: LearntNames) -> "LearntSnapshot":
-        """Return it with what is known of names beside the graphs."""
-        return self.model_copy(update={"names": names})
+    def with_names(self, names: LearntNames, early_ns: dict[str, int]) -> "LearntSnapshot":
+        """Return it with what is known of names and far clocks beside the graphs."""
+        return self.model_copy(update={"names": names, "early_ns": early_ns})
 
     def without_constants(self) -> "LearntSnapshot":
         """Return what an estimate that was wrong cannot have learnt wrongly."""

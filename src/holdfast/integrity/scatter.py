@@ -124,9 +124,14 @@ class Scatters:
     """
 
     def __init__(self, sensors: Mapping[str, Sensor], buffer: ImuBuffer, log: EventLog, imu: str) -> None:
-        self._receivers = {name: Scatter(buffer, one.p_I_P) for name, one in of_role(sensors, Role.POSITION).items()}
-        self._sways = Sways(sensors, buffer, log, imu)
-        self._log = log
+        self._sensors, self._buffer, self._log, self._imu = sensors, buffer, log, imu
+        self.forget()
+
+    def forget(self) -> None:
+        """Know nothing of what was compared until now."""
+        points = of_role(self._sensors, Role.POSITION)
+        self._receivers = {name: Scatter(self._buffer, one.p_I_P) for name, one in points.items()}
+        self._sways = Sways(self._sensors, self._buffer, self._log, self._imu)
         self._told = dict.fromkeys(self._receivers, 1.0)
 
     def newly_swaying(self) -> bool:

@@ -134,6 +134,7 @@ class Sways:
         self._receivers = {name: Sway(buffer, one.p_I_P) for name, one in of_role(sensors, Role.POSITION).items()}
         self._buffer, self._log, self._imu = buffer, log, imu
         self._told, self._is_new = LEAST, False
+        buffer.sway = 0.0
 
     def newly_told(self) -> bool:
         """Whether something was told since this was asked last."""

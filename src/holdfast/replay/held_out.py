@@ -16,6 +16,7 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
+from holdfast.estimator.far_clocks import stamped_later
 from holdfast.event_log import EventLog
 from holdfast.events import Outcome
 from holdfast.geometry.earth import LocalFrame
@@ -231,14 +232,15 @@ class HeldOutJudge:
         self._sensors = _position_sensors(config)
         self._track: deque[TrackPoint] = deque()
         self._first_imu_ns: int | None = None  # the first point that comes from the IMU
-        self._waiting: deque[tuple[Message, bool]] = deque()
+        self._waiting: deque[tuple[Message, bool, int]] = deque()
         self._due: deque[_Due] = deque()
         self.judgements: list[Judgement] = []
 
     def add_message(self, message: Message, in_outage: bool) -> None:
         """Take in a held-out message; those that measure no position are passed over."""
         if message.sensor in self._sensors:
-            self._waiting.append((message, in_outage))
+            early_ns = self._learnt().early_ns.get(message.sensor, 0)
+            self._waiting.append((stamped_later(message, early_ns), in_outage, early_ns))
 
     def add_estimate(self, estimate: Estimate, frame: LocalFrame | None) -> None:
         """Take in what was published at an IMU sample, and judge the positions that it has passed."""
@@ -272,20 +274,23 @@ class HeldOutJudge:
         while point.stamp_ns - self._track[0].stamp_ns > MAX_DELAY_NS:
             self._track.popleft()
         while self._waiting and self._stamp_ns(self._waiting[0][0]) <= point.stamp_ns:
-            message, in_outage = self._waiting.popleft()
-            world = World(frame)
+            message, in_outage, early_ns = self._waiting.popleft()
+            world, learnt = World(frame), self._learnt()
             position = self._sensors[message.sensor].convert(message, world)
-            if not isinstance(position, Outcome) and world.frame is frame:  # it has not set a datum itself
-                self._due.append(self._calibrated(position, in_outage))
+            is_dated = learnt.early_ns.get(message.sensor, 0) == early_ns
+            if is_dated and not isinstance(position, Outcome) and world.frame is frame:  # it has set no datum itself
+                self._due.append(self._calibrated(position, in_outage, learnt))
         while self._due and self._due[0].time_ns <= point.stamp_ns:
             self._judge(self._due.popleft())
 
     def _stamp_ns(self, message: Message) -> int:
         return message.stamp_ns + self._sensors[message.sensor].offset_ns
 
-    def _calibrated(self, position: Position, in_outage: bool) -> _Due:
+    def _learnt(self) -> LearntSnapshot:
+        return NOTHING_LEARNT if self._estimator is None else self._estimator.learnt()
+
+    def _calibrated(self, position: Position, in_outage: bool, learnt_now: LearntSnapshot) -> _Due:
         """Return a position with what has been learnt of its receiver until now."""
-        learnt_now = NOTHING_LEARNT if self._estimator is None else self._estimator.learnt()
         known, name = learnt_now.constants, position.sensor
         position = replace(position, sensor=learnt_now.names.antennas.get(name, name))
         sensor = with_estimated_clock(self._sensors[position.sensor])
