@@ -60,6 +60,12 @@ def test_while_the_motion_does_not_tell_it_waits_and_says_why():
     assert "stamps of GNSS are" in reason and "early" in reason
 
 
+def test_it_does_not_wait_for_ever(monkeypatch):
+    patient = driven(late_s=8.0)[1]
+    monkeypatch.setattr("holdfast.estimator.fitting_batch.PATIENCE_NS", 0)
+    assert driven(late_s=8.0)[1][0].stamp_ns < patient[0].stamp_ns
+
+
 def test_it_is_known_when_the_estimator_is_started_again():
     learnt = driven(18.0)[0].learnt()
     assert learnt.early_ns == {"gnss": -18 * 10**9}

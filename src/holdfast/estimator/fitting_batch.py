@@ -33,6 +33,7 @@ FREED_M = 10.0  # sigma of an arm in doubt: nothing shall hold it
 MOST_LATE_S = 1.0  # of clocks
 TELLING = 8  # positions that may tell a clock
 STRAYS = 2  # positions of a batch, at most, that are elsewhere
+PATIENCE_NS = 60_000_000_000  # after which what nobody can tell is believed as it is stamped
 CLEARLY = 10.0  # evidence, by which one explanation is better than another
 TOLD_M, MOVED = 0.5, 5.0  # sigma to which motions must tell an element of an arm, and sigmas by which it is off
 
@@ -95,7 +96,7 @@ class FittingBatches:
 
     def ask_for_clock(self) -> None:
         """Know no more whether the clock of GNSS is far off."""
-        self._is_clock_told = not self._by_gnss_clock
+        self._is_clock_told, self._asked_ns = not self._by_gnss_clock, 0
 
     def put_back_antennas(self) -> None:
         """Know no more that antennas are elsewhere than they were believed to be at first, nor that they are there."""
@@ -220,6 +221,10 @@ class FittingBatches:
         None if it is late; a batch without a state where nobody can tell. Arguments as of `_with_clock`.
         """
         if abs(late_s) < REACH_S or self._is_clock_told:
+            return None
+        newest_ns = evidence.positions[-1].stamp_ns
+        self._asked_ns = self._asked_ns or newest_ns
+        if newest_ns - self._asked_ns > PATIENCE_NS:
             return None
         way = "late, or by a clock that is behind" if late_s > 0.0 else "by a clock that is ahead, or the IMU is late"
         reason = f"GNSS is {abs(late_s):.1f} s {way}: the motion so far does not tell"
