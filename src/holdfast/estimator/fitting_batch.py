@@ -232,13 +232,15 @@ class FittingBatches:
         offset, solved = self._by_other_clocks(evidence, prior, max_heading_sigma_rad, [late_s])
         if not solved:
             return waiting
-        by_s, other = min(solved.items(), key=lambda one: _misfit(one[1].alignment))
+        by_s, other = min(solved.items(), key=lambda one: (_misfit(one[1].alignment), one[1].alignment.excess))
         if other.alignment.is_contradictory or DOUBTFUL < other.alignment.excess < inf:  # nor is it by this clock
             return None
         better = -CLEARLY
         if abs(by_s - late_s) < abs(by_s):  # nearer to when it came than to its stamps
             in_time = self._with_motions(kept(evidence, other.evidence, self._by_gnss_clock, by_s))
             as_stamped = self._aligner.solve(in_time, prior, max_heading_sigma_rad)
+            if _is_unsolved(other.alignment) or _is_unsolved(as_stamped):
+                return waiting
             better = _evidence(as_stamped, other.alignment, other.evidence, attrgetter("excess"))
         is_off = better >= JUMPED and _fits(other.alignment) and offset is not None and offset.is_off
         self._is_clock_told = is_off or better <= -CLEARLY
@@ -385,6 +387,11 @@ def _evidence(
 def _fits(alignment: Alignment) -> bool:
     """Whether what was measured is as near to a solution as it claims, or nearly so."""
     return alignment.excess <= DOUBTFUL and alignment.misfit <= FITS
+
+
+def _is_unsolved(alignment: Alignment) -> bool:
+    """Whether what was measured tells nothing, not even that it does not fit."""
+    return alignment.excess == inf and not alignment.is_contradictory
 
 
 def _is_vague(alignment: Alignment) -> bool:
