@@ -240,6 +240,8 @@ class HeldOutJudge:
         """Take in a held-out message; those that measure no position are passed over."""
         if message.sensor in self._sensors:
             early_ns = self._learnt().early_ns.get(message.sensor, 0)
+            while self._waiting and self._waiting[-1][0].sensor == message.sensor and self._waiting[-1][2] != early_ns:
+                self._waiting.pop()  # by a clock that was wrong, it may be due in years
             self._waiting.append((stamped_later(message, early_ns), in_outage, early_ns))
 
     def add_estimate(self, estimate: Estimate, frame: LocalFrame | None) -> None:
