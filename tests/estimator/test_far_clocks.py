@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from motion import ns
 
-from holdfast.estimator.far_clocks import COUNT, FarClocks, stamped_later
+from holdfast.estimator.far_clocks import COUNT, FarClocks
 from holdfast.event_log import EventLog
 from holdfast.events import EventKind
 from holdfast.messages import Height
+from holdfast.sensors.clock import measured_later
 
 RATE_HZ = 2.0
 
@@ -91,5 +92,5 @@ def test_what_was_known_before_holds_while_it_can_be(log):
 
 def test_a_message_is_the_same_one_where_its_stamp_is():
     message = height(1.0)
-    assert stamped_later(message, 0) is message
-    assert stamped_later(message, 10).stamp_ns == message.stamp_ns + 10
+    assert measured_later(message, 0) is message
+    assert measured_later(message, 10).stamp_ns == message.stamp_ns + 10

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from holdfast.config.model import Config
 from holdfast.errors import EstimatorError
 from holdfast.estimator.estimator import Estimator
-from holdfast.estimator.far_clocks import stamped_later
 from holdfast.events import EventKind, Health
 from holdfast.geometry.world import World
 from holdfast.lidar_odometry.replayed import ReplayedScans
@@ -24,6 +23,7 @@ from holdfast.recording.subscriptions import available
 from holdfast.replay.held_out import HoldOut, Judgement
 from holdfast.replay.never_started import never_started
 from holdfast.replay.runner import Replay
+from holdfast.sensors.clock import measured_later
 from holdfast.sensors.constants import Constant
 from holdfast.sensors.heading import AxisYaw
 from holdfast.sensors.odometry import OdometryModel, TrackPose
@@ -188,7 +188,7 @@ class _Readings:
                 self._values[name].extend(message.values())
             elif name in self._sensors:
                 early_ns = 0 if self.estimator is None else self.estimator.early_ns.get(name, 0)
-                self._take(self._sensors[name], stamped_later(message, early_ns))
+                self._take(self._sensors[name], measured_later(message, early_ns))
 
     def _take(self, sensor: Any, message: Message) -> None:
         frame = None if self.estimator is None else self.estimator.world

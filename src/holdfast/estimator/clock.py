@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import gtsam
 
-from holdfast.estimator.far_clocks import stamped_later
 from holdfast.event_log import EventLog, MeasurementRecord
 from holdfast.events import Event, EventKind
 from holdfast.messages import ImuSample, Message
+from holdfast.sensors.clock import measured_later
 from holdfast.sensors.imu import CLOCK_JUMP_NS, ImuBuffer
 from holdfast.state import NOTHING, OptimisedState, Output
 
@@ -61,7 +61,7 @@ class Clock:
             age_ns = min(max(age_ns, usual_ns - AGE_STEP_NS), usual_ns + AGE_STEP_NS)
         if abs(age_ns) < MAX_SILENCE_NS:
             self._ages_ns[name] = age_ns
-        return stamped_later(message, -offset_ns)
+        return measured_later(message, -offset_ns)
 
     def read_sample(self, sample: ImuSample) -> ImuSample:
         """Return a sample of the primary IMU in continuous time, by the clock that it has had until now."""

@@ -7,14 +7,14 @@ that is off by that. What transport takes is part of it, which is found as any o
 
 from collections import deque
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from statistics import median
 from types import MappingProxyType
-from typing import Any
 
 from holdfast.event_log import EventLog
 from holdfast.events import EventKind
 from holdfast.messages import Message
+from holdfast.sensors.clock import measured_later
 
 EARLY_NS, LATE_NS = 500_000_000, 12_000_000_000  # by which what is measured may arrive before the IMU's, and after it
 COUNT, SPAN_NS = 5, 2_000_000_000  # messages in a row that are off alike, for so long
@@ -96,7 +96,7 @@ class FarClocks:
             seen.late_ns.append(late_ns)
         else:
             self._doubt(seen, message, behind_ns)
-        return stamped_later(message, seen.early_ns)
+        return measured_later(message, seen.early_ns)
 
     def _doubt(self, seen: _Seen, message: Message, behind_ns: int) -> None:
         """Take in a stamp that cannot be right by what is known; know another clock if those before say the same."""
@@ -123,12 +123,3 @@ class FarClocks:
 
     def _report(self, message: Message, behind_ns: int, reason: str) -> None:
         self._log.report(EventKind.CLOCK_STEP, message.stamp_ns + behind_ns, message.sensor, reason)
-
-
-def stamped_later(message: Message, by_ns: int) -> Message:
-    """Return a message with a later stamp, the same one where it is none."""
-    if by_ns == 0:
-        return message
-    dated: Any = message
-    read: Message = replace(dated, stamp_ns=message.stamp_ns + by_ns)
-    return read

@@ -16,14 +16,13 @@ import numpy as np
 
 from holdfast.config.model import Config
 from holdfast.errors import ConfigError
-from holdfast.estimator.far_clocks import stamped_later
 from holdfast.event_log import EventLog
 from holdfast.events import Outcome
 from holdfast.geometry.earth import LocalFrame
 from holdfast.geometry.world import World
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.messages import Array, Message
-from holdfast.sensors.clock import has_estimated_clock, with_estimated_clock
+from holdfast.sensors.clock import has_estimated_clock, measured_later, with_estimated_clock
 from holdfast.sensors.even_stamps import EvenStamps
 from holdfast.sensors.registry import sensors_of
 from holdfast.sensors.sensor import Position, PositionSensor, Role, State
@@ -232,17 +231,16 @@ class HeldOutJudge:
         self._sensors = _position_sensors(config)
         self._track: deque[TrackPoint] = deque()
         self._first_imu_ns: int | None = None  # the first point that comes from the IMU
-        self._waiting: deque[tuple[Message, bool, int]] = deque()
+        self._waiting: deque[tuple[Message, bool]] = deque()
+        self._early_ns: dict[str, int] = {}  # by which clocks are far behind, as of the newest message
         self._due: deque[_Due] = deque()
         self.judgements: list[Judgement] = []
 
     def add_message(self, message: Message, in_outage: bool) -> None:
         """Take in a held-out message; those that measure no position are passed over."""
         if message.sensor in self._sensors:
-            early_ns = self._learnt().early_ns.get(message.sensor, 0)
-            while self._waiting and self._waiting[-1][0].sensor == message.sensor and self._waiting[-1][2] != early_ns:
-                self._waiting.pop()  # by a clock that was wrong, it may be due in years
-            self._waiting.append((stamped_later(message, early_ns), in_outage, early_ns))
+            self._early_ns = self._learnt().early_ns
+            self._waiting.append((message, in_outage))
 
     def add_estimate(self, estimate: Estimate, frame: LocalFrame | None) -> None:
         """Take in what was published at an IMU sample, and judge the positions that it has passed."""
@@ -276,23 +274,24 @@ class HeldOutJudge:
         while point.stamp_ns - self._track[0].stamp_ns > MAX_DELAY_NS:
             self._track.popleft()
         while self._waiting and self._stamp_ns(self._waiting[0][0]) <= point.stamp_ns:
-            message, in_outage, early_ns = self._waiting.popleft()
-            world, learnt = World(frame), self._learnt()
-            position = self._sensors[message.sensor].convert(message, world)
-            is_dated = learnt.early_ns.get(message.sensor, 0) == early_ns
-            if is_dated and not isinstance(position, Outcome) and world.frame is frame:  # it has set no datum itself
-                self._due.append(self._calibrated(position, in_outage, learnt))
+            message, in_outage = self._waiting.popleft()
+            world, early_ns = World(frame), self._early_ns.get(message.sensor, 0)
+            position = self._sensors[message.sensor].convert(measured_later(message, early_ns), world)
+            if not isinstance(position, Outcome) and world.frame is frame:  # it has not set a datum itself
+                self._due.append(self._calibrated(position, in_outage))
         while self._due and self._due[0].time_ns <= point.stamp_ns:
             self._judge(self._due.popleft())
 
     def _stamp_ns(self, message: Message) -> int:
-        return message.stamp_ns + self._sensors[message.sensor].offset_ns
+        early_ns = self._early_ns.get(message.sensor, 0)
+        return message.stamp_ns + self._sensors[message.sensor].offset_ns + early_ns
 
     def _learnt(self) -> LearntSnapshot:
         return NOTHING_LEARNT if self._estimator is None else self._estimator.learnt()
 
-    def _calibrated(self, position: Position, in_outage: bool, learnt_now: LearntSnapshot) -> _Due:
+    def _calibrated(self, position: Position, in_outage: bool) -> _Due:
         """Return a position with what has been learnt of its receiver until now."""
+        learnt_now = self._learnt()
         known, name = learnt_now.constants, position.sensor
         position = replace(position, sensor=learnt_now.names.antennas.get(name, name))
         sensor = with_estimated_clock(self._sensors[position.sensor])

@@ -126,7 +126,7 @@ def with_estimated_clock(sensor: Any, known_s: float = 0.0) -> Any:
 
 
 def measured_later(measurement: Kind, by_ns: int) -> Kind:
-    """Return a measurement as one that was taken later."""
+    """Return a measurement, or a message, as one that was taken later; the same one where it is not."""
     if by_ns == 0:
         return measurement
     dated: Any = measurement
