@@ -14,10 +14,13 @@ END_S, TRANSPORT_S = 40.0, 0.06
 DRIVE = FigureEight(speed=0.35)
 
 
-def driven(off_s=0.0, late_s=0.0, learnt=NOTHING_LEARNT):
-    """The estimator and its answers after a drive of 10 m/s with a receiver by another clock, or late."""
+def driven(off_s=0.0, late_s=0.0, learnt=NOTHING_LEARNT, silent_s=0.0):
+    """The estimator and its answers after a drive of 10 m/s with a receiver by another clock, or late.
+
+    The IMU is silent at first.
+    """
     rng = np.random.default_rng(1)
-    samples = imu(DRIVE, 0.0, END_S, 100.0, rng)
+    samples = [one for one in imu(DRIVE, 0.0, END_S, 100.0, rng) if one.stamp_ns >= ns(silent_s)]
     antenna = fixes(DRIVE, 0.0, END_S, 5.0, rng, phase_s=0.0137)
     antenna = late(antenna, np.full(len(antenna), TRANSPORT_S + late_s))
     antenna = [replace(one, stamp_ns=one.stamp_ns + ns(off_s) - ns(0.0)) for one in antenna]
@@ -39,6 +42,13 @@ def test_a_clock_that_is_off_is_found(off_s):
     estimator, given = driven(off_s)
     early_s = estimator.early_ns["gnss"] * 1e-9 + estimator.constants()["clock of GNSS"].value[-1]
     assert early_s == pytest.approx(-off_s, abs=5e-3)
+    assert largest_m(given, 30.0) < 0.1
+    assert estimator.health is Health.NOMINAL
+
+
+def test_a_receiver_that_speaks_before_the_imu_is_dated_when_that_does():
+    """Its first stamps, 30 years ahead, kept the estimator waiting for an IMU that is as far."""
+    estimator, given = driven(1e9, silent_s=3.0)
     assert largest_m(given, 30.0) < 0.1
     assert estimator.health is Health.NOMINAL
 

@@ -82,6 +82,15 @@ class Collected:
         for series in collected:
             _forget(series, stamp_ns)
 
+    def forget_after(self, stamp_ns: int) -> None:
+        """Forget what was measured after a time: by a clock that was wrong."""
+        collected: list[deque[Any]] = [self.positions, self.all_positions, self.velocities, *self.others.values()]
+        for series in (*collected, *self._odometries.series):
+            left = [one for one in series if one.stamp_ns <= stamp_ns]
+            series.clear()
+            series.extend(left)
+        self.newest_ns = min(self.newest_ns, stamp_ns)
+
     def know_clock(self, clock_ns: int) -> None:
         """Know by how much stamps of GNSS are early, in what has come, too."""
         later_ns, self.clock_ns = clock_ns - self.clock_ns, clock_ns

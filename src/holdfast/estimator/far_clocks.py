@@ -106,7 +106,7 @@ class FarClocks:
         seen.off_ns.append(behind_ns)
         if len(seen.off_ns) < COUNT or message.arrival_ns - seen.since_ns < SPAN_NS:
             return
-        seen.early_ns = self._off_ns(seen)
+        seen.early_ns, self._is_moved = self._off_ns(seen), True
         seen.off_ns.clear()
         apart = f"{abs(seen.early_ns) * 1e-9:.3f} s {'behind' if seen.early_ns > 0 else 'ahead of'} the IMU's"
         reason = (

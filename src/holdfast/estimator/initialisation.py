@@ -196,6 +196,10 @@ class Initialising:
         self._collected.forget_before(stamp_ns)
         self._last_try_ns = NEVER_NS
 
+    def forget_ahead(self) -> None:
+        """Forget what seems later than the IMU is: before its first sample nobody sees that a clock is far off."""
+        self._collected.forget_after(self._buffer.latest_ns + round(SILENT_S * 1e9))
+
     def forget_older_half(self) -> None:
         """Forget the older half of the time in which positions were measured."""
         stamps = [one.stamp_ns for one in self._collected.positions]

@@ -77,8 +77,7 @@ class Optimiser:
         self._know(learnt)
         self._inputs = frozenset(inputs_of(config))
         self._joint = None if config.joint is None else JointTrack(JointModel(config.joint[1]))
-        self._has_imu = True
-        self._reported = Health.INITIALISING
+        self._has_imu, self._reported = True, Health.INITIALISING
         self._assumptions = Assumptions(self._sensors, log)
         self._scatters = Scatters(self._sensors, buffer, log, config.imu_name)
         self.monitor = HealthMonitor(config)
@@ -226,6 +225,7 @@ class Optimiser:
         self._assumptions.tell(message)
         if self.clocks.newly_moved():
             self._scatters.forget()
+            self._start_of_now.forget_ahead()
         weighed = self._scatters.weighed(measurement, self._scales, self._stamps.even)
         if self._scatters.newly_swaying():
             self._start_of_now.found.forget()
