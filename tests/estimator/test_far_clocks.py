@@ -90,6 +90,15 @@ def test_what_was_known_before_holds_while_it_can_be(log):
     np.testing.assert_allclose(read(FarClocks(log, before), 3600.0)[COUNT:], 0.05, atol=1e-6)
 
 
+def test_it_is_told_at_the_time_of_the_imu_whatever_is_configured(log):
+    """An event came 18 s before the recording."""
+    clocks = FarClocks(log)
+    for t in np.arange(COUNT) / RATE_HZ:
+        message = height(t)
+        clocks.read(message, message.arrival_ns - message.stamp_ns - ns(18.0) + ns(0.0), ns(18.0) - ns(0.0))
+    assert [one.stamp_ns for one in log.events] == [message.arrival_ns]
+
+
 def test_a_message_is_the_same_one_where_its_stamp_is():
     message = height(1.0)
     assert measured_later(message, 0) is message

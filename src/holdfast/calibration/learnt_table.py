@@ -200,7 +200,8 @@ def _of_imu(name: str, prior: Parameter, learnt: LearntConstant) -> Iterator[Row
 def _of_clock(name: str, configured_s: float, offset_s: float, sigma_s: float, *, is_off: bool) -> Row:
     is_wrong = is_off and abs(offset_s) > SIGMA * sigma_s + SLACK_S
     value, key = configured_s + offset_s, path_text(("sensors", name, "time_offset_s"))
-    return Row(name, "clock", key, "s", configured_s, value, sigma_s, is_wrong, f"{value:.4f}" if is_wrong else "")
+    write = f"{value:z.4f}" if is_wrong else ""
+    return Row(name, "clock", key, "s", configured_s, value, sigma_s, is_wrong, write)
 
 
 def _of_scale(name: str, configured: float, log_factor: float, sigma: float) -> Row:

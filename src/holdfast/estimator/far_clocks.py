@@ -77,28 +77,30 @@ class FarClocks:
         is_moved, self._is_moved = self._is_moved, False
         return is_moved
 
-    def read(self, message: Message, behind_ns: int) -> Message:
+    def read(self, message: Message, behind_ns: int, offset_ns: int = 0) -> Message:
         """Return a message by the IMU's clock; the same one where its own is not far from that, or nobody knows yet.
 
         Args:
             message: in the order of arrival.
-            behind_ns: by how much its stamp is behind the IMU at its arrival.
+            behind_ns: by how much its stamp is behind the IMU at its arrival, with what is configured to be added.
+            offset_ns: what that is.
         """
         seen = self._seen.setdefault(message.sensor, _Seen())
+        now_ns = message.stamp_ns + offset_ns + behind_ns
         usual_ns = seen.usual_ns
         early_ns = min(seen.early_ns, 0, key=lambda early_ns: abs(behind_ns - early_ns - usual_ns))
         late_ns = behind_ns - early_ns
         if min(0, usual_ns) - EARLY_NS <= late_ns <= LATE_NS:
             if early_ns != seen.early_ns:
                 seen.early_ns = early_ns
-                self._report(message, behind_ns, "stamps agree with the IMU's again")
+                self._report(message, now_ns, "stamps agree with the IMU's again")
             seen.off_ns.clear()
             seen.late_ns.append(late_ns)
         else:
-            self._doubt(seen, message, behind_ns)
+            self._doubt(seen, message, behind_ns, now_ns)
         return measured_later(message, seen.early_ns)
 
-    def _doubt(self, seen: _Seen, message: Message, behind_ns: int) -> None:
+    def _doubt(self, seen: _Seen, message: Message, behind_ns: int, now_ns: int) -> None:
         """Take in a stamp that cannot be right by what is known; know another clock if those before say the same."""
         if not seen.off_ns or abs(behind_ns - median(seen.off_ns)) > ALIKE_NS:
             seen.off_ns.clear()
@@ -112,7 +114,7 @@ class FarClocks:
         reason = (
             f"stamps are {apart}: read by a clock that is off by that (`time_offset_s` sets it right from the start)"
         )
-        self._report(message, behind_ns, reason)
+        self._report(message, now_ns, reason)
 
     def _off_ns(self, seen: _Seen) -> int:
         """Return by how much a clock is behind the IMU's: as another that is off alike, by leap seconds, or as seen."""
@@ -121,5 +123,5 @@ class FarClocks:
         leaps = [sign * leap_ns for leap_ns in LEAP_NS for sign in (-1, 1)]
         return next((one for one in (*known, *leaps) if abs(off_ns - one) <= ALIKE_NS), off_ns)
 
-    def _report(self, message: Message, behind_ns: int, reason: str) -> None:
-        self._log.report(EventKind.CLOCK_STEP, message.stamp_ns + behind_ns, message.sensor, reason)
+    def _report(self, message: Message, now_ns: int, reason: str) -> None:
+        self._log.report(EventKind.CLOCK_STEP, now_ns, message.sensor, reason)

@@ -47,7 +47,7 @@ class StampCheck:
     def read(self, message: Message, offset_ns: int) -> Message:
         """Return a message with the stamp that it should have, given what is configured to be added to that later."""
         behind_ns = self._behind_ns(message, message.stamp_ns + offset_ns)
-        return self.even.read(message if behind_ns is None else self._clocks.read(message, behind_ns))
+        return self.even.read(message if behind_ns is None else self._clocks.read(message, behind_ns, offset_ns))
 
     def check(self, message: Message, stamp_ns: int) -> Outcome:
         """Say whether the stamp of a message, time offset applied, can be right."""
