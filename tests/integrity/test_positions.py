@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from motion import ARM, ARM_RIGHT, Drive, machine, ns
+from motion import ARM, ARM_RIGHT, Drive, at, machine, ns
 from rig import Rig, position
 
 from holdfast.events import EventKind, Outcome
@@ -184,3 +184,18 @@ def test_gnss_is_trusted_as_long_as_one_receiver_is(names):
     rig.positions.distrust(names)
     assert rig.positions.lost() == names
     assert rig.positions.is_trusted == (len(names) < 2)
+
+
+def test_a_prism_that_has_never_agreed_with_gnss_is_not_believed_without_it():
+    """Antennas that come late had not measured when it was lost; when they fell silent, it led 100 m away."""
+    prism = {"kind": "prism", "mount": at(ARM)}
+    rig = Rig(DRIVE, machine(lidar=False, more={"prism": prism}), 15.0)
+    for t in np.arange(0.1, 12.0, 0.1):
+        assert receive(rig, position(DRIVE, t, ARM, (100.0, 0.0, 0.0), sensor="prism")) is Outcome.INNOVATION
+        if 0.95 < t < 3.0:
+            receive(rig, position(DRIVE, t, ARM))
+        rig.recovery.review(rig.graph, ns(t))
+        assert rig.positions.misplaced == (frozenset() if t < 0.95 else {"prism"})
+    kinds = {kind for kind, _ in rig.events()}
+    assert EventKind.GNSS_LOST in kinds
+    assert EventKind.ESTIMATE_SUSPECT not in kinds

@@ -85,7 +85,7 @@ class Positions:
         self.are_arms_proven = False  # whether those of antennas are as they were measured
         self._departures = {name: Departures() for name in sensors}
         self.wandering: Collection[str] = ()  # receivers that are wrong, though their positions agree with each other
-        self._misplaced: set[str] = set()  # what a start has left out: somebody has typed where it stands
+        self._left_out: set[str] = set()  # by the start, at odds with GNSS
         self._scales = scales
         self._force = {name: ForceLearning(accelerometer) for name in sensors}
         self.believe_after_s = believe_after_s
@@ -124,10 +124,9 @@ class Positions:
                 gate.become(Trust.LOST, hold_s=self._config.regain_s)
 
     def leave_out(self, names: Collection[str]) -> None:
-        """Begin without them; those that are none of GNSS, beside it, are elsewhere than they say."""
+        """Begin without them."""
         self.distrust(names)
-        if self._antennas:
-            self._misplaced.update(self.gates.keys() & set(names) - self._antennas)
+        self._left_out.update(self.gates.keys() & set(names) if self._antennas else ())
 
     def regained(self) -> list[str]:
         """Return the lost receivers whose positions the estimate has expected for long enough to trust them again.
@@ -146,8 +145,11 @@ class Positions:
 
     @property
     def misplaced(self) -> frozenset[str]:
-        """The receivers that are wrong about where they are, until they agree with the estimate."""
-        return frozenset(name for name in self._misplaced if self.gates[name].trust is Trust.LOST)
+        """The receivers beside GNSS that have never agreed with it: somebody has typed where they stand."""
+        never = set(self._left_out)
+        if any(self.gates[name].was_good for name in self._antennas):
+            never.update(name for name, gate in self.gates.items() if not gate.was_good)
+        return frozenset(name for name in never - self._antennas if self.gates[name].trust is Trust.LOST)
 
     @property
     def disbelieved(self) -> set[str]:
