@@ -199,3 +199,15 @@ def test_a_prism_that_has_never_agreed_with_gnss_is_not_believed_without_it():
     kinds = {kind for kind, _ in rig.events()}
     assert EventKind.GNSS_LOST in kinds
     assert EventKind.ESTIMATE_SUSPECT not in kinds
+
+
+def test_an_estimate_that_has_drifted_does_not_vouch_for_a_prism_that_was_never_used():
+    """Positions that waited counted as agreement: where the estimate had drifted to, the prism would have led."""
+    rig = Rig(DRIVE, machine(lidar=False, more={"prism": {"kind": "prism", "mount": at(ARM)}}), 15.0)
+    for t in np.arange(0.1, 6.0, 0.1):
+        receive(rig, position(DRIVE, t, ARM, (100.0, 0.0, 0.0), sensor="prism"))
+        if 0.95 < t < 3.0:
+            receive(rig, position(DRIVE, t, ARM))
+        rig.recovery.review(rig.graph, ns(t))
+    assert receive(rig, position(DRIVE, 6.0, ARM, sensor="prism")) is Outcome.QUARANTINED
+    assert rig.positions.misplaced == {"prism"}

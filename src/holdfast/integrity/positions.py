@@ -85,7 +85,7 @@ class Positions:
         self.are_arms_proven = False  # whether those of antennas are as they were measured
         self._departures = {name: Departures() for name in sensors}
         self.wandering: Collection[str] = ()  # receivers that are wrong, though their positions agree with each other
-        self._left_out: set[str] = set()  # by the start, at odds with GNSS
+        self._agreeing: set[str] = set()  # have ever been as expected; what is no antenna, beside one that led
         self._scales = scales
         self._force = {name: ForceLearning(accelerometer) for name in sensors}
         self.believe_after_s = believe_after_s
@@ -126,7 +126,7 @@ class Positions:
     def leave_out(self, names: Collection[str]) -> None:
         """Begin without them."""
         self.distrust(names)
-        self._left_out.update(self.gates.keys() & set(names) if self._antennas else ())
+        self._agreeing.update(self._antennas - set(names))  # the start has shown that
 
     def regained(self) -> list[str]:
         """Return the lost receivers whose positions the estimate has expected for long enough to trust them again.
@@ -146,10 +146,10 @@ class Positions:
     @property
     def misplaced(self) -> frozenset[str]:
         """The receivers beside GNSS that have never agreed with it: somebody has typed where they stand."""
-        never = set(self._left_out)
-        if any(self.gates[name].was_good for name in self._antennas):
-            never.update(name for name, gate in self.gates.items() if not gate.was_good)
-        return frozenset(name for name in never - self._antennas if self.gates[name].trust is Trust.LOST)
+        if self._agreeing.isdisjoint(self._antennas):
+            return frozenset()
+        never = self.gates.keys() - self._antennas - self._agreeing
+        return frozenset(name for name in never if self.gates[name].trust is Trust.LOST)
 
     @property
     def disbelieved(self) -> set[str]:
@@ -191,8 +191,9 @@ class Positions:
         is_apart = worse is not position and not others  # from the other antennas, as it is mounted
         outcome = gate.judge(position, prediction, now_ns=now_ns, baseline_agrees=is_apart)
         is_refused = outcome not in (Outcome.USED, Outcome.QUARANTINED)
-        is_expected = prediction.nis <= gate.limit
-        self._consensus[name].add(position, outcome, innovation.y, is_expected=is_expected)
+        if not is_refused and (self.lead or name in self._antennas):
+            self._agreeing.add(name)
+        self._consensus[name].add(position, outcome, innovation.y, is_expected=prediction.nis <= gate.limit)
         self._note_departure(claimed, prediction.innovation, scale, is_refused=is_refused)
         if (
             gate.trust is Trust.TRUSTED
@@ -208,8 +209,7 @@ class Positions:
                 white.learn(sensor, position, position.colour, smoother, state, scale.above)
             correlated = correlation_inflation(_correlation_s(position), self.used.since_last_s(position))
             inflation = gate.inflation(prediction) * correlated
-            known = found if smoother is graph.main else None
-            if self._enter(graph.main, position, inflation, known):
+            if self._enter(graph.main, position, inflation, found if smoother is graph.main else None):
                 self.used.add(position)
         elif outcome is not Outcome.QUARANTINED:
             self._log.report(EventKind.REJECTED, position.stamp_ns, name, outcome)

@@ -104,7 +104,6 @@ class ReceiverGate:
         self.quarantine: list[Held] = []
         self._tested: tuple[Prediction, float] | None = None  # the newest, with the limit on its NIS
         self._bad_in_a_row = 0
-        self.was_good = False  # any position of it, ever
         self._last_good: Position | None = None
         self._last_ns: int | None = None
         self._received_ns = since_ns
@@ -146,7 +145,6 @@ class ReceiverGate:
             self._note_contradiction(Held(position, prediction), outcome)
             return outcome
         self._last_good, self._received_ns = position, now_ns
-        self.was_good = True
         self._bad_in_a_row = 0
         if self.trust is Trust.TRUSTED:
             self._fastest_m_s = max(self._fastest_m_s, FASTER * prediction.least_speed_m_s)
