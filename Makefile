@@ -29,7 +29,7 @@ help: ## Show this list
 demo: $(READY) ## Estimate a real drive, draw it and print how far it is from the reference
 	@$(BIN)/holdfast demo
 
-test: $(READY) ## Run the fast tests (five to eleven minutes on two cores)
+test: $(READY) ## Run the fast tests (ten to seventeen minutes on two cores)
 	@$(PYTEST) -m "not slow"
 
 test-all: $(READY) ## Run every test, those on whole recordings too
