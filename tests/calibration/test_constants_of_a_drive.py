@@ -3,7 +3,7 @@
 import gtsam
 import numpy as np
 import pytest
-from motion import T_I_L, StopAndGo, fixes, imu, in_order, link, machine, scans
+from motion import T_I_L, StopAndGo, fixes, imu, in_order, link, machine, ns, scans
 
 from holdfast.calibration.clocks import clocks
 from holdfast.calibration.constants import is_off
@@ -12,6 +12,7 @@ from holdfast.calibration.lever_arms import lever_arms, with_estimated_arms
 from holdfast.calibration.mountings import mountings
 from holdfast.calibration.odometry_noise import odometry_noise
 from holdfast.calibration.scales import scales
+from holdfast.messages import Heading
 from holdfast.sensors.clock import IF_RIGHT_S
 
 DRIVE = StopAndGo(radius_m=4.0, speed=0.35)  # 0.4 to 2.4 m/s
@@ -28,9 +29,10 @@ def config_of(turned=(0.0, 0.0, 0.0), **settings):
     return type(config).model_validate(data)
 
 
-def drive(config, *, lidar_late_s=0.0, fixes_late_s=0.0, seed=0, ignored=(), jitter=JITTER):
+def drive(config, *, lidar_late_s=0.0, fixes_late_s=0.0, seed=0, ignored=(), jitter=JITTER, headings=()):
     rng = np.random.default_rng(seed)
     sent = in_order(
+        headings,
         imu(DRIVE, 0.0, END_S, 100.0, rng),
         fixes(DRIVE, 0.0, END_S, 10.0, rng, stamp_shift_s=fixes_late_s),
         scans(DRIVE, 0.0, END_S, 5.0, rng, jitter, phase_s=0.0071, stamp_shift_s=lidar_late_s, delay_s=0.1),
@@ -78,6 +80,21 @@ def test_a_lidar_mounted_otherwise_is_turned_in_the_file():
     sigmas = np.radians([one.sigma for one in found.estimates])
     assert (np.abs(turned - TURNED) < 3.0 * sigmas).all() and (np.degrees(sigmas) < 0.4).all()
     assert len(found.changes) == 1
+
+
+@pytest.mark.parametrize("off_deg", [4.0, pytest.param(0.0, marks=pytest.mark.slow)])
+def test_a_heading_mounted_otherwise_is_turned_in_the_file(off_deg):
+    rng, headings = np.random.default_rng(6), []
+    for t in np.arange(0.0503, END_S, 0.2):
+        x, y, _ = DRIVE.nav(t).attitude().rotate(np.array([0.0, 1.0, 0.0]))
+        yaw_rad = float(np.arctan2(y, x) + np.radians(off_deg) + 0.01 * rng.standard_normal())
+        headings.append(Heading(ns(t), ns(t), "heading", yaw_rad, 0.01))
+    config = config_of(heading=True, heading_={"mounting_yaw_deg": 90.0})
+    found = mountings([drive(config, headings=headings)], config, config)
+    one = next(row for row in found.estimates if row.what == "heading")
+    assert abs(one.after - 90.0 - off_deg) < 3.0 * one.sigma and one.sigma < 0.6
+    written = [(change.path[1:], change.value) for change in found.changes if change.path[0] == "sensors"]
+    assert written == ([(("heading", "mounting_yaw_deg"), round(one.after, 2))] if off_deg else [])
 
 
 @pytest.mark.parametrize("true", [0.96, pytest.param(1.0, marks=pytest.mark.slow)])

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from math import atan2, degrees, radians
 from pathlib import Path
 
 import numpy as np
@@ -219,6 +220,34 @@ def test_a_shift_of_the_antennas_is_told_of_each_as_what_to_write():
         assert json.loads(x.write) == pytest.approx(arm + np.array([1.0, -0.5, 0.0]), abs=1e-3)
     right = LearntSnapshot(constants={GNSS_ARM: shift.model_copy(update={"is_off": False})})
     assert not learnt_rows(right, machine())
+
+
+def test_how_a_heading_is_mounted_is_told_as_what_to_write_once_it_is_known():
+    mount = LearntConstant(mean=(radians(-10.0),), sigmas=(radians(0.1),), is_off=True)
+    baseline = machine(right=True, heading=True)
+    axis = ARM_RIGHT - ARM
+    for config, yaw_deg in (
+        (machine(heading=True, heading_={"mounting_yaw_deg": 30.0}), 30.0),
+        (baseline, degrees(atan2(axis[1], axis[0]))),
+    ):
+        (row,) = learnt_rows(LearntSnapshot(constants={"heading mount": mount}), config)
+        assert (row.key, row.what, row.looks_wrong) == ("sensors.heading.mounting_yaw_deg", "mounting, yaw", True)
+        assert (row.configured, row.learnt) == pytest.approx((yaw_deg, yaw_deg - 10.0))
+        assert float(row.write) == pytest.approx(yaw_deg - 10.0, abs=0.01)
+    vague = LearntConstant(mean=(0.001,), sigmas=(radians(0.28),))
+    assert not learnt_rows(LearntSnapshot(constants={"heading mount": vague}), baseline)
+
+
+def test_how_a_heading_is_mounted_is_kept_until_it_or_an_antenna_of_its_baseline_is_mounted_otherwise(tmp_path):
+    known = LearntSnapshot(constants={"heading mount": LearntConstant(mean=(0.1,), sigmas=(0.01,), is_off=True)})
+    save_learnt(tmp_path / "learnt.json", known, machine(right=True, heading=True))
+    for changed in ({"heading_": {"mounting_yaw_deg": 20.0}}, {"gnss_": {"lever_arm_sigma_m": 0.1}}):
+        learnt, (warning,) = load_learnt(tmp_path / "learnt.json", machine(right=True, heading=True, **changed))
+        assert not learnt.constants and "changed since it was learnt" in warning
+    later, _ = load_learnt(
+        tmp_path / "learnt.json", machine(right=True, heading=True, heading_={"time_offset_s": 0.01})
+    )
+    assert later.constants == known.constants
 
 
 def test_a_lever_arm_is_kept_until_the_frame_is_moved(tmp_path):

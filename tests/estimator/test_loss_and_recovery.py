@@ -175,7 +175,8 @@ def test_a_heading_from_the_wrong_side_is_refused():
     for t in np.arange(6.0, END_S, 0.1):
         axis = drive.nav(t).attitude().rotate(np.array([1.0, 0.0, 0.0]))
         wrong.append(Heading(ns(t), ns(t), "heading", float(np.arctan2(-axis[1], -axis[0])), 0.01))
-    estimator, outputs = run(machine(heading=True), in_order(*streams.values(), wrong))
+    known = machine(heading=True, heading_={"mounting_sigma_deg": 0.0})
+    estimator, outputs = run(known, in_order(*streams.values(), wrong))
     assert estimator.counts["heading", Outcome.INNOVATION] == len(wrong)
     assert deviation(drive, estimates(outputs)[-1])[1] < np.radians(1.0)
 

@@ -240,6 +240,18 @@ def test_of_two_the_one_that_lies_is_left_out_of_a_start():
     assert max(errors_m(outputs, seconds(started.stamp_ns))) < 0.5
 
 
+def test_a_start_of_few_positions_does_not_rest_on_an_odometry_that_is_at_odds_with_them():
+    """Three fixes that are five seconds apart and a lidar that looks the other way: it was 329 m off after 40 s."""
+    sent = streams(30.0, hz=0.2)
+    sent["lidar"] = mounted_otherwise(sent["lidar"], gtsam.Rot3.Rodrigues(-0.3, 1.4, 2.4))
+    sent = {name: [one for one in series if one.stamp_ns > ns(5.0)] for name, series in sent.items()}
+    estimator, _ = run(machine(heading_deg=None), in_order(*sent.values()))
+    assert not estimator.initialised  # on a circle at one speed the heading is known to 10.3 deg
+    told = [event.reason for event in estimator.events if event.kind is EventKind.WAITING]
+    assert any(reason.startswith("positions, IMU and odometry are at odds") for reason in told)
+    assert estimator.waiting_for.endswith("without lidar, at odds with the positions")
+
+
 def test_positions_are_no_walk_where_the_lidar_turns_otherwise_than_the_gyroscope():
     """Of a slow machine they left the estimate no faster than fixes walk, and were refused for a minute."""
     slow = Drive(start_s=4.0, ramp_s=4.0, radius_m=8.0, speed=0.1, tilt=0.0, heave_m=0.0)  # 0.8 m/s

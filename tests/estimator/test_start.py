@@ -23,7 +23,7 @@ from motion import (
     seconds,
 )
 
-from holdfast.estimator.first_heading import believed
+from holdfast.estimator.first_heading import Told, believed
 from holdfast.events import EventKind, Outcome
 from holdfast.messages import Heading
 
@@ -122,10 +122,12 @@ def test_two_antennas_give_the_heading_though_they_are_not_mounted_square(yaw_ra
 @pytest.mark.parametrize(
     ("told", "found"),
     [
-        ({"compass": (1.0, 0.1)}, (1.0, 0.1)),
-        ({"compass": (1.0, 0.1), "antennas": (1.1, 0.01)}, (1.1, 0.01)),  # the surer
-        ({"compass": (3.1, 0.01), "antennas": (-3.1, 0.02)}, (3.1, 0.01)),  # across the south
-        ({"compass": (-2.0, 0.001), "antennas": (1.1, 0.02), "markers": (1.1, 0.01)}, (1.1, 0.01)),
+        ({"compass": Told(1.0, 0.1)}, (1.0, 0.1)),
+        ({"compass": Told(1.0, 0.1), "antennas": Told(1.1, 0.01)}, (1.1, 0.01)),  # the surer
+        ({"compass": Told(3.1, 0.01), "antennas": Told(-3.1, 0.02)}, (3.1, 0.01)),  # across the south
+        ({"compass": Told(-2.0, 0.001), "antennas": Told(1.1, 0.02), "markers": Told(1.1, 0.01)}, (1.1, 0.01)),
+        ({"compass": Told(1.0, 0.03, 0.04)}, (1.0, 0.05)),  # whose mounting is doubted
+        ({"compass": Told(1.0, 0.001, 0.2), "antennas": Told(1.1, 0.02)}, (1.1, 0.02)),
     ],
 )
 def test_of_those_who_tell_a_first_heading_most_are_believed(told, found):

@@ -5,9 +5,25 @@ from functools import cache
 import gtsam
 import numpy as np
 import pytest
-from motion import T_I_L, StopAndGo, error, estimates, fixes, imu, in_order, link, machine, ns, run, scans
+from motion import (
+    ARM_RIGHT,
+    T_I_L,
+    FigureEight,
+    StopAndGo,
+    error,
+    estimates,
+    fixes,
+    imu,
+    in_order,
+    link,
+    machine,
+    ns,
+    run,
+    scans,
+)
 
 from holdfast.events import EventKind
+from holdfast.messages import Heading
 
 DRIVE = StopAndGo(radius_m=4.0, speed=0.35)  # 0.4 to 2.4 m/s
 SHAKES_M, PER_PHASE = np.array([0.0012, -0.0012, 0.0005]), 200.0
@@ -107,3 +123,47 @@ def test_clocks_that_are_off_are_named_and_cost_nothing(lidar_late_s, fixes_late
             assert off_ms == pytest.approx(late_s * 1e3, abs=3.0 * sigma_ms) and sigma_ms < 6.0  # when it is told first
         else:
             assert sensor not in told
+
+
+@cache
+def with_heading(off_deg, *, right, figure=False):
+    """A heading is mounted otherwise than the configuration says; returns events, and the RMS of the heading [deg]."""
+    motion, rng = FigureEight(speed=0.15) if figure else DRIVE, np.random.default_rng(5)
+    headings = []
+    for t in np.arange(0.0503, END_S, 0.1):
+        x, y, _ = motion.nav(t).attitude().rotate(np.array([1.0, 0.0, 0.0]))
+        yaw_rad = float(np.arctan2(y, x) + np.radians(off_deg) + 0.003 * rng.standard_normal())
+        headings.append(Heading(ns(t), ns(t + 0.05), "heading", yaw_rad, 0.003))
+    streams = [imu(motion, 0.0, END_S, 100.0, rng), fixes(motion, 0.0, END_S, 10.0, rng), headings]
+    if right:
+        streams.append(fixes(motion, 0.0, END_S, 10.0, rng, arm=ARM_RIGHT, sensor="gnss_right"))
+    config = machine(lidar=False, right=right, heading=True, heading_deg=None, heading_={"mounting_yaw_deg": 0.0})
+    estimator, outputs = run(config, in_order(*streams))
+    late = [one for one in estimates(outputs) if one.stamp_ns > ns(END_S / 2)]
+    errors = np.degrees([error(motion, one)[2] for one in late])
+    return list(estimator.events), float(np.sqrt(np.mean(errors**2)))
+
+
+@pytest.mark.parametrize("off_deg", [1.0, 10.0, -90.0, 180.0])
+def test_a_heading_beside_two_antennas_that_is_mounted_otherwise_is_named_and_costs_nothing(off_deg):
+    events, rms_deg = with_heading(off_deg, right=True)
+    told = [one.reason for one in events if one.kind is EventKind.CALIBRATION and one.sensor == "heading"]
+    assert rms_deg < max(1.5 * with_heading(0.0, right=True)[1], 0.1)
+    if off_deg == 1.0:  # within four sigmas and 0.3 deg
+        return
+    words = told[-1].split()
+    assert np.cos(np.radians(float(words[words.index("add") + 1]) - off_deg)) > np.cos(np.radians(1.0))
+
+
+@pytest.mark.parametrize("off_deg", [3.0, 10.0, 180.0])
+def test_a_heading_beside_one_antenna_that_is_mounted_otherwise_is_found_by_the_motion(off_deg):
+    events, rms_deg = with_heading(off_deg, right=False, figure=True)
+    assert rms_deg < max(2.0 * with_heading(0.0, right=False, figure=True)[1], 0.5)
+    assert any(one.kind is EventKind.CALIBRATION and one.sensor == "heading" for one in events)
+
+
+def test_a_heading_that_is_mounted_as_configured_is_not_accused():
+    for right in (True, False):
+        events, rms_deg = with_heading(0.0, right=right, figure=not right)
+        assert not any(one.kind in (EventKind.CALIBRATION, EventKind.SENSOR_LOST) for one in events)
+        assert rms_deg < 0.25

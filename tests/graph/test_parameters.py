@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from holdfast.graph.parameters import MAX_SIZE, REFRESHED_NS, WALK_NS, Parameters, parameter_letter
+from holdfast.graph.parameters import DOUBTED_NS, MAX_SIZE, REFRESHED_NS, WALK_NS, Parameters, parameter_letter
 from holdfast.graph.window import Window
 from holdfast.sensors.sensor import Parameter
 
@@ -221,3 +221,67 @@ def test_what_was_begun_anew_is_not_put_back_to_what_was_configured():
     assert parameters.prior("wheels", PRIOR) is anew
     weight = 0.25 / (0.25 + 0.01)
     assert known.value == pytest.approx([9.0 + 3.0 * weight, 9.0])
+
+
+FIRST = Parameter(np.zeros(2), np.full(2, 0.5), np.full(2, 0.01))
+SECOND = FIRST._replace(odds=1e4)
+
+
+def contradicted(between, seconds, doubted=()):
+    """What becomes of two of which one is measured against the other, and neither alone; one is asked first."""
+    window, parameters, known = empty(), Parameters(), {}
+    for k in range(seconds):
+        stamp_ns = k * REFRESHED_NS
+        if k in doubted:
+            parameters.doubt(stamp_ns)
+        for name, prior in (("mount", FIRST), ("arm", SECOND)):
+            known[name] = parameters.use(window, name, prior, stamp_ns)
+        if k == 0:
+            keys = known["mount"].key, known["arm"].key
+            model = gtsam.noiseModel.Isotropic.Sigma(2, 0.01)
+            window.add(gtsam.BetweenFactorVector(*keys, np.array(between), model))
+            measure(window, keys[0], [0.0, 0.0], sigma=0.4)
+            measure(window, keys[1], [0.0, 0.0], sigma=0.1)
+        window.solve(-1)
+        parameters.mark_solved()
+    return parameters, known
+
+
+def test_of_those_that_refused_measurements_contradict_the_least_plausible_goes_alone():
+    parameters, known = contradicted([0.3, 0.3], 5, doubted=range(5))
+    assert not known["mount"].is_right and known["arm"].is_right  # which is measured to be where it is
+    assert np.linalg.norm(known["mount"].value + 0.3) < 0.02
+    assert parameters.newly_mistaken() == {"mount"}
+    assert parameters.newly_mistaken() == frozenset()
+
+
+def test_what_goes_while_nothing_is_refused_is_no_mistake():
+    parameters, known = contradicted([0.3, 0.3], 5)
+    assert not known["mount"].is_right and parameters.newly_mistaken() == frozenset()
+
+
+def test_what_is_held_is_read_more_often_while_measurements_contradict():
+    window, parameters = empty(), Parameters()
+    measure(window, parameters.use(window, "clock", OFFSET, 0).key, [0.02, 0.0], 0.003)
+    window.solve(0)
+    parameters.mark_solved()
+    assert parameters.use(window, "clock", OFFSET, DOUBTED_NS).is_right
+    parameters.doubt(DOUBTED_NS)
+    assert not parameters.use(window, "clock", OFFSET, DOUBTED_NS).is_right
+
+
+def test_what_is_let_go_begins_where_it_is_said_to_be_and_is_held_once_it_proves_right():
+    window, parameters = empty(), Parameters()
+    measure(window, parameters.use(window, "clock", OFFSET, 0).key, [0.0, 0.0], 0.003)
+    window.solve(0)
+    parameters.mark_solved()
+    parameters.let_go("clock", np.array([0.02, 0.0]))
+    known = parameters.use(window, "clock", OFFSET, REFRESHED_NS)
+    assert not known.is_right and known.value == pytest.approx([0.02, 0.0])
+    assert known.covariance[0, 0] == pytest.approx(0.03**2)
+    measure(window, known.key, [0.0, 0.0], 0.003)
+    for k in range(2, 4):
+        window.solve(0)
+        parameters.mark_solved()
+        known = parameters.use(window, "clock", OFFSET, k * REFRESHED_NS)
+    assert known.is_right

@@ -9,6 +9,7 @@ from motion import Drive, machine, ns
 from rig import Rig
 
 from holdfast.events import EventKind, Outcome
+from holdfast.integrity.turned_headings import TurnedHeadings
 from holdfast.sensors.heading import AxisYaw
 from holdfast.sensors.noise import Colour
 
@@ -39,7 +40,7 @@ def yaw_sigma_rad(smoother):
 
 
 def test_a_heading_enters_while_gnss_is_trusted_and_one_from_the_wrong_side_does_not():
-    rig = begun()
+    rig = begun(mounting_sigma_deg=0.0)
     for t in np.arange(0.1, 3.0, 0.1):
         assert receive(rig, heading(t, sigma_rad=0.001)) is Outcome.USED
     assert yaw_sigma_rad(rig.graph.main) < 0.001
@@ -49,7 +50,8 @@ def test_a_heading_enters_while_gnss_is_trusted_and_one_from_the_wrong_side_does
 
 def test_a_slow_error_of_headings_is_not_taken_for_the_heading_of_a_machine_that_knew_it():
     """The state at the start is known to 5 mrad: headings that are 5 mrad off for long are believed by half."""
-    off_rad, rigs = {}, {"a state": begun(correlation_s=1.0), "white": begun()}
+    off_rad, known = {}, {"mounting_sigma_deg": 0.0}
+    rigs = {"a state": begun(correlation_s=1.0, **known), "white": begun(**known)}
     for name, rig in rigs.items():
         for t in np.arange(0.05, 4.0, 0.05):
             measured = heading(t, 0.005, sigma_rad=0.007)
@@ -130,3 +132,49 @@ def test_a_heading_that_left_the_window_is_late():
         rig.graph.main.node(ns(t))
         rig.update()
     assert receive(rig, heading(0.5)) is Outcome.LATE
+
+
+def mount_deg(rig):
+    value, _ = rig.graph.main.parameters.estimate("heading mount")
+    return float(np.degrees(value[0]))
+
+
+@pytest.mark.parametrize("off_deg", [40.0, -170.0, 180.0])
+def test_headings_that_are_refused_alike_while_the_machine_turns_are_mounted_otherwise_and_come_back(off_deg):
+    rig = begun()
+    turned = DRIVE.nav(0.0).attitude().between(DRIVE.nav(8.0).attitude()).rpy()[2]
+    assert abs(turned) > np.radians(70.0)
+    outcomes = [receive(rig, heading(t, np.radians(off_deg))) for t in np.arange(0.1, 12.0, 0.1)]
+    assert outcomes[0] is Outcome.INNOVATION and outcomes[-1] is Outcome.USED and rig.headings.lost() == []
+    assert [kind for kind, _ in rig.events() if kind is not EventKind.REJECTED] == [
+        EventKind.SENSOR_LOST,
+        EventKind.SENSOR_REGAINED,
+    ]
+    assert abs(np.degrees(np.angle(np.exp(1j * np.radians(mount_deg(rig) - off_deg))))) < 1.0
+
+
+def test_headings_that_are_beside_it_otherwise_at_each_attitude_stay_lost():
+    rig = begun()
+    for t in np.arange(0.1, 12.0, 0.1):
+        true = heading(t)
+        receive(rig, replace(true, yaw_rad=np.pi / 2 - true.yaw_rad))  # clockwise from north
+    assert rig.headings.lost() == ["heading"]
+    assert mount_deg(rig) == pytest.approx(0.0, abs=0.5)
+    assert rig.events().count((EventKind.CALIBRATION, "heading")) == 1  # `clockwise` is to be set
+
+
+def test_a_mounting_that_is_known_is_not_let_go():
+    rig = begun(mounting_sigma_deg=0.0)
+    outcomes = {receive(rig, heading(t, 1.0)) for t in np.arange(0.1, 12.0, 0.1)}
+    assert outcomes == {Outcome.INNOVATION} and rig.graph.main.parameters.estimate("heading mount") is None
+
+
+def test_one_that_is_as_expected_ends_the_run_as_does_one_that_is_elsewhere():
+    run = TurnedHeadings()
+    assert [run.note(0.5, 0.01, yaw) for yaw in (0.0, 0.5, 1.0)] == [None, None, None]
+    assert run.note(0.5, 0.01, 1.1) == pytest.approx(0.5)
+    run.clear()
+    assert run.note(0.5, 0.01, 2.2) is None
+    assert run.note(0.8, 0.01, 3.0) is None and run.note(0.5, 0.01, 3.5) is None  # begins anew with each
+    assert run.note(0.5, 0.01, -2.0) is None  # 45 deg further, across the south
+    assert run.note(0.5, 0.01, -1.7) == pytest.approx(0.5)

@@ -278,13 +278,14 @@ def test_a_velocity_that_goes_otherwise_than_the_fixes_is_a_warning_and_spoils_n
     assert offsets(config) == [pytest.approx(0.1, abs=0.02), 0.0, pytest.approx(0.1, abs=0.02)]
 
 
-def test_a_heading_that_counts_clockwise_is_a_warning_and_its_clock_is_that_of_its_receiver(
+def test_a_heading_that_counts_clockwise_is_configured_so_and_its_clock_is_that_of_its_receiver(
     tmp_path: Path, right: tuple[str, Config]
 ) -> None:
     text, config = configured(tmp_path, moving(fix_early_s=0.1, velocity_early_s=0.1, heading_sign=-1.0))
-    assert "# WARNING: it turns the other way than the gyroscope: it seems to count clockwise" in text
+    assert "; it turns the other way than the gyroscope, as a compass does" in text
+    assert [one.clockwise for one in config.sensors_of(HeadingConfig).values()] == [True]
     assert len(set(offsets(config))) == 1
-    assert "turns the other way" not in right[0]
+    assert "clockwise: true" not in right[0] and "turns the other way" not in right[0]
 
 
 def test_receivers_that_never_sent_anything_are_no_error(tmp_path: Path) -> None:

@@ -22,7 +22,8 @@ from holdfast.sensors.sensor import State
 BASELINE = np.array([0.1, -1.9, 0.15])
 ARMS = {"gnss": np.array([1.0, 2.0, 3.0]), "gnss_right": np.array([1.0, 2.0, 3.0]) + BASELINE}
 CONFIG = HeadingConfig(kind="heading", topic="/heading")
-MODEL = HeadingModel("heading", CONFIG, ARMS)
+MODEL = HeadingModel("heading", CONFIG.model_copy(update={"mounting_sigma_deg": 0.0}), ARMS)
+ESTIMATED = HeadingModel("heading", CONFIG, ARMS)
 TILT_RAD = 0.4
 
 
@@ -65,8 +66,10 @@ def test_the_innovation_is_zero_at_the_truth_at_every_tilt_whatever_the_number_o
 def test_at_level_the_innovation_has_the_derivative_that_it_claims(seed):
     """Tilted, roll and pitch would count for the yaw of the axis as well; they are left to the IMU on purpose."""
     state = random_state(seed, tilt_rad=0.0)
-    level = HeadingModel("heading", CONFIG, {name: arm * [1.0, 1.0, 0.0] for name, arm in ARMS.items()})
-    assert_derivatives(level, measured(true_yaw(state.nav) + 0.1), state)
+    flat = {name: arm * [1.0, 1.0, 0.0] for name, arm in ARMS.items()}
+    assert_derivatives(HeadingModel("heading", MODEL.settings, flat), measured(true_yaw(state.nav) + 0.1), state)
+    turned = random_state(seed, parameter_sigmas=(0.2,), tilt_rad=0.0)
+    assert_derivatives(HeadingModel("heading", CONFIG, flat), measured(true_yaw(turned.nav) + 0.1), turned)
 
 
 @given(st.integers(0, 10_000))
@@ -111,6 +114,30 @@ def test_before_the_start_the_heading_of_the_imu_follows_from_its_tilt():
     assert MODEL.of_imu(measured(atan2(y, x), 0.02), level) == pytest.approx((1.1, 0.02))
 
 
+# --- mounting ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("sigma_rad", "to_mount"), [(0.5, 0.99), (1e-4, 0.0)])
+def test_a_heading_turns_the_machine_or_its_mounting_whichever_is_known_less(sigma_rad, to_mount):
+    state = random_state(5, parameter_sigmas=(sigma_rad,), tilt_rad=0.0)
+    off_rad, yaw_rad = 0.3, true_yaw(state.nav)
+    state = state._replace(covariance=np.eye(9) * 0.03**2, parameter=np.zeros(1))
+    found = solved(ESTIMATED, measured(yaw_rad + off_rad, 0.001), state)
+    assert found.parameter[0] / off_rad == pytest.approx(to_mount, abs=0.01)
+    assert true_yaw(found.nav) - yaw_rad + found.parameter[0] == pytest.approx(off_rad, abs=1e-3)
+
+
+@pytest.mark.parametrize("by_rad", [0.2, -3.0])
+def test_a_mounting_that_is_known_is_no_parameter_and_tells_the_heading_all_the_same(by_rad):
+    state, turned = random_state(5, tilt_rad=0.0), ESTIMATED.turned(by_rad)
+    heading = measured(true_yaw(state.nav) + by_rad, 0.02)
+    assert turned.parameters == () and ESTIMATED.parameters
+    assert turned.innovation(heading, state).y == pytest.approx(0.0, abs=1e-9)
+    found, sigma_rad = turned.of_imu(heading, gtsam.Rot3())
+    expected = MODEL.of_imu(measured(true_yaw(state.nav)), gtsam.Rot3())[0]
+    assert (np.cos(found - expected), sigma_rad) == pytest.approx((1.0, 0.02))
+
+
 # --- configuration ----------------------------------------------------------------------------------------------------
 
 
@@ -151,6 +178,13 @@ def test_a_heading_that_cannot_be_used_is_refused(heading, outcome):
 )
 def test_the_claim_has_a_floor_and_the_default_stands_in_for_none(claim, sigma_rad):
     assert MODEL.convert(message(sigma_rad=claim), PLACED).sigma_rad == sigma_rad
+
+
+@pytest.mark.parametrize("compass_deg", [0.0, 90.0, -60.0, 200.0])
+def test_clockwise_from_north_is_an_angle_of_a_compass(compass_deg):
+    found = configured(clockwise=True).convert(message(radians(compass_deg)), PLACED).yaw_rad
+    expected = MODEL.convert(message(radians(90.0 - compass_deg)), PLACED).yaw_rad
+    assert np.exp(1j * found) == pytest.approx(np.exp(1j * expected))
 
 
 def test_the_time_offset_is_applied():

@@ -27,6 +27,7 @@ from holdfast.integrity.learnt_snapshot import (
 from holdfast.output_folder import check_output_file
 from holdfast.sensors.clock import CLOCK, with_estimated_clock
 from holdfast.sensors.constants import priors_of_imu
+from holdfast.sensors.heading import MOUNT
 from holdfast.sensors.learnt_joint import NOTHING_OF_JOINT
 from holdfast.sensors.lever_arm import ARM
 from holdfast.sensors.mount import Mount
@@ -36,7 +37,7 @@ from holdfast.whole_file import write_whole
 ALLOWED = "a file that --learnt has written"
 POSE = "pose"  # of the frame in that of the IMU, from `extrinsics`
 CLOCK_KEYS = {"time_offset_s", "time_offset_sigma_s"}
-MOUNT_KEYS = {POSE, "mounting_sigma_deg", "lever_arm_sigma_m", "scale", "scale_sigma"}
+MOUNT_KEYS = {POSE, "mounting_sigma_deg", "mounting_yaw_deg", "baseline", "lever_arm_sigma_m", "scale", "scale_sigma"}
 JOINT_KEYS = {"zero_offset_deg", "zero_offset_sigma_deg", "mounting_sigma_deg"}
 NOISE_WORDS = "sigma", "drift", "density", "ratio", "correlation", "constant"
 NO_NOISE = {"gate_sigma", "jump_sigma"}  # thresholds, in sigmas
@@ -198,11 +199,12 @@ def _holds(changed: Mapping[str, str] | None, keys: Set[str]) -> bool:
 def _owners(config: Config) -> dict[str, list[tuple[str, Set[str]]]]:
     """Return the sensors that have each constant, with the keys that it depends on, by its name in the graph."""
     found: dict[str, list[tuple[str, Set[str]]]] = {name: [(name, MOUNT_KEYS)] for name in priors_of_imu(config)}
-    keys_of_part = {ARM: MOUNT_KEYS, CLOCK: CLOCK_KEYS}
+    keys_of_part = {ARM: MOUNT_KEYS, MOUNT: MOUNT_KEYS, CLOCK: CLOCK_KEYS}
     for name, sensor in sensors_of(config).items():
         for prior in with_estimated_clock(sensor).parameters:
             keys = keys_of_part.get(prior.part, CLOCK_KEYS | MOUNT_KEYS)
-            found.setdefault(prior.name(name), []).append((name, keys))
+            of_axis = getattr(sensor, "antennas", ()) if prior.part == MOUNT else ()
+            found.setdefault(prior.name(name), []).extend((one, keys) for one in (name, *of_axis))
     return found
 
 

@@ -32,6 +32,7 @@ from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.messages import Array
 from holdfast.sensors.clock import with_estimated_clock
 from holdfast.sensors.constants import OBSERVED, LearntConstant, length_and_sigma, priors_of_imu
+from holdfast.sensors.heading import IF_RIGHT_RAD, MOUNT, configured_yaw_deg
 from holdfast.sensors.learnt_joint import LearntJoint
 from holdfast.sensors.lever_arm import ARM
 from holdfast.sensors.odometry_calibration import NOMINAL, mounted
@@ -174,6 +175,10 @@ def _of_constant(
         elif is_told:
             yield from _of_arm(name, config, mean, sigmas)
         return
+    if prior.part == MOUNT:
+        if learnt.is_off or sigmas[0] < OBSERVED * IF_RIGHT_RAD:
+            yield _of_heading(name, config, float(mean[0]), float(sigmas[0]))
+        return
     if prior.part == SCALE:
         if learnt.is_off and isinstance(section, DriftingConfig):
             yield _of_scale(name, section.scale, float(mean[0]), float(sigmas[0]))
@@ -202,6 +207,14 @@ def _of_clock(name: str, configured_s: float, offset_s: float, sigma_s: float, *
     value, key = configured_s + offset_s, path_text(("sensors", name, "time_offset_s"))
     write = f"{value:z.4f}" if is_wrong else ""
     return Row(name, "clock", key, "s", configured_s, value, sigma_s, is_wrong, write)
+
+
+def _of_heading(name: str, config: Config, off_rad: float, sigma_rad: float) -> Row:
+    is_wrong = abs(off_rad) > SIGMA * sigma_rad + SLACK_RAD
+    configured_deg, key = configured_yaw_deg(name, config), path_text(("sensors", name, "mounting_yaw_deg"))
+    value = configured_deg + degrees(off_rad)
+    write = f"{fmod(value, 360.0):.2f}" if is_wrong else ""
+    return Row(name, "mounting, yaw", key, "deg", configured_deg, value, degrees(sigma_rad), is_wrong, write)
 
 
 def _of_scale(name: str, configured: float, log_factor: float, sigma: float) -> Row:

@@ -1,7 +1,7 @@
-"""Rotations of the mountings of odometries, from the constants that the graph estimates."""
+"""Rotations of the mountings of odometries and of headings, from the constants that the graph estimates."""
 
 from collections.abc import Sequence
-from math import hypot
+from math import degrees, hypot
 
 import gtsam
 import numpy as np
@@ -12,18 +12,20 @@ from holdfast.calibration.evidence import Evidence
 from holdfast.calibration.placing import corrected, entry_of
 from holdfast.config.edit import Change
 from holdfast.config.model import Config
-from holdfast.config.sensors import DriftingConfig
+from holdfast.config.sensors import DriftingConfig, HeadingConfig
+from holdfast.sensors.heading import MOUNT, configured_yaw_deg
 
 FLOOR_DEG = 0.02  # sigma: errors of the gyroscope's scale and axes turn with the machine, too
+DIGITS = 2  # of degrees
 
 
 def mountings(evidence: Sequence[Evidence], original: Config, config: Config) -> Found:
-    """Return by how much each odometry is rotated about its own axes, as configured at first.
+    """Return how headings are mounted, and by how much each odometry is rotated about its axes as configured at first.
 
     Arguments are those of `clocks`. An axis that was not seen stays where it is.
     """
-    estimates: list[Estimated] = []
-    changes: list[Change] = []
+    of_headings = _of_headings(evidence, original, config)
+    estimates, changes = list(of_headings.estimates), list(of_headings.changes)
     for name, section in original.sensors_of(DriftingConfig).items():
         known, prior = of_name(evidence, name), section.mounting_sigma_deg
         if not known or prior == 0.0:
@@ -44,4 +46,22 @@ def mountings(evidence: Sequence[Evidence], original: Config, config: Config) ->
         rows, written = corrected(original, frame, correction, rows)
         estimates += rows
         changes += written
+    return Found(estimates, changes)
+
+
+def _of_headings(evidence: Sequence[Evidence], original: Config, config: Config) -> Found:
+    estimates: list[Estimated] = []
+    changes: list[Change] = []
+    for name, section in original.sensors_of(HeadingConfig).items():
+        known, prior = of_name(evidence, f"{name} {MOUNT}"), section.mounting_sigma_deg
+        if not known or prior == 0.0:
+            continue
+        offset, covariance = combined(known)
+        before, now = (configured_yaw_deg(name, one) for one in (original, config))
+        path, sigma = ("sensors", name, "mounting_yaw_deg"), hypot(degrees(covariance[0, 0] ** 0.5), FLOOR_DEG)
+        after = now + degrees(offset[0])
+        found = judged(Estimated(Family.MOUNTINGS, path, name, "deg", before, after, sigma, prior))
+        estimates.append(found)
+        if found.is_written:
+            changes.append(Change(path, round(after, DIGITS)))
     return Found(estimates, changes)

@@ -141,9 +141,13 @@ class HeadingConfig(JudgedConfig):
 
     kind: Literal["heading"]
     topic: Topic
+    clockwise: bool = Field(False, description="its angle is clockwise from north, not counter-clockwise from east")
     time_offset_sigma_s: float = quantity("s", 0.03, ge=0, le=1, doc="of `time_offset_s`, which is estimated; 0: known")
     mounting_yaw_deg: float | None = quantity(
         "deg", None, ge=-360, le=360, doc="yaw of the measured axis in the IMU frame; else that of the baseline"
+    )
+    mounting_sigma_deg: float = quantity(
+        "deg", 15.0, ge=0, le=180, doc="of that yaw if it is wrong, which is estimated; 0: known"
     )
     baseline: tuple[str, str] | None = Field(
         None, description="from which antenna to which, as named in `sensors`; by default the first two"

@@ -1,7 +1,7 @@
 """What was measured of late, beside the graphs, from which an estimate can start: by the IMU's clock."""
 
 from collections import deque
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -76,19 +76,20 @@ class Collected:
         spacing_ns = min((one.spacing_ns for one in self._spacings.values()), default=0)
         return max(self._window_ns, min(FEW * spacing_ns, MOST_NS))
 
+    @property
+    def _series(self) -> list[deque[Any]]:
+        """All that is kept, but for `all_positions`."""
+        return [self.positions, self.velocities, *self.others.values(), *self._odometries.series]
+
     def forget_before(self, stamp_ns: int) -> None:
         """Forget what was measured before a time."""
-        collected: list[deque[Any]] = [self.positions, self.velocities, *self.others.values(), *self._odometries.series]
-        for series in collected:
+        for series in self._series:
             _forget(series, stamp_ns)
 
     def forget_after(self, stamp_ns: int) -> None:
         """Forget what was measured after a time: by a clock that was wrong."""
-        collected: list[deque[Any]] = [self.positions, self.all_positions, self.velocities, *self.others.values()]
-        for series in (*collected, *self._odometries.series):
-            left = [one for one in series if one.stamp_ns <= stamp_ns]
-            series.clear()
-            series.extend(left)
+        for series in (self.all_positions, *self._series):
+            _make(series, [one for one in series if one.stamp_ns <= stamp_ns])
         self.newest_ns = min(self.newest_ns, stamp_ns)
 
     def know_clock(self, clock_ns: int) -> None:
@@ -98,15 +99,13 @@ class Collected:
 
     def stamp_later(self, by_ns: int) -> None:
         """Know that all that has come by the clock of GNSS was measured later than it was stamped."""
-        self.positions = deque(self._later(one, by_ns) for one in self.positions)
-        self.all_positions = deque(self._later(one, by_ns) for one in self.all_positions)
-        self.velocities = deque(self._later(one, by_ns) for one in self.velocities)
-        self.others = {name: deque(self._later(one, by_ns) for one in series) for name, series in self.others.items()}
+        for series in (self.all_positions, *self._series):
+            _make(series, [self._later(one, by_ns) for one in series])
 
     def exchange(self, pair: Pair, since_ns: int = NEVER_NS) -> None:
         """Know that two antennas' positions have come by each other's name since a time."""
-        self.positions = deque(exchanged(self.positions, pair, since_ns))
-        self.all_positions = deque(exchanged(self.all_positions, pair, since_ns))
+        for series in self.positions, self.all_positions:
+            _make(series, exchanged(series, pair, since_ns))
 
     def _later(self, one: Kind, by_ns: int) -> Kind:
         """Return a measurement, if it is by the clock of GNSS, as one that was taken later."""
@@ -143,6 +142,11 @@ def exchanged(positions: Iterable[Position], pair: Pair, since_ns: int = NEVER_N
         replace(one, sensor=other[one.sensor]) if one.sensor in other and one.stamp_ns >= since_ns else one
         for one in positions
     ]
+
+
+def _make(series: deque[Any], of: Sequence[Any]) -> None:
+    series.clear()
+    series.extend(of)
 
 
 def _forget(series: deque[Any], horizon_ns: int) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from math import atan2, degrees, hypot, radians, remainder, sqrt, tau
-from typing import Any
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
@@ -10,15 +10,29 @@ import numpy as np
 from holdfast.config.model import InitialisationConfig
 from holdfast.estimator.collected import Collected
 from holdfast.integrity.lever_arms import SAME_M
-from holdfast.sensors.heading import yaw_of
+from holdfast.sensors.heading import mount_of, yaw_of
 from holdfast.sensors.sensor import Position, PositionSensor
 
 MIN_BASELINE_M = 0.2  # horizontal; a shorter one tells no heading
 PAIRED_NS = 20_000_000  # fixes of a machine that stands
 MIN_SIGMA_RAD = 1e-3
 ALIKE_RAD, ALIKE_SIGMA = radians(10.0), 5.0  # a compass beside iron is off by as much
+MOUNT_RAD = radians(10.0)  # so far a mounting is doubted that is estimated: the graph shall learn it from motion
 PAIRS_S, OLDEST_S = 1.0, 2.0  # of fixes of two antennas that are averaged, and the oldest: the next may be on its way
 Antennas = tuple[PositionSensor, PositionSensor]
+
+
+class Told(NamedTuple):
+    """A heading of the IMU's x axis, its sigma, and how far the mounting of what tells it is doubted [rad]."""
+
+    yaw_rad: float
+    sigma_rad: float
+    doubt_rad: float = 0.0
+
+    @property
+    def doubted(self) -> tuple[float, float]:
+        """The heading, and its sigma in doubt."""
+        return self.yaw_rad, hypot(self.sigma_rad, self.doubt_rad)
 
 
 class FirstHeading:
@@ -50,27 +64,31 @@ class FirstHeading:
             now_ns: when.
             level: the IMU's attitude with zero heading.
         """
-        told: dict[str, tuple[float, float] | None] = {}
+        told: dict[str, Told] = {}
         for heading in self._collected.newest_of(self._headings):
-            told[heading.sensor] = self._headings[heading.sensor].of_imu(heading, level)
+            model = self._headings[heading.sensor]
+            if (of_imu := model.of_imu(heading, level)) is not None:
+                mount = mount_of(model.parameters)
+                doubt_rad = 0.0 if mount is None else min(MOUNT_RAD, float(mount.sigmas[0]))
+                told[heading.sensor] = Told(of_imu[0], of_imu[1], doubt_rad)
         baseline = None
         if self._antennas is not None:
             since_ns = now_ns - round(max(OLDEST_S, self._config.standstill_s) * 1e9)
             baseline = baseline_heading(self._antennas, self._collected.positions, since_ns, level)
             if isinstance(baseline, tuple):
-                told[" to ".join(one.name for one in self._antennas)] = baseline
+                told[" to ".join(one.name for one in self._antennas)] = Told(*baseline)
         for pose in self._collected.newest_of(self._poses):
             sigma_rad = float(np.sqrt(pose.covariance[:3, :3].max()))
-            told[pose.sensor] = pose_heading(pose.T_F_I.rotation(), level, sigma_rad)
-        known = {name: one for name, one in told.items() if one is not None}
-        if known:
-            return believed(known)
+            if (of_pose := pose_heading(pose.T_F_I.rotation(), level, sigma_rad)) is not None:
+                told[pose.sensor] = Told(*of_pose)
+        if told:
+            return believed(told)
         if self._config.heading_deg is not None:
             return radians(self._config.heading_deg), radians(self._config.heading_sigma_deg)
         return baseline
 
 
-def believed(told: Mapping[str, tuple[float, float]]) -> tuple[float, float] | str:
+def believed(told: Mapping[str, Told]) -> tuple[float, float] | str:
     """Return the surest heading with its sigma [rad] of those that most agree with, by who tells it.
 
     One against one the motion has to tell, and this says so: a device may be mounted the other way round.
@@ -78,15 +96,15 @@ def believed(told: Mapping[str, tuple[float, float]]) -> tuple[float, float] | s
     alike = [[other for other in told if _are_alike(told[name], told[other])] for name in told]
     most = max(alike, key=len)
     if len(most) > 1 or len(told) == 1:
-        return min((told[name] for name in most), key=lambda one: one[1])
+        return min((told[name].doubted for name in most), key=lambda one: one[1])
     one, other, *_ = told
-    apart_deg = abs(degrees(remainder(told[other][0] - told[one][0], tau)))
+    apart_deg = abs(degrees(remainder(told[other].yaw_rad - told[one].yaw_rad, tau)))
     return f"the headings of {one} and of {other} are {apart_deg:.0f} deg apart: which is right, motion tells"
 
 
-def _are_alike(one: tuple[float, float], other: tuple[float, float]) -> bool:
-    apart_rad = abs(remainder(one[0] - other[0], tau))
-    return apart_rad <= ALIKE_RAD + ALIKE_SIGMA * hypot(one[1], other[1])
+def _are_alike(one: Told, other: Told) -> bool:
+    apart_rad = abs(remainder(one.yaw_rad - other.yaw_rad, tau))
+    return apart_rad <= ALIKE_RAD + ALIKE_SIGMA * hypot(one.sigma_rad, other.sigma_rad)
 
 
 def baseline_heading(

@@ -18,7 +18,7 @@ from holdfast.estimator.batch_clock import REACH_S, Offset, kept, offset_of, res
 from holdfast.estimator.collected import exchanged
 from holdfast.estimator.fixes_in_motion import MIN_POSITIONS
 from holdfast.estimator.odometry_tracks import OdometryTracks
-from holdfast.graph.alignment import FITS, JUMPED, Alignment, BatchAligner
+from holdfast.graph.alignment import DOUBTFUL, FITS, JUMPED, Alignment, BatchAligner
 from holdfast.graph.alignment_problem import BUCKET_NS, CLAIMED_DEGREES, MAX_EXCESS, BiasPrior, Evidence, Problems
 from holdfast.integrity.exchanges import Pair
 from holdfast.messages import Array
@@ -28,12 +28,12 @@ from holdfast.sensors.lever_arm import GNSS_ARM, IF_RIGHT_M, doubtful_arm
 from holdfast.sensors.preintegration import ImuNoise
 from holdfast.sensors.sensor import Parameter, Position, VelocitySensor, is_gnss
 
-DOUBTFUL = 2.0  # squared residuals over what is claimed, where an odometry is among them
 FREED_M = 10.0  # sigma of an arm in doubt: nothing shall hold it
 MOST_LATE_S = 1.0  # of clocks
 TELLING = 8  # positions that may tell a clock
 STRAYS = 2  # positions of a batch, at most, that are elsewhere
 PATIENCE_NS = 60_000_000_000  # after which what nobody can tell is believed as it is stamped
+AT_ODDS = "positions, IMU and odometry are at odds: without the odometry the motion so far does not tell the heading"
 CLEARLY = 10.0  # evidence, by which one explanation is better than another
 TOLD_M, MOVED = 0.5, 5.0  # sigma to which motions must tell an element of an arm, and sigmas by which it is off
 
@@ -135,7 +135,7 @@ class FittingBatches:
 
         whole = self._with_motions(evidence)
         alignment = solved(whole)
-        is_at_odds = not _fits(alignment)
+        is_at_odds = not alignment.fits
         if late_s is not None:
             seek = self._as_it_arrives if jump_sigmas is None else self._with_clock
             if (clocked := seek(evidence, prior, max_heading_sigma_rad, alignment, late_s)) is not None:
@@ -152,7 +152,7 @@ class FittingBatches:
         found = FittingBatch(alignment, whole)
         for names in self._doubtful(whole, alignment):
             fewer = self._without(whole, names)
-            if len({one.stamp_ns for one in fewer.positions}) < MIN_POSITIONS:
+            if (count := len({one.stamp_ns for one in fewer.positions})) < MIN_POSITIONS:
                 continue
             other = solved(fewer)
             fits_better = other.misfit <= FITS or _evidence(alignment, other, fewer) >= JUMPED
@@ -163,6 +163,9 @@ class FittingBatches:
                 return purged._replace(left_out=names)
             if found.alignment.is_contradictory and other.state is None and other.excess <= FITS:
                 found = FittingBatch(other, fewer, names)  # it tells what is missing
+            is_told_by_odometry = whole.motions and not fewer.motions and other.is_unsolved
+            if is_told_by_odometry and alignment.excess > FITS and count < TELLING:
+                found = FittingBatch(replace(alignment, state=None, reason=AT_ODDS), whole)
         return found
 
     def _without_strays(
@@ -182,7 +185,7 @@ class FittingBatches:
                 return None
             fewer = self._of_positions(positions, fewer)
             other = solved(fewer)
-            if _fits(other) and _evidence(alignment, other, fewer) >= JUMPED:
+            if other.fits and _evidence(alignment, other, fewer) >= JUMPED:
                 return FittingBatch(other, fewer)
         return None
 
@@ -193,7 +196,7 @@ class FittingBatches:
 
         `alignment` is that of the whole, in which biases may have jumped; None where that fits.
         """
-        is_amiss = alignment.has_jumped or not _fits(alignment)
+        is_amiss = alignment.has_jumped or not alignment.fits
         if not is_amiss or not self._by_gnss_clock or len({one.stamp_ns for one in evidence.positions}) < TELLING:
             return None
         origins = [0.0, late_s] if abs(late_s) > REACH_S else [0.0]
@@ -201,12 +204,12 @@ class FittingBatches:
         if offset is None or not offset.is_off:
             return None
         clocked, as_stamped = solved[offset.by_s], solved[0.0]
-        if not _fits(clocked.alignment):
+        if not clocked.alignment.fits:
             return None
         in_time = kept(evidence, clocked.evidence, self._by_gnss_clock, offset.by_s)
         others = (self._with_motions(one) for one in (Evidence(evidence.positions, ()), in_time))
         rivals = [as_stamped.alignment, *(self._aligner.solve(one, prior, max_heading_sigma_rad) for one in others)]
-        if any(_is_vague(one) or _evidence(one, clocked.alignment, clocked.evidence) < JUMPED for one in rivals):
+        if any(one.is_vague or _evidence(one, clocked.alignment, clocked.evidence) < JUMPED for one in rivals):
             return None
         better = _evidence(alignment, clocked.alignment, clocked.evidence) if alignment.has_jumped else JUMPED
         if better < -CLEARLY:
@@ -239,10 +242,10 @@ class FittingBatches:
         if abs(by_s - late_s) < abs(by_s):  # nearer to when it came than to its stamps
             in_time = self._with_motions(kept(evidence, other.evidence, self._by_gnss_clock, by_s))
             as_stamped = self._aligner.solve(in_time, prior, max_heading_sigma_rad)
-            if _is_unsolved(other.alignment) or _is_unsolved(as_stamped):
+            if other.alignment.is_unsolved or as_stamped.is_unsolved:
                 return waiting
             better = _evidence(as_stamped, other.alignment, other.evidence, attrgetter("excess"))
-        is_off = better >= JUMPED and _fits(other.alignment) and offset is not None and offset.is_off
+        is_off = better >= JUMPED and other.alignment.fits and offset is not None and offset.is_off
         self._is_clock_told = is_off or better <= -CLEARLY
         if not self._is_clock_told:
             return waiting
@@ -277,12 +280,12 @@ class FittingBatches:
         for pair in combinations(antennas, 2):
             whole = self._with_motions(evidence._replace(positions=exchanged(evidence.positions, pair)))
             renamed = self._aligner.solve(whole, prior, max_heading_sigma_rad)
-            if not _fits(renamed):
+            if not renamed.fits:
                 continue
             without = self._with_motions(Evidence(evidence.positions, ()))
             rivals = [self._aligner.solve(without, prior, max_heading_sigma_rad)]
             rivals.append(alignment or self._aligner.solve(as_named, prior, max_heading_sigma_rad))
-            if any(_is_vague(one) or _evidence(one, renamed, whole) < JUMPED for one in rivals):
+            if any(one.is_vague or _evidence(one, renamed, whole) < JUMPED for one in rivals):
                 continue
             freed = self._of_freed.solve(as_named, prior, max_heading_sigma_rad) if self.may_be_moved else None
             if freed is None or _evidence(freed, renamed, whole) >= 0.0:
@@ -353,7 +356,7 @@ def _shift(freed: Alignment) -> Parameter | None:
 
     What motions do not tell stays where it is configured.
     """
-    if freed.state is None or not _fits(freed):
+    if freed.state is None or not freed.fits:
         return None
     mean, covariance = freed.arms[GNSS_ARM]
     sigmas = np.sqrt(covariance.diagonal())
@@ -382,18 +385,3 @@ def _evidence(
     n = evidence.freedom
     of_before, of_after = (min(measure(one), MAX_EXCESS) * n + CLAIMED_DEGREES for one in (before, after))
     return n * log(of_before / of_after)
-
-
-def _fits(alignment: Alignment) -> bool:
-    """Whether what was measured is as near to a solution as it claims, or nearly so."""
-    return alignment.excess <= DOUBTFUL and alignment.misfit <= FITS
-
-
-def _is_unsolved(alignment: Alignment) -> bool:
-    """Whether what was measured tells nothing, not even that it does not fit."""
-    return alignment.excess == inf and not alignment.is_contradictory
-
-
-def _is_vague(alignment: Alignment) -> bool:
-    """Whether what was measured may fit, but tells too little to say how well."""
-    return alignment.misfit == inf and alignment.excess < inf

@@ -2,24 +2,28 @@
 
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from holdfast.estimator.batch_clock import Offset
 from holdfast.estimator.collected import Collected
 from holdfast.estimator.fitting_batch import FittingBatches
+from holdfast.messages import Array
 from holdfast.sensors.clock import GNSS_CLOCK
+from holdfast.sensors.heading import mount_of
 from holdfast.sensors.lever_arm import GNSS_ARM
 from holdfast.sensors.sensor import Parameter
 
 
 class FoundConstants:
-    """Where antennas are, and the clock of GNSS; what is known is believed of all that a start is made of.
+    """Where antennas are, the clock of GNSS and how headings are mounted: believed of all that a start is made of.
 
     Args:
         batches: what a start is made of.
         collected: and from what.
         clock: of GNSS, before anything is measured; None without GNSS.
+        headings: the sensors, by name; they are replaced where they are found to be mounted otherwise.
         before: what was found before.
 
     Attributes:
@@ -31,9 +35,11 @@ class FoundConstants:
         batches: FittingBatches,
         collected: Collected,
         clock: Parameter | None,
+        headings: dict[str, Any],
         before: Mapping[str, Parameter] = MappingProxyType({}),
     ) -> None:
         self._batches, self._collected, self._clock, self._before = batches, collected, clock, before
+        self._headings, self._mounted = headings, dict(headings)
         self.priors: dict[str, Parameter] = {}
         self.forget()
         self._is_forgotten = False
@@ -50,6 +56,7 @@ class FoundConstants:
         self._batches.put_back_antennas()
         self._batches.ask_for_clock()
         self._know_clock(None)
+        self.turn_headings({name: one.mean for name, one in self._before.items()})
         if (shift := self._before.get(GNSS_ARM)) is not None:
             self.move_antennas(shift)
         if (clock := self._before.get(GNSS_CLOCK)) is not None:
@@ -60,6 +67,13 @@ class FoundConstants:
         self._batches.move_antennas(shift)
         before = self.priors[GNSS_ARM].mean if GNSS_ARM in self.priors else 0.0
         self.priors[GNSS_ARM] = shift._replace(mean=before + shift.mean)
+
+    def turn_headings(self, off: Mapping[str, Array]) -> None:
+        """Know by how much (1,) [rad] headings are mounted otherwise than configured, by the name of the constant."""
+        for name, sensor in self._mounted.items():
+            mount = mount_of(sensor.parameters)
+            known = None if mount is None else off.get(mount.name(name))
+            self._headings[name] = sensor if known is None else sensor.turned(float(known[0]))
 
     def know_clock_off(self, offset: Offset) -> None:
         """Know that the clock of GNSS is off by so much from what was known."""

@@ -116,7 +116,7 @@ class Initialising:
         noise = ImuNoise(imu, config.graph.position_integration_sigma, gravity)
         self._batches = FittingBatches(buffer, noise, self._points, of_role(sensors, Role.VELOCITY), self._odometries)
         clock = next((with_estimated_clock(one).parameters[-1] for one in self._points.values() if is_gnss(one)), None)
-        self.found = FoundConstants(self._batches, self._collected, clock, found)
+        self.found = FoundConstants(self._batches, self._collected, clock, self._headings, found)
         has_messages = any(one.message is not None for one in sensors.values())
         self.reason = NO_POSITION if self._points else NO_OTHER if has_messages else NO_SENSOR
 

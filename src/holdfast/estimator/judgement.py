@@ -4,6 +4,8 @@ Positions that agree among themselves against the estimate are right, sooner whe
 same; a bias that has jumped, a clock that is off and antennas that are elsewhere are found by what they explain.
 """
 
+from collections.abc import Mapping
+
 from holdfast.config.model import GateConfig
 from holdfast.estimator.batch_clock import Offset
 from holdfast.estimator.successor import Beginning, Successor
@@ -14,10 +16,11 @@ from holdfast.integrity.odometries import Odometries
 from holdfast.integrity.positions import Contradiction, Positions
 from holdfast.integrity.states import States
 from holdfast.sensors.clock import GNSS_CLOCK
+from holdfast.sensors.heading import MOUNT
 from holdfast.sensors.sensor import Parameter, Role
 
 MISTAKEN = "it is late, of another sign or in other axes, as the positions show"
-CLOCK_NS = 5_000_000_000  # what the graph knows of the clock of GNSS is looked at this often
+TOLD_NS = 5_000_000_000  # what the graph knows of constants is looked at this often
 
 
 class Judgement:
@@ -31,7 +34,7 @@ class Judgement:
         positions: of receivers and prisms.
         states: velocities among them.
         odometries: those of the machine.
-        clock: what is known of the clock of GNSS before anything is measured, if there is one.
+        priors: what is known of constants of sensors before anything is measured, by name.
     """
 
     def __init__(
@@ -44,11 +47,11 @@ class Judgement:
         positions: Positions,
         states: States,
         odometries: Odometries,
-        clock: Parameter | None,
+        priors: Mapping[str, Parameter],
     ) -> None:
         self._gate, self._graph, self._successor, self._log = config, graph, successor, log
         self._positions, self._states, self._odometries = positions, states, odometries
-        self._clock, self._told_clock_ns = clock, graph.published.newest_ns
+        self._priors, self._told_ns = priors, graph.published.newest_ns
 
     def beginning(self, now_ns: int, *, was_vague: bool = False) -> Beginning | None:
         """Return a state to begin anew from, if what was measured contradicts the estimate; report why.
@@ -60,7 +63,9 @@ class Judgement:
         # else it is the positions that have begun to err
         is_alone = has_witness or is_turned or not self._odometries.has_agreed()
         contradiction = self._contradiction(has_witness=has_witness) if is_alone else None
-        if self._odometries.newly_turned():
+        mistaken = self._graph.main.parameters.newly_mistaken()
+        is_mounted_otherwise = any(self._priors[name].part == MOUNT for name in mistaken if name in self._priors)
+        if self._odometries.newly_turned() or is_mounted_otherwise:
             self._successor.doubt()
         beginning = self._successor.settle_doubt()
         if beginning is None and contradiction is not None:
@@ -76,16 +81,14 @@ class Judgement:
             self._log.report(EventKind.BEGUN_ANEW, now_ns, sensor, beginning.reason)
         return beginning
 
-    def tell_clock(self, now_ns: int) -> None:
-        """Let what would begin anew know the clock of GNSS that the graph has found, while positions are expected."""
-        prior, start = self._clock, self._successor.start
-        if prior is None or now_ns - self._told_clock_ns < CLOCK_NS:
+    def tell_constants(self, now_ns: int) -> None:
+        """Let what would begin anew know the clock of GNSS and the mounts of headings, while positions are expected."""
+        if now_ns - self._told_ns < TOLD_NS or self._successor.is_in_doubt or self._positions.suspects():
             return
-        if self._successor.is_in_doubt or self._positions.suspects():
-            return
-        self._told_clock_ns = now_ns
-        clock = self._graph.main.parameters.constant(GNSS_CLOCK, prior)
-        if clock is not None and clock.is_off:
+        self._told_ns, start = now_ns, self._successor.start
+        off = {name: one for name, one in self._graph.main.constants(self._priors).items() if one.is_off}
+        start.found.turn_headings({name: one.value for name, one in off.items()})
+        if (clock := off.get(GNSS_CLOCK)) is not None:
             offset = Offset(float(clock.value[0]) - start.clock_ns * 1e-9, float(clock.sigmas[0]))
             if offset.is_off:
                 start.found.know_clock_off(offset)

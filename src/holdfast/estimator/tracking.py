@@ -35,7 +35,7 @@ from holdfast.integrity.recovery import Recovery
 from holdfast.integrity.states import JointAt, States
 from holdfast.integrity.yaw_learning import Witness
 from holdfast.messages import Message
-from holdfast.sensors.clock import GNSS_CLOCK, is_by_gnss_clock, measured_later, with_estimated_clock
+from holdfast.sensors.clock import is_by_gnss_clock, measured_later, with_estimated_clock
 from holdfast.sensors.constants import Constant, priors_of_machine
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.lever_arm import GNSS_ARM
@@ -174,7 +174,7 @@ class Tracking:
             positions=self._positions,
             states=self._states,
             odometries=self._odometries,
-            clock=self._priors.get(GNSS_CLOCK),
+            priors=self._priors,
         )
         self._judgement.hold_mistaken(state.stamp_ns)
 
@@ -347,7 +347,7 @@ class Tracking:
         self._judgement.hold_mistaken(now_ns)
         self._odometries.review(now_ns)
         self._calibration.review(self.graph.main, now_ns)
-        self._judgement.tell_clock(now_ns)
+        self._judgement.tell_constants(now_ns)
         self._noise_review.review(self._odometries, self._positions.learnt_accelerometer(), now_ns)
         self.successor.calm(now_ns)
         if not self.graph.is_lost:

@@ -39,6 +39,7 @@ SAME_NS, SAME_RATIO = 1_500_000_000, 2.0
 BEYOND, WIDENED = 3.0, 10.0  # sigmas by which a bias departs from what was known of it, which then was so much less
 COARSE = 3  # nodes: the time of a jump is looked for in such steps, then from node to node
 FITS = 4.0  # squared residuals over what is claimed
+DOUBTFUL = 2.0  # the same, where an odometry is among what was measured
 REWEIGHTED = 2  # times: how residuals fall to positions and velocities depends on what they weigh
 TO_DECIDE = Belief(CLAIMED_DEGREES, 0.01)  # whether the heading is known: a start that is wrong costs more than a wait
 TO_TELL = Belief(4.0, 1e-3)  # how well: a claim that is right within a factor of three or so
@@ -96,6 +97,21 @@ class Alignment:
     arms: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     clock_s: float = 0.0
     worst: Position | None = None
+
+    @property
+    def fits(self) -> bool:
+        """Whether what was measured is as near to the solution as it claims, or nearly so."""
+        return self.excess <= DOUBTFUL and self.misfit <= FITS
+
+    @property
+    def is_unsolved(self) -> bool:
+        """Whether what was measured tells nothing, not even that it does not fit."""
+        return self.excess == inf and not self.is_contradictory
+
+    @property
+    def is_vague(self) -> bool:
+        """Whether what was measured may fit, but tells too little to say how well."""
+        return self.misfit == inf and self.excess < inf
 
     @property
     def has_jumped(self) -> bool:

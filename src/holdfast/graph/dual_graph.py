@@ -17,6 +17,7 @@ from holdfast.config.model import Config
 from holdfast.events import Outcome
 from holdfast.graph.odometry_track import Joined, OdometryTrack
 from holdfast.graph.smoother import Smoother
+from holdfast.messages import Array
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.odometry import TrackPose
 from holdfast.sensors.sensor import Parameter
@@ -142,6 +143,11 @@ class DualGraph:
         """Know this alone of a sensor's parameter from now on."""
         for smoother in self.smoothers():
             smoother.parameters.begin_anew(name, prior)
+
+    def let_parameter_go(self, name: str, start: Array) -> None:
+        """Forget what is known of a sensor's parameter; it is somewhere about a value (p,)."""
+        for smoother in self.smoothers():
+            smoother.parameters.let_go(name, start)
 
     def begin_tracks_anew(self, smoother: Smoother, odometry: str | None = None) -> None:
         """Begin the track of an odometry, or of all, anew in a smoother that lost its window or its position."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from holdfast.graph.solver import Placed, Solver
+from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.constants import Constant
 from holdfast.sensors.noise import FREE_VARIANCE
@@ -21,10 +22,11 @@ from holdfast.sensors.sensor import Parameter
 
 MAX_SIZE = 12
 RIGHT = 0.0  # log ratio of the densities under what was configured and under the prior, beyond which it is held again
-HELD = 0.02  # of the error that counts as right: as if there were none
 TOLD, NEAR = 0.25, 6.0  # of the sigmas if it is off and if it is right, to the greater of which one must be told
 REFUTED = 3.0  # sigmas of what was learnt before a restart
 REFRESHED_NS = 1_000_000_000  # a marginal is read this often
+DOUBTED_NS = 100_000_000  # and this often while a measurement contradicts what is held
+TIME_TO_TELL_NS = 10_000_000_000  # after one was let go, before another is
 WALK_NS = 10_000_000_000  # a parameter that walks is another variable after so long
 NOT_HELD: Array = np.zeros(1)
 NOT_AGAIN_NS = 1 << 62  # when it is read next, where whoever solves asks for it
@@ -50,6 +52,14 @@ class Known(NamedTuple):
     carried: Placed | None = None
 
 
+class Belief(NamedTuple):
+    """Which elements (p,) of a parameter are to be let go and held again; `worst` is below zero by how surely."""
+
+    goes: NDArray[np.bool_]
+    returns: NDArray[np.bool_]
+    worst: float
+
+
 class Parameters:
     """The parameters by the name of their sensor.
 
@@ -68,7 +78,11 @@ class Parameters:
         self._refreshed_ns, self._anew = refreshed_ns, found
         self._carried = {name: one for name, one in carried.items() if name not in found}
         self._known: dict[str, Known] = {}
+        self._let_go: Mapping[str, Array] = MappingProxyType({})  # begin there, held by nothing
         self._made = 0
+        self._may_be_right: dict[str, Parameter] = {}  # priors of what is held until it proves off
+        self._mistaken = frozenset[str]()
+        self._gone_ns = self._doubted_ns = NEVER_NS  # when one of them was let go last, and all contradicted
 
     def copy(self, solver: Solver, counterpart: Callable[[Placed], Placed]) -> "Parameters":
         """Return an equal one for a copy of the solver, in which each factor has a counterpart."""
@@ -90,6 +104,8 @@ class Parameters:
         """
         configured = self._anew.get(name, prior)
         prior = self.prior(name, prior)
+        if prior.if_right is not None:
+            self._may_be_right[name] = prior
         if name in self._carried or name in self._anew:
             start = None
         known = self._known.get(name)
@@ -97,9 +113,10 @@ class Parameters:
             known = self._insert(solver, name, prior, stamp_ns, start)
         elif known.is_solved:
             known = known._replace(value=solver.vector(known.key))
-            if stamp_ns - known.read_ns >= self._refreshed_ns:
+            is_doubted = known.hold is not None and stamp_ns - self._doubted_ns < self._refreshed_ns
+            if stamp_ns - known.read_ns >= (DOUBTED_NS if is_doubted else self._refreshed_ns):
                 known = known._replace(covariance=solver.covariance(known.key), read_ns=stamp_ns)
-                known = _believed(solver, known, prior)
+                known = self._reviewed(solver, name, known, prior)
                 known = self._unless_refuted(solver, name, known, configured)
         if prior.walk is not None and stamp_ns - known.begun_ns >= WALK_NS:
             known = self._walked(solver, known, prior.walk, stamp_ns)
@@ -107,11 +124,26 @@ class Parameters:
         self._known[name] = known
         return known
 
+    def doubt(self, stamp_ns: int) -> None:
+        """Know that a measurement contradicts what is estimated: what is held may be the reason."""
+        self._doubted_ns = stamp_ns
+
+    def newly_mistaken(self) -> frozenset[str]:
+        """Return what was let go since this was asked last while measurements contradicted what had rested on it."""
+        found, self._mistaken = self._mistaken, frozenset()
+        return found
+
     def begin_anew(self, name: str, prior: Parameter) -> None:
         """Forget what is known of a sensor's parameter; this prior stands in for that of the configuration."""
         self._known.pop(name, None)
         self._carried = {other: one for other, one in self._carried.items() if other != name}
         self._anew = {**self._anew, name: prior}
+
+    def let_go(self, name: str, start: Array) -> None:
+        """Forget what is known of a sensor's parameter; begin at a value (p,), held nowhere until it proves right."""
+        self._known.pop(name, None)
+        self._carried = {other: one for other, one in self._carried.items() if other != name}
+        self._let_go = {**self._let_go, name: start}
 
     def estimate(self, name: str) -> tuple[Array, Array] | None:
         """Return the estimate (p,) of a sensor's parameter and its sigmas (p,), None while there is none."""
@@ -148,7 +180,7 @@ class Parameters:
                 continue
             value, covariance = solver.vector(known.key), solver.covariance(known.key)
             read = known._replace(value=value, covariance=covariance, read_ns=NOT_AGAIN_NS)
-            self._known[name] = _believed(solver, read, prior)
+            self._known[name] = _believed(solver, read, prior, _belief(read, prior))
             has_changed |= self._known[name].hold is not known.hold
         return has_changed
 
@@ -166,6 +198,39 @@ class Parameters:
         for name, known in self._known.items():
             if not known.is_solved:
                 self._known[name] = known._replace(is_solved=True)
+
+    def _reviewed(self, solver: Solver, name: str, known: Known, prior: Parameter) -> Known:
+        """Return a parameter that was read just now, let go or held again if that is more plausible.
+
+        What measurements contradict that rest on one that is held contradicts others, too: the least plausible goes,
+        and is given time to tell.
+        """
+        belief, is_doubted = _belief(known, prior), known.read_ns - self._doubted_ns < self._refreshed_ns
+        if not (is_doubted and belief.goes.any()):
+            return _believed(solver, known, prior, belief)
+        stays = belief._replace(goes=np.zeros_like(belief.goes))
+        if known.read_ns - self._gone_ns >= TIME_TO_TELL_NS:
+            self._gone_ns = known.read_ns
+            others = (
+                (other, self._read(solver, other, known.read_ns)) for other in self._may_be_right if other != name
+            )
+            beliefs = {other: (read, _belief(read, self._may_be_right[other])) for other, read in others if read}
+            worst = min(beliefs, key=lambda one: beliefs[one][1].worst, default=name)
+            is_worst = worst == name or beliefs[worst][1].worst >= belief.worst
+            self._mistaken |= {name if is_worst else worst}
+            if is_worst:
+                return _believed(solver, known, prior, belief)
+            read, of_worst = beliefs[worst]
+            self._known[worst] = _believed(solver, read, self._may_be_right[worst], of_worst)
+        return _believed(solver, known, prior, stays)
+
+    def _read(self, solver: Solver, name: str, stamp_ns: int) -> Known | None:
+        """Return a parameter that is held as it is now; None if it is not, or not solved yet."""
+        known = self._known.get(name)
+        if known is None or known.hold is None or not known.is_solved or known.key not in solver:
+            return None
+        value, covariance = solver.vector(known.key), solver.covariance(known.key)
+        return known._replace(value=value, covariance=covariance, read_ns=stamp_ns)
 
     def _unless_refuted(self, solver: Solver, name: str, known: Known, configured: Parameter) -> Known:
         """Return a parameter; what was learnt of it before a restart is dropped where it holds no more."""
@@ -200,6 +265,8 @@ class Parameters:
         value = mean if start is None else start
         if before is not None:
             value, mean, covariance = before.value, *_unheld(before, prior.mean)
+        elif name in self._let_go:
+            value = mean = self._let_go[name]
         key = self._new_key(len(mean))
         solver.insert(key, value, stamp_ns)
         placed = solver.add(gtsam.PriorFactorVector(key, mean, gtsam.noiseModel.Gaussian.Covariance(covariance)))
@@ -208,22 +275,27 @@ class Parameters:
             known = known._replace(carried=placed)
         if prior.if_right is None:
             return known
-        held = np.isfinite(prior.if_right) if before is None else _is_held(before)
-        return _held(solver, known, prior, held)
+        if before is None:
+            return _held(solver, known, prior, np.isfinite(prior.if_right) & (name not in self._let_go))
+        return _held(solver, known, prior, _is_held(before))
 
 
-def _believed(solver: Solver, known: Known, prior: Parameter) -> Known:
-    """Let go what is more plausibly off than as configured, and hold it again if not: (54) in docs/math.md."""
+def _belief(known: Known, prior: Parameter) -> Belief:
+    """Return what is more plausibly off than as configured, and the other way round: (54) in docs/math.md."""
     if prior.if_right is None:
+        return Belief(NOT_HELD > 0.0, NOT_HELD > 0.0, 0.0)
+    log_ratio, held = _evidence(known, prior, prior.if_right), _is_held(known)
+    goes = held & (log_ratio < -log(prior.odds))
+    return Belief(goes, ~held & (log_ratio > RIGHT), float(np.where(goes, log_ratio + log(prior.odds), 0.0).min()))
+
+
+def _believed(solver: Solver, known: Known, prior: Parameter, belief: Belief) -> Known:
+    """Let go what is off, and hold again what is as configured."""
+    if not (belief.goes | belief.returns).any():
         return known
-    log_ratio = _evidence(known, prior, prior.if_right)
-    held = _is_held(known)
-    goes, returns = held & (log_ratio < -log(prior.odds)), ~held & (log_ratio > RIGHT)
-    if not (goes | returns).any():
-        return known
-    changed = _held(solver, known, prior, (held & ~goes) | returns)
+    changed = _held(solver, known, prior, (_is_held(known) & ~belief.goes) | belief.returns)
     # what is let go stays where it is until it is solved
-    return changed if returns.any() else changed._replace(value=known.value, is_solved=known.is_solved)
+    return changed if belief.returns.any() else changed._replace(value=known.value, is_solved=known.is_solved)
 
 
 def _evidence(known: Known, prior: Parameter, if_right: Array) -> Array:
@@ -248,7 +320,7 @@ def _held(solver: Solver, known: Known, prior: Parameter, which: NDArray[np.bool
     value, covariance = _unheld(known, prior.mean)
     if not which.any():
         return known._replace(covariance=covariance, is_right=False, hold=None, holding=NOT_HELD)
-    sigmas = np.where(which, HELD * prior.if_right, FREE_VARIANCE**0.5)
+    sigmas = np.where(which, prior.held * prior.if_right, FREE_VARIANCE**0.5)
     placed = solver.add(gtsam.PriorFactorVector(known.key, prior.mean, gtsam.noiseModel.Diagonal.Sigmas(sigmas)))
     holding = np.where(which, sigmas**-2.0, 0.0)
     free = np.linalg.inv(covariance)

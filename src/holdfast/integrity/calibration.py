@@ -1,7 +1,7 @@
 """What is otherwise than configured, mountings, clocks, the gyroscope, as the graph has found: told once it is sure."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from math import degrees, exp
+from math import degrees, exp, radians
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +12,7 @@ from holdfast.graph.smoother import Smoother
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.constants import length_and_sigma
+from holdfast.sensors.heading import MOUNT
 from holdfast.sensors.lever_arm import ARM
 from holdfast.sensors.odometry import OdometryModel
 from holdfast.sensors.scale import SCALE
@@ -20,6 +21,7 @@ from holdfast.sensors.sensor import Parameter, Sensor
 REVIEW_NS = 1_000_000_000
 SIGMA = 4.0  # it is tested every second
 SLACK_S, SLACK_RAD, SLACK_RATIO, SLACK_M = 2e-3, 5e-3, 3e-3, 0.03  # an error that nobody need correct
+TOLD_RAD = radians(1.0)  # sigma of a mounting that may be any: before that nothing is told
 NEWS = 0.25  # of what was told last
 
 
@@ -91,6 +93,14 @@ def _findings(sensor: Sensor, prior: Parameter, value: Array, sigmas: Array) -> 
         )
         yield Finding("clock", abs(off_s), sigma_s, SLACK_S), text
     is_odometry = isinstance(sensor, OdometryModel)
+    if prior.part == MOUNT and sigmas[0] < TOLD_RAD:
+        off_rad, sigma_rad = float(value[0] - prior.mean[0]), float(sigmas[0])
+        way, off_deg = "left" if off_rad > 0.0 else "right", degrees(off_rad)
+        text = (
+            f"its axis points {abs(off_deg):.1f} deg further to the {way} than configured, "
+            f"sigma {degrees(sigma_rad):.1f} deg: add {off_deg:.2f} to mounting_yaw_deg"
+        )
+        yield Finding("mounting", abs(off_rad), sigma_rad, SLACK_RAD), text
     if prior.part == ARM:
         off_m, sigma_m = length_and_sigma(value - prior.mean, sigmas)
         x, y, z = value - prior.mean

@@ -2,22 +2,29 @@
 
 They come from the receiver whose fixes are doubted, so while GNSS is lost they wait in quarantine; those of its
 recovery enter together with the fixes, and the heading of the world is corrected once.
+
+What is refused because it is mounted otherwise than configured is let go from there, and comes back.
 """
 
 from collections import deque
 from collections.abc import Mapping
-from math import remainder, tau
+from math import remainder, sqrt, tau
+
+import numpy as np
 
 from holdfast.event_log import EventLog
-from holdfast.events import Outcome
+from holdfast.events import EventKind, Outcome
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.states import JudgedSensor
+from holdfast.integrity.turned_headings import TurnedHeadings
 from holdfast.integrity.yaw_learning import WITNESS_NS, Witness
-from holdfast.sensors.sensor import Measurement, StateSensor
+from holdfast.sensors.heading import AxisYaw, mount_of
+from holdfast.sensors.sensor import StateSensor
 
 WITNESSES = 32  # how many are remembered
+MIRRORED = "it turns the other way than the machine: `clockwise` is not as configured"
 
 
 class Headings:
@@ -33,8 +40,14 @@ class Headings:
         self._judged = {
             name: JudgedSensor(sensor, scales[name], lambda _: None, log) for name, sensor in sensors.items()
         }
-        self._quarantine: deque[Measurement] = deque()
-        self._used: deque[Measurement] = deque(maxlen=WITNESSES)
+        self._mounts = {
+            name: mount for name, sensor in sensors.items() if (mount := mount_of(sensor.parameters)) is not None
+        }
+        self._turned = {name: TurnedHeadings() for name in self._mounts}
+        self._mirrored = {name: TurnedHeadings() for name in self._mounts}
+        self._quarantine: deque[AxisYaw] = deque()
+        self._used: deque[AxisYaw] = deque(maxlen=WITNESSES)
+        self._told: set[str] = set()
         self._log = log
 
     def lost(self) -> list[str]:
@@ -45,7 +58,7 @@ class Headings:
         """Forget what waits: the graph lost its window, or the estimate is moved."""
         self._quarantine.clear()
 
-    def add(self, graph: DualGraph, heading: Measurement, now_ns: int) -> Outcome:
+    def add(self, graph: DualGraph, heading: AxisYaw, now_ns: int) -> Outcome:
         """Judge a heading at its node, and add its factor to the main graph if it may enter."""
         judged, smoother = self._judged[heading.sensor], graph.published
         if smoother.node(heading.stamp_ns) is None:
@@ -55,6 +68,8 @@ class Headings:
             outcome = judged.judge(heading, graph.main, [graph.main], now_ns)
             if outcome is Outcome.USED:
                 self._used.append(heading)
+            if heading.sensor in self._mounts:
+                self._look_whether_turned(graph, heading, is_refused=outcome is Outcome.INNOVATION)
             return outcome
         judged.gate.note(heading, now_ns)
         while self._quarantine and self._quarantine[0].stamp_ns < smoother.oldest_ns:
@@ -62,6 +77,26 @@ class Headings:
         self._quarantine.append(heading)
         self._log.record(heading.stamp_ns, heading.sensor, Outcome.QUARANTINED)
         return Outcome.QUARANTINED
+
+    def _look_whether_turned(self, graph: DualGraph, heading: AxisYaw, *, is_refused: bool) -> None:
+        """Let the mounting of a sensor go, if its headings are refused for that alone; tell one that is a mirror."""
+        name = heading.sensor
+        runs = turned, mirrored = self._turned[name], self._mirrored[name]
+        found = self._judged[name].residual(graph.main, heading) if is_refused else Outcome.USED
+        if isinstance(found, Outcome):
+            for run in runs:
+                run.clear()
+            return
+        mount = self._mounts[name]
+        believed_rad = float(graph.main.parameters.belief(mount.name(name), mount)[0][0])
+        off_rad, sigma_rad = float(found.y[0]) + believed_rad, sqrt(float(found.R[0, 0]))
+        yaw_rad = heading.yaw_rad - off_rad
+        if (angle_rad := turned.note(off_rad, sigma_rad, yaw_rad)) is not None:
+            turned.clear()
+            graph.let_parameter_go(mount.name(name), np.array([angle_rad]))
+        if mirrored.note(heading.yaw_rad + yaw_rad, sigma_rad, yaw_rad) is not None and name not in self._told:
+            self._told.add(name)
+            self._log.report(EventKind.CALIBRATION, heading.stamp_ns, name, MIRRORED)
 
     def witness(self, smoother: Smoother, stamp_ns: int) -> Witness | None:
         """Return what the headings that were used near a time say of the estimate; None where there are none."""

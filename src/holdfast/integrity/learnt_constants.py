@@ -7,6 +7,7 @@ import numpy as np
 from holdfast.config.model import Config
 from holdfast.sensors.clock import GNSS_CLOCK, with_estimated_clock
 from holdfast.sensors.constants import Constant, LearntConstant, carried, priors_of, priors_of_machine
+from holdfast.sensors.heading import MOUNT
 from holdfast.sensors.lever_arm import GNSS_ARM, arm_of
 from holdfast.sensors.sensor import Parameter, Sensor
 
@@ -27,12 +28,12 @@ def constants_of_machine(
 
 
 def found_before(learnt: Mapping[str, LearntConstant], sensors: Mapping[str, Sensor]) -> dict[str, Parameter]:
-    """Return where antennas were found to be before, as a shift from the models, and the clock of GNSS; if off."""
+    """Return where antennas were found to be before, as a shift from the models, headings and the clock; if off."""
     priors = priors_of({name: with_estimated_clock(one) for name, one in sensors.items()})
     return {
-        name: carried(priors[name], learnt[name])
-        for name in (GNSS_ARM, GNSS_CLOCK)
-        if name in priors and name in learnt and learnt[name].is_off
+        name: carried(prior, learnt[name])
+        for name, prior in priors.items()
+        if name in learnt and learnt[name].is_off and (name in (GNSS_ARM, GNSS_CLOCK) or prior.part == MOUNT)
     }
 
 

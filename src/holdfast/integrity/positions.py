@@ -164,14 +164,12 @@ class Positions:
     def add(self, graph: DualGraph, position: Position, now_ns: int) -> Outcome:
         """Judge a position at its node, and add its factor to the main graph if it may enter."""
         smoother, name = graph.published, position.sensor
-        key = smoother.node(position.stamp_ns)
-        if key is None:
+        if (key := smoother.node(position.stamp_ns)) is None:
             self._log.record(position.stamp_ns, name, Outcome.LATE, p_W_P=position.p_W_P)
             return Outcome.LATE
         gate, scale = self.gates[name], self._scales[name]
-        above, colour, claimed = scale.above, position.colour, position
-        if colour is not None:
-            colour = scale.white.colour(colour, above)
+        above, claimed = scale.above, position
+        colour = None if position.colour is None else scale.white.colour(position.colour, above)
         position = replace(position, covariance=position.covariance * above, colour=colour)
         found = self._compare(smoother, key, position)
         innovation, state = found.innovation, found.state
@@ -212,9 +210,11 @@ class Positions:
             if self._enter(graph.main, position, inflation, found if smoother is graph.main else None):
                 self.used.add(position)
         elif outcome is not Outcome.QUARANTINED:
+            if gate.trust is Trust.TRUSTED:
+                graph.main.parameters.doubt(position.stamp_ns)
             self._log.report(EventKind.REJECTED, position.stamp_ns, name, outcome)
-        gate_limit = gate.limit_on_nis
-        self._log.record(position.stamp_ns, name, outcome, prediction.nis, 3, limit=gate_limit, p_W_P=position.p_W_P)
+        limit, p_W_P = gate.limit_on_nis, position.p_W_P
+        self._log.record(position.stamp_ns, name, outcome, prediction.nis, 3, limit=limit, p_W_P=p_W_P)
         return outcome
 
     def _expected_instead(self, smoother: Smoother, position: Position, prediction: Prediction) -> list[str]:

@@ -26,10 +26,7 @@ FAR_S = 1.0  # a delay that may be a clock: leap seconds, a machine that was set
 MAX_RATE_HZ = 5.0  # of a receiver; more tell no more of a machine's motion
 ORDERS = {"gnss": 2, "gnss_velocity": 1}
 CLOCKWISE = Measured(
-    warnings=(
-        "it turns the other way than the gyroscope: it seems to count clockwise from north, as a compass does; its "
-        "driver must count counter-clockwise from east",
-    )
+    remarks={"clockwise": "it turns the other way than the gyroscope, as a compass does"}, values={"clockwise": True}
 )
 
 

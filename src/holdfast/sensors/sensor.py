@@ -123,6 +123,7 @@ class Parameter(NamedTuple):
         change: (p,) by how much it may be another one on the next day, as sigmas; None where it is one of the world.
         has_clock: its last element is by how much the sensor's stamps are early [s].
         odds: how many times more plausible it must be that an element is off than that it is right, to let it go.
+        held: of `if_right`, to which one that may be right is held: as if there were no error; 1: as it says.
     """
 
     mean: Array
@@ -134,6 +135,7 @@ class Parameter(NamedTuple):
     change: Array | None = None
     has_clock: bool = False
     odds: float = 10.0
+    held: float = 0.02
 
     def name(self, sensor: str) -> str:
         """Return the name under which the graph knows the parameter of a sensor."""

@@ -15,6 +15,7 @@ from holdfast.estimator.standstill import Standing
 from holdfast.estimator.tracking import Update
 from holdfast.graph.nodes import to_grid
 from holdfast.messages import Array
+from holdfast.sensors.constants import Constant
 from holdfast.sensors.imu import ImuBuffer
 from holdfast.sensors.noise import Colour
 from holdfast.sensors.sensor import Joint, Measurement
@@ -138,8 +139,16 @@ class Recorded:
 
     def is_off(self, constant: str) -> bool:
         """Whether the causal estimator has found a constant of a sensor to be otherwise than configured."""
-        found = None if self._learnt is None else self._learnt.constants().get(constant)
+        found = self._constant(constant)
         return found is not None and found.is_off
+
+    def believed_rad(self, constant: str) -> float:
+        """Return what the causal estimator believes of a constant that is an angle [rad]; zero until it knows."""
+        found = self._constant(constant)
+        return 0.0 if found is None else float(found.value[0])
+
+    def _constant(self, name: str) -> Constant | None:
+        return None if self._learnt is None else self._learnt.constants().get(name)
 
     @property
     def force_scale(self) -> float:

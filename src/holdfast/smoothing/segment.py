@@ -21,6 +21,7 @@ from holdfast.graph.smoother import Smoother
 from holdfast.sensors.clock import with_estimated_clock
 from holdfast.sensors.constants import priors_of, priors_of_machine
 from holdfast.sensors.gnss import is_measured
+from holdfast.sensors.heading import HeadingModel, mount_of
 from holdfast.sensors.lever_arm import GNSS_ARM
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise
 from holdfast.sensors.sensor import Measurement, Parameter, Role, Sensor, of_role
@@ -114,10 +115,13 @@ class Segment:
         self._candidates.sort(key=lambda one: one.measurement.stamp_ns)
 
     def _believed(self, sensor: Any) -> Any:
-        """Return a sensor with its clock, and an antenna with its lever arm, as known unless they were found off."""
+        """Return a sensor with its clock, its lever arm and its mounting as known unless they were found off."""
         name = sensor.name
         if is_measured(sensor):
             sensor = sensor if self._recorded.is_off(GNSS_ARM) else sensor.with_known_arm()
+        mount = mount_of(sensor.parameters) if isinstance(sensor, HeadingModel) else None
+        if mount is not None and not self._recorded.is_off(mount.name(name)):
+            sensor = sensor.turned(self._recorded.believed_rad(mount.name(name)))
         clocked = with_estimated_clock(sensor)
         is_known = clocked is sensor or not self._recorded.is_off(clocked.parameters[-1].name(name))
         return sensor if is_known else clocked

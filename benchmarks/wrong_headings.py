@@ -1,0 +1,65 @@
+"""Prints what a heading costs that is mounted otherwise than the file says: `python benchmarks/wrong_headings.py`.
+
+A scenario with two antennas and the heading of their receiver is simulated, and estimated with `mounting_yaw_deg` as it
+is, then wrong; then without the second antenna, so that nothing but the motion tells how the heading is mounted. The
+truth of the simulation judges while fixes come, from the start on. `--known`: the file says that the mounting is known.
+"""
+
+import argparse
+from concurrent.futures import ProcessPoolExecutor
+from copy import deepcopy
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from wrong_by_ten import scores
+
+from holdfast.config.load import config_of
+from holdfast.config.sensors import HeadingConfig
+from holdfast.sensors.heading import configured_yaw_deg
+from holdfast.sim.configuration import configuration_data
+from holdfast.sim.scenario import load_scenario
+from holdfast.trial.run import write_simulation
+
+ANGLES_DEG = (0.5, 1.0, 2.0, 5.0, 10.0, 45.0, 180.0)
+SHOWN = ("with GNSS", "heading", "outage", "heading there")
+
+
+def turned(data: dict[str, Any], by_deg: float, *, is_alone: bool, is_known: bool) -> dict[str, Any]:
+    """Return a configuration whose headings are mounted otherwise; with one antenna, or all that there are."""
+    changed = deepcopy(data)
+    sensors, config = changed["sensors"], config_of(data, "as it is")
+    for name in config.sensors_of(HeadingConfig):
+        sensors[name]["mounting_yaw_deg"] = configured_yaw_deg(name, config) + by_deg
+        if is_known:
+            sensors[name]["mounting_sigma_deg"] = 0.0
+    antennas = [name for name, section in sensors.items() if section["kind"] == "gnss"]
+    for name in antennas[1:] if is_alone else ():
+        del sensors[name]
+    return changed
+
+
+def main() -> None:
+    """Run what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenario", nargs="?", default="rounds")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--deg", type=float, nargs="+", default=ANGLES_DEG, help="by which the file is wrong")
+    parser.add_argument("--known", action="store_true", help="the file says that the mounting is known")
+    given = parser.parse_args()
+    scenario = load_scenario(given.scenario)
+    data = configuration_data(scenario, given.seed)
+    tried = [(is_alone, by_deg) for is_alone in (False, True) for by_deg in (0.0, *given.deg)]
+    print(f"| antennas | wrong by [deg] | {' | '.join(SHOWN)} |")
+    print(f"|---|---:|{'---:|' * len(SHOWN)}")
+    with TemporaryDirectory() as folder, ProcessPoolExecutor(2) as pool:
+        score = partial(scores, Path(folder), write_simulation(scenario, given.seed, Path(folder)))
+        changed = [turned(data, by_deg, is_alone=is_alone, is_known=given.known) for is_alone, by_deg in tried]
+        for (is_alone, by_deg), row in zip(tried, pool.map(score, changed), strict=True):
+            cells = " | ".join(f"{row[title]:.3f}" for title in SHOWN)
+            print(f"| {'one' if is_alone else 'two'} | {by_deg:g} | {cells} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
