@@ -7,19 +7,14 @@ the two are exchanged. The truth of the simulation judges while fixes come, from
 
 import argparse
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from copy import deepcopy
-from functools import partial
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from wrong_by_ten import scores
+from wrong_by_ten import scored
 
 from holdfast.sim.configuration import configuration_data
 from holdfast.sim.scenario import load_scenario
-from holdfast.trial.run import write_simulation
 
 DISTANCES_M = (0.3, 1.0, 3.0)
 WHICH = ("both", "one", "alone", "exchanged")
@@ -63,15 +58,11 @@ def main() -> None:
     tried = [(which, axis, by) for which in given.which for by in distances[which] for axis in "xy"[: 2 if by else 1]]
     print("| antennas | axis | moved by [m] | horizontal RMS [m] | heading RMS [deg] | outages: horizontal RMS [m] |")
     print("|---|---|---:|---:|---:|---:|")
-    with TemporaryDirectory() as folder, ProcessPoolExecutor(2) as pool:
-        score = partial(scores, Path(folder), write_simulation(scenario, given.seed, Path(folder)))
-        vectors = [np.eye(3)["xyz".index(axis)] * by for _, axis, by in tried]
-        changed = [
-            moved(data, which, by, is_known=given.known) for (which, _, _), by in zip(tried, vectors, strict=True)
-        ]
-        for (which, axis, by), row in zip(tried, pool.map(score, changed), strict=True):
-            cells = " | ".join(f"{row[title]:.3f}" for title in SHOWN)
-            print(f"| {which} | {axis if by else ''} | {by:g} | {cells} |", flush=True)
+    vectors = [np.eye(3)["xyz".index(axis)] * by for _, axis, by in tried]
+    changed = [moved(data, which, by, is_known=given.known) for (which, _, _), by in zip(tried, vectors, strict=True)]
+    for (which, axis, by), row in zip(tried, scored(scenario, given.seed, changed), strict=True):
+        cells = " | ".join(f"{row[title]:.3f}" for title in SHOWN)
+        print(f"| {which} | {axis if by else ''} | {by:g} | {cells} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 from holdfast.config.load import config_of
 from holdfast.errors import ConfigError
 from holdfast.sim.configuration import configuration_data
-from holdfast.sim.scenario import load_scenario
+from holdfast.sim.scenario import Scenario, load_scenario
 from holdfast.sim.simulation import Simulation
 from holdfast.trial.run import estimate, judged, write_simulation
 
@@ -74,6 +74,16 @@ def scores(folder: Path, simulation: Simulation, data: dict[str, Any]) -> dict[s
     return {title: trial.verdict.scores.get(key, nan) for title, key in MEASURES.items()}
 
 
+def scored(
+    scenario: Scenario, seed: int, configurations: Sequence[dict[str, Any]], jobs: int = 2
+) -> Iterator[dict[str, float]]:
+    """Yield the measures of one recording of a scenario under each of some configurations."""
+    with TemporaryDirectory() as folder, ProcessPoolExecutor(jobs) as pool:
+        yield from pool.map(
+            partial(scores, Path(folder), write_simulation(scenario, seed, Path(folder))), configurations
+        )
+
+
 def main() -> None:
     """Run what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -87,16 +97,14 @@ def main() -> None:
     scenario = load_scenario(given.scenario)
     data = configuration_data(scenario, given.seed)
     found = [change for change in changes(data, given.factors) if given.key in change.key]
-    with TemporaryDirectory() as folder, ProcessPoolExecutor(given.jobs) as pool:
-        score = partial(scores, Path(folder), write_simulation(scenario, given.seed, Path(folder)))
-        base = score(data)
-        print("as it is: " + ", ".join(f"{title} {value:.3f}" for title, value in base.items()), flush=True)
-        rows = pool.map(score, [change.of(data) for change in found])
-        for change, row in zip(found, rows, strict=True):
-            ratios = {title: row[title] / base[title] for title in base}
-            if max(ratios.values()) >= given.worst:
-                text = "  ".join(f"{title} {ratio:6.2f}" for title, ratio in ratios.items())
-                print(f"  {change.kind:10s} {change.key:28s} x {change.factor:<5g}  {text}", flush=True)
+    rows = scored(scenario, given.seed, [data, *(change.of(data) for change in found)], given.jobs)
+    base = next(rows)
+    print("as it is: " + ", ".join(f"{title} {value:.3f}" for title, value in base.items()), flush=True)
+    for change, row in zip(found, rows, strict=True):
+        ratios = {title: row[title] / base[title] for title in base}
+        if max(ratios.values()) >= given.worst:
+            text = "  ".join(f"{title} {ratio:6.2f}" for title, ratio in ratios.items())
+            print(f"  {change.kind:10s} {change.key:28s} x {change.factor:<5g}  {text}", flush=True)
 
 
 if __name__ == "__main__":

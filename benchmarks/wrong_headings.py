@@ -6,21 +6,16 @@ truth of the simulation judges while fixes come, from the start on. `--known`: t
 """
 
 import argparse
-from concurrent.futures import ProcessPoolExecutor
 from copy import deepcopy
-from functools import partial
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
-from wrong_by_ten import scores
+from wrong_by_ten import scored
 
 from holdfast.config.load import config_of
 from holdfast.config.sensors import HeadingConfig
 from holdfast.sensors.heading import configured_yaw_deg
 from holdfast.sim.configuration import configuration_data
 from holdfast.sim.scenario import load_scenario
-from holdfast.trial.run import write_simulation
 
 ANGLES_DEG = (0.5, 1.0, 2.0, 5.0, 10.0, 45.0, 180.0)
 SHOWN = ("with GNSS", "heading", "outage", "heading there")
@@ -53,12 +48,10 @@ def main() -> None:
     tried = [(is_alone, by_deg) for is_alone in (False, True) for by_deg in (0.0, *given.deg)]
     print(f"| antennas | wrong by [deg] | {' | '.join(SHOWN)} |")
     print(f"|---|---:|{'---:|' * len(SHOWN)}")
-    with TemporaryDirectory() as folder, ProcessPoolExecutor(2) as pool:
-        score = partial(scores, Path(folder), write_simulation(scenario, given.seed, Path(folder)))
-        changed = [turned(data, by_deg, is_alone=is_alone, is_known=given.known) for is_alone, by_deg in tried]
-        for (is_alone, by_deg), row in zip(tried, pool.map(score, changed), strict=True):
-            cells = " | ".join(f"{row[title]:.3f}" for title in SHOWN)
-            print(f"| {'one' if is_alone else 'two'} | {by_deg:g} | {cells} |", flush=True)
+    changed = [turned(data, by_deg, is_alone=is_alone, is_known=given.known) for is_alone, by_deg in tried]
+    for (is_alone, by_deg), row in zip(tried, scored(scenario, given.seed, changed), strict=True):
+        cells = " | ".join(f"{row[title]:.3f}" for title in SHOWN)
+        print(f"| {'one' if is_alone else 'two'} | {by_deg:g} | {cells} |", flush=True)
 
 
 if __name__ == "__main__":

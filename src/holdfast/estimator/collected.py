@@ -89,7 +89,7 @@ class Collected:
     def forget_after(self, stamp_ns: int) -> None:
         """Forget what was measured after a time: by a clock that was wrong."""
         for series in (self.all_positions, *self._series):
-            _make(series, [one for one in series if one.stamp_ns <= stamp_ns])
+            _refill(series, [one for one in series if one.stamp_ns <= stamp_ns])
         self.newest_ns = min(self.newest_ns, stamp_ns)
 
     def know_clock(self, clock_ns: int) -> None:
@@ -100,12 +100,12 @@ class Collected:
     def stamp_later(self, by_ns: int) -> None:
         """Know that all that has come by the clock of GNSS was measured later than it was stamped."""
         for series in (self.all_positions, *self._series):
-            _make(series, [self._later(one, by_ns) for one in series])
+            _refill(series, [self._later(one, by_ns) for one in series])
 
     def exchange(self, pair: Pair, since_ns: int = NEVER_NS) -> None:
         """Know that two antennas' positions have come by each other's name since a time."""
         for series in self.positions, self.all_positions:
-            _make(series, exchanged(series, pair, since_ns))
+            _refill(series, exchanged(series, pair, since_ns))
 
     def _later(self, one: Kind, by_ns: int) -> Kind:
         """Return a measurement, if it is by the clock of GNSS, as one that was taken later."""
@@ -144,7 +144,7 @@ def exchanged(positions: Iterable[Position], pair: Pair, since_ns: int = NEVER_N
     ]
 
 
-def _make(series: deque[Any], of: Sequence[Any]) -> None:
+def _refill(series: deque[Any], of: Sequence[Any]) -> None:
     series.clear()
     series.extend(of)
 

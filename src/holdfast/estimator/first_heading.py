@@ -10,8 +10,8 @@ import numpy as np
 from holdfast.config.model import InitialisationConfig
 from holdfast.estimator.collected import Collected
 from holdfast.integrity.lever_arms import SAME_M
-from holdfast.sensors.heading import mount_of, yaw_of
-from holdfast.sensors.sensor import Position, PositionSensor
+from holdfast.sensors.heading import MOUNT, yaw_of
+from holdfast.sensors.sensor import Position, PositionSensor, part_of
 
 MIN_BASELINE_M = 0.2  # horizontal; a shorter one tells no heading
 PAIRED_NS = 20_000_000  # fixes of a machine that stands
@@ -68,7 +68,7 @@ class FirstHeading:
         for heading in self._collected.newest_of(self._headings):
             model = self._headings[heading.sensor]
             if (of_imu := model.of_imu(heading, level)) is not None:
-                mount = mount_of(model.parameters)
+                mount = part_of(model.parameters, MOUNT)
                 doubt_rad = 0.0 if mount is None else min(MOUNT_RAD, float(mount.sigmas[0]))
                 told[heading.sensor] = Told(of_imu[0], of_imu[1], doubt_rad)
         baseline = None

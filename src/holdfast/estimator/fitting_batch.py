@@ -30,7 +30,7 @@ from holdfast.sensors.sensor import Parameter, Position, VelocitySensor, is_gnss
 
 FREED_M = 10.0  # sigma of an arm in doubt: nothing shall hold it
 MOST_LATE_S = 1.0  # of clocks
-TELLING = 8  # positions that may tell a clock
+TELLING = 8  # positions that may tell a clock, or a state although they are at odds with an odometry
 STRAYS = 2  # positions of a batch, at most, that are elsewhere
 PATIENCE_NS = 60_000_000_000  # after which what nobody can tell is believed as it is stamped
 AT_ODDS = "positions, IMU and odometry are at odds: without the odometry the motion so far does not tell the heading"

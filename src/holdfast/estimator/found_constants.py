@@ -11,9 +11,9 @@ from holdfast.estimator.collected import Collected
 from holdfast.estimator.fitting_batch import FittingBatches
 from holdfast.messages import Array
 from holdfast.sensors.clock import GNSS_CLOCK
-from holdfast.sensors.heading import mount_of
+from holdfast.sensors.heading import MOUNT
 from holdfast.sensors.lever_arm import GNSS_ARM
-from holdfast.sensors.sensor import Parameter
+from holdfast.sensors.sensor import Parameter, part_of
 
 
 class FoundConstants:
@@ -71,7 +71,7 @@ class FoundConstants:
     def turn_headings(self, off: Mapping[str, Array]) -> None:
         """Know by how much (1,) [rad] headings are mounted otherwise than configured, by the name of the constant."""
         for name, sensor in self._mounted.items():
-            mount = mount_of(sensor.parameters)
+            mount = part_of(sensor.parameters, MOUNT)
             known = None if mount is None else off.get(mount.name(name))
             self._headings[name] = sensor if known is None else sensor.turned(float(known[0]))
 

@@ -113,9 +113,8 @@ class Parameters:
             known = self._insert(solver, name, prior, stamp_ns, start)
         elif known.is_solved:
             known = known._replace(value=solver.vector(known.key))
-            is_doubted = known.hold is not None and stamp_ns - self._doubted_ns < self._refreshed_ns
-            if stamp_ns - known.read_ns >= (DOUBTED_NS if is_doubted else self._refreshed_ns):
-                known = known._replace(covariance=solver.covariance(known.key), read_ns=stamp_ns)
+            if stamp_ns - known.read_ns >= (DOUBTED_NS if self._is_doubted(known, stamp_ns) else self._refreshed_ns):
+                known = _read(solver, known, stamp_ns)
                 known = self._reviewed(solver, name, known, prior)
                 known = self._unless_refuted(solver, name, known, configured)
         if prior.walk is not None and stamp_ns - known.begun_ns >= WALK_NS:
@@ -135,15 +134,20 @@ class Parameters:
 
     def begin_anew(self, name: str, prior: Parameter) -> None:
         """Forget what is known of a sensor's parameter; this prior stands in for that of the configuration."""
-        self._known.pop(name, None)
-        self._carried = {other: one for other, one in self._carried.items() if other != name}
+        self._forget(name)
         self._anew = {**self._anew, name: prior}
 
     def let_go(self, name: str, start: Array) -> None:
         """Forget what is known of a sensor's parameter; begin at a value (p,), held nowhere until it proves right."""
-        self._known.pop(name, None)
-        self._carried = {other: one for other, one in self._carried.items() if other != name}
+        self._forget(name)
         self._let_go = {**self._let_go, name: start}
+
+    def _forget(self, name: str) -> None:
+        self._known.pop(name, None)
+        self._forget_carried(name)
+
+    def _forget_carried(self, name: str) -> None:
+        self._carried = {other: one for other, one in self._carried.items() if other != name}
 
     def estimate(self, name: str) -> tuple[Array, Array] | None:
         """Return the estimate (p,) of a sensor's parameter and its sigmas (p,), None while there is none."""
@@ -178,8 +182,7 @@ class Parameters:
             known, prior = self._known.get(name), self.prior(name, configured)
             if known is None or known.key not in solver:
                 continue
-            value, covariance = solver.vector(known.key), solver.covariance(known.key)
-            read = known._replace(value=value, covariance=covariance, read_ns=NOT_AGAIN_NS)
+            read = _read(solver, known, NOT_AGAIN_NS)
             self._known[name] = _believed(solver, read, prior, _belief(read, prior))
             has_changed |= self._known[name].hold is not known.hold
         return has_changed
@@ -205,39 +208,37 @@ class Parameters:
         What measurements contradict that rest on one that is held contradicts others, too: the least plausible goes,
         and is given time to tell.
         """
-        belief, is_doubted = _belief(known, prior), known.read_ns - self._doubted_ns < self._refreshed_ns
-        if not (is_doubted and belief.goes.any()):
+        belief, now_ns = _belief(known, prior), known.read_ns
+        if not (belief.goes.any() and self._is_doubted(known, now_ns)):
             return _believed(solver, known, prior, belief)
         stays = belief._replace(goes=np.zeros_like(belief.goes))
-        if known.read_ns - self._gone_ns >= TIME_TO_TELL_NS:
-            self._gone_ns = known.read_ns
-            others = (
-                (other, self._read(solver, other, known.read_ns)) for other in self._may_be_right if other != name
-            )
-            beliefs = {other: (read, _belief(read, self._may_be_right[other])) for other, read in others if read}
-            worst = min(beliefs, key=lambda one: beliefs[one][1].worst, default=name)
-            is_worst = worst == name or beliefs[worst][1].worst >= belief.worst
-            self._mistaken |= {name if is_worst else worst}
-            if is_worst:
-                return _believed(solver, known, prior, belief)
-            read, of_worst = beliefs[worst]
-            self._known[worst] = _believed(solver, read, self._may_be_right[worst], of_worst)
+        if now_ns - self._gone_ns < TIME_TO_TELL_NS:
+            return _believed(solver, known, prior, stays)
+        others = [other for other in self._may_be_right if other != name and self._is_held(solver, other)]
+        read = {name: known} | {other: _read(solver, self._known[other], now_ns) for other in others}
+        beliefs = {one: _belief(read[one], self._may_be_right[one]) for one in read}
+        worst = min(beliefs, key=lambda one: beliefs[one].worst)
+        self._gone_ns, self._mistaken = now_ns, self._mistaken | {worst}
+        if worst == name:
+            return _believed(solver, known, prior, belief)
+        self._known[worst] = _believed(solver, read[worst], self._may_be_right[worst], beliefs[worst])
         return _believed(solver, known, prior, stays)
 
-    def _read(self, solver: Solver, name: str, stamp_ns: int) -> Known | None:
-        """Return a parameter that is held as it is now; None if it is not, or not solved yet."""
+    def _is_doubted(self, known: Known, stamp_ns: int) -> bool:
+        """Whether a parameter is held while measurements contradict what rests on those that are."""
+        return known.hold is not None and stamp_ns - self._doubted_ns < self._refreshed_ns
+
+    def _is_held(self, solver: Solver, name: str) -> bool:
+        """Whether a parameter is held in a solver that has solved it."""
         known = self._known.get(name)
-        if known is None or known.hold is None or not known.is_solved or known.key not in solver:
-            return None
-        value, covariance = solver.vector(known.key), solver.covariance(known.key)
-        return known._replace(value=value, covariance=covariance, read_ns=stamp_ns)
+        return known is not None and known.hold is not None and known.is_solved and known.key in solver
 
     def _unless_refuted(self, solver: Solver, name: str, known: Known, configured: Parameter) -> Known:
         """Return a parameter; what was learnt of it before a restart is dropped where it holds no more."""
         prior = self._carried.get(name)
         if prior is None or known.carried is None or (abs(known.value - prior.mean) <= REFUTED * prior.sigmas).all():
             return known
-        self._carried = {other: one for other, one in self._carried.items() if other != name}
+        self._forget_carried(name)
         solver.retract(known.carried)
         solver.add(
             gtsam.PriorFactorVector(known.key, configured.mean, gtsam.noiseModel.Diagonal.Sigmas(configured.sigmas))
@@ -278,6 +279,12 @@ class Parameters:
         if before is None:
             return _held(solver, known, prior, np.isfinite(prior.if_right) & (name not in self._let_go))
         return _held(solver, known, prior, _is_held(before))
+
+
+def _read(solver: Solver, known: Known, stamp_ns: int) -> Known:
+    """Return a parameter as a solver knows it, read at a time."""
+    value, covariance = solver.vector(known.key), solver.covariance(known.key)
+    return known._replace(value=value, covariance=covariance, read_ns=stamp_ns)
 
 
 def _belief(known: Known, prior: Parameter) -> Belief:

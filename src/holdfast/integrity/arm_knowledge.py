@@ -4,15 +4,15 @@ import numpy as np
 
 from holdfast.graph.smoother import Smoother
 from holdfast.messages import Array
-from holdfast.sensors.lever_arm import IF_RIGHT_M, arm_of
-from holdfast.sensors.sensor import PositionSensor, State
+from holdfast.sensors.lever_arm import ARM, IF_RIGHT_M
+from holdfast.sensors.sensor import PositionSensor, State, part_of
 
 KNOWN_M, SIGMA = 0.1, 3.0
 
 
 def is_arm_proven(sensor: PositionSensor, smoother: Smoother) -> bool:
     """Whether a smoother knows the arm of a receiver in a plane, as motions are, and it is where it was measured."""
-    arm = arm_of(sensor.parameters)
+    arm = part_of(sensor.parameters, ARM)
     if arm is None or arm.if_right is None:
         return False
     value, covariance = smoother.parameters.unheld(arm.name(sensor.name), arm)
@@ -27,4 +27,4 @@ def is_arm_known(sensor: PositionSensor, state: State, claimed: Array) -> bool:
     Else it takes up their noise, and they look better than they are.
     """
     of_arm = state.parameter_covariance[:3, :3]
-    return arm_of(sensor.parameters) is None or float(np.trace(of_arm)) <= float(np.trace(claimed))
+    return part_of(sensor.parameters, ARM) is None or float(np.trace(of_arm)) <= float(np.trace(claimed))

@@ -20,8 +20,8 @@ from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.states import JudgedSensor
 from holdfast.integrity.turned_headings import TurnedHeadings
 from holdfast.integrity.yaw_learning import WITNESS_NS, Witness
-from holdfast.sensors.heading import AxisYaw, mount_of
-from holdfast.sensors.sensor import StateSensor
+from holdfast.sensors.heading import MOUNT, AxisYaw
+from holdfast.sensors.sensor import StateSensor, part_of
 
 WITNESSES = 32  # how many are remembered
 MIRRORED = "it turns the other way than the machine: `clockwise` is not as configured"
@@ -41,10 +41,9 @@ class Headings:
             name: JudgedSensor(sensor, scales[name], lambda _: None, log) for name, sensor in sensors.items()
         }
         self._mounts = {
-            name: mount for name, sensor in sensors.items() if (mount := mount_of(sensor.parameters)) is not None
+            name: mount for name, sensor in sensors.items() if (mount := part_of(sensor.parameters, MOUNT)) is not None
         }
-        self._turned = {name: TurnedHeadings() for name in self._mounts}
-        self._mirrored = {name: TurnedHeadings() for name in self._mounts}
+        self._runs = {name: (TurnedHeadings(), TurnedHeadings()) for name in self._mounts}  # turned, and mirrored
         self._quarantine: deque[AxisYaw] = deque()
         self._used: deque[AxisYaw] = deque(maxlen=WITNESSES)
         self._told: set[str] = set()
@@ -81,11 +80,11 @@ class Headings:
     def _look_whether_turned(self, graph: DualGraph, heading: AxisYaw, *, is_refused: bool) -> None:
         """Let the mounting of a sensor go, if its headings are refused for that alone; tell one that is a mirror."""
         name = heading.sensor
-        runs = turned, mirrored = self._turned[name], self._mirrored[name]
+        turned, mirrored = self._runs[name]
         found = self._judged[name].residual(graph.main, heading) if is_refused else Outcome.USED
         if isinstance(found, Outcome):
-            for run in runs:
-                run.clear()
+            turned.clear()
+            mirrored.clear()
             return
         mount = self._mounts[name]
         believed_rad = float(graph.main.parameters.belief(mount.name(name), mount)[0][0])

@@ -8,8 +8,8 @@ from holdfast.config.model import Config
 from holdfast.sensors.clock import GNSS_CLOCK, with_estimated_clock
 from holdfast.sensors.constants import Constant, LearntConstant, carried, priors_of, priors_of_machine
 from holdfast.sensors.heading import MOUNT
-from holdfast.sensors.lever_arm import GNSS_ARM, arm_of
-from holdfast.sensors.sensor import Parameter, Sensor
+from holdfast.sensors.lever_arm import ARM, GNSS_ARM
+from holdfast.sensors.sensor import Parameter, Sensor, part_of
 
 
 def constants_of_machine(
@@ -23,7 +23,7 @@ def constants_of_machine(
         doubted: antennas whose lever arms are in doubt: how far is not for what was learnt before to say.
     """
     priors = priors_of_machine(config, sensors)
-    in_doubt = {arm.name(name) for name in doubted if (arm := arm_of(sensors[name].parameters)) is not None}
+    in_doubt = {arm.name(name) for name in doubted if (arm := part_of(sensors[name].parameters, ARM)) is not None}
     return {name: one for name, one in priors.items() if one.change is not None and name not in in_doubt}
 
 

@@ -1,7 +1,7 @@
 """Heading of a dual-antenna receiver: which headings can be used, and the factor that they become.
 
 By how much the measured axis is mounted otherwise is a constant that the graph estimates (97): a baseline that nobody
-has surveyed, a compass beside iron, magnetic north. It is held at zero until it proves to be far off.
+has surveyed, a compass beside iron, magnetic north. It is held near zero until it proves to be far off.
 """
 
 from collections.abc import Mapping, Sequence
@@ -158,11 +158,6 @@ class HeadingModel(StateSensor):
         yaw_variance = float(innovation.R[0, 0]) * inflation
         covariance[:3, :3] = R.T @ np.diag([FREE_TILT_RAD**2, FREE_TILT_RAD**2, yaw_variance]) @ R
         return gtsam.PriorFactorNavState(keys[0], rotated, gtsam.noiseModel.Gaussian.Covariance(covariance))
-
-
-def mount_of(parameters: tuple[Parameter, ...]) -> Parameter | None:
-    """Return by how much the axis of a sensor is turned among its parameters, if that is estimated."""
-    return next((one for one in parameters if one.part == MOUNT), None)
 
 
 def _measured_mount(sigma_deg: float) -> Parameter:

@@ -7,7 +7,7 @@ moves them all, and that one of several is wrong shows by their distance.
 import numpy as np
 
 from holdfast.messages import Array
-from holdfast.sensors.sensor import CHANGE_M, Parameter
+from holdfast.sensors.sensor import CHANGE_M, Parameter, part_of
 
 ARM, GNSS_ARM = "arm", "arm of GNSS"  # which parameter of a sensor it is, and its name where antennas share it
 IF_RIGHT_M, IF_WRONG_M = 0.03, 2.0  # sigmas of one that was measured, and of one with a wrong sign
@@ -30,12 +30,7 @@ def doubtful_arm(sigmas: Array, shared: str = "") -> Parameter:
     return Parameter(np.zeros(3), sigmas, shared=shared, part=ARM, change=CHANGE)
 
 
-def arm_of(parameters: tuple[Parameter, ...]) -> Parameter | None:
-    """Return the shift of the lever arm among the parameters of a sensor; it is the first of an antenna's."""
-    return next((one for one in parameters if one.part == ARM), None)
-
-
 def is_in_doubt(parameters: tuple[Parameter, ...]) -> bool:
     """Whether the lever arm among the parameters of a sensor is not believed to be as it was measured."""
-    arm = arm_of(parameters)
+    arm = part_of(parameters, ARM)
     return arm is not None and arm.if_right is None

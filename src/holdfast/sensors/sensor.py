@@ -142,6 +142,11 @@ class Parameter(NamedTuple):
         return self.shared or f"{sensor} {self.part}".rstrip()
 
 
+def part_of(parameters: tuple[Parameter, ...], part: str) -> Parameter | None:
+    """Return what is estimated of a part of a sensor, such as its lever arm, among its parameters."""
+    return next((one for one in parameters if one.part == part), None)
+
+
 def is_gnss(sensor: Any) -> bool:
     """Whether a sensor is a receiver of GNSS, whatever stands before its model."""
     return getattr(sensor, "message", None) is GnssFix

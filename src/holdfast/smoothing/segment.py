@@ -21,10 +21,10 @@ from holdfast.graph.smoother import Smoother
 from holdfast.sensors.clock import with_estimated_clock
 from holdfast.sensors.constants import priors_of, priors_of_machine
 from holdfast.sensors.gnss import is_measured
-from holdfast.sensors.heading import HeadingModel, mount_of
+from holdfast.sensors.heading import MOUNT
 from holdfast.sensors.lever_arm import GNSS_ARM
 from holdfast.sensors.odometry import OdometryModel, OdometryNoise
-from holdfast.sensors.sensor import Measurement, Parameter, Role, Sensor, of_role
+from holdfast.sensors.sensor import Measurement, Parameter, Role, Sensor, of_role, part_of
 from holdfast.smoothing.block import Biases, Block, Refused, Work
 from holdfast.smoothing.closures import CONTRADICTED, Closer, Stretch, close
 from holdfast.smoothing.decisions import SHAPES, Candidate, candidate, enter_all, refused_runs, weight_of
@@ -119,7 +119,7 @@ class Segment:
         name = sensor.name
         if is_measured(sensor):
             sensor = sensor if self._recorded.is_off(GNSS_ARM) else sensor.with_known_arm()
-        mount = mount_of(sensor.parameters) if isinstance(sensor, HeadingModel) else None
+        mount = part_of(sensor.parameters, MOUNT)
         if mount is not None and not self._recorded.is_off(mount.name(name)):
             sensor = sensor.turned(self._recorded.believed_rad(mount.name(name)))
         clocked = with_estimated_clock(sensor)
