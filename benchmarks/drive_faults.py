@@ -66,6 +66,12 @@ def late(messages: list[Message]) -> list[Message]:
     return [replace(one, velocity=before(one.stamp_ns)) if isinstance(one, GnssVelocity) else one for one in messages]
 
 
+def doppler_early(by_s: float) -> Fault:
+    """Doppler velocities that are stamped before they were measured, beside fixes that are not."""
+    by_ns = round(by_s * 1e9)
+    return lambda messages: changed(GnssVelocity, messages, lambda one: replace(one, stamp_ns=one.stamp_ns - by_ns))
+
+
 def follows_speed(messages: list[Message]) -> list[Message]:
     """An accelerometer whose bias follows the speed, as where vibration is rectified: 0.5 m/s^2 at 10 m/s."""
     velocities = [one for one in messages if isinstance(one, GnssVelocity)]
@@ -268,6 +274,8 @@ FAULTS: dict[str, Fault] = {
     "Doppler north, east, down": of_velocity(lambda velocity: velocity[[1, 0, 2]] * [1.0, 1.0, -1.0]),
     "Doppler always zero": of_velocity(lambda velocity: 0.0 * velocity),
     "Doppler late by 1 s": late,
+    "Doppler stamped 0.1 s early": doppler_early(0.1),
+    "Doppler stamped 0.2 s early": doppler_early(0.2),
     "fixes scatter by 0.1 m, whatever they claim": scattered(0.1),
     "fixes scatter by 0.3 m, whatever they claim": scattered(0.3),
     "fixes rounded to 1e-5 deg": rounded(1e-5),

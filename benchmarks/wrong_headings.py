@@ -1,8 +1,9 @@
-"""Prints what a heading costs that is mounted otherwise than the file says: `python benchmarks/wrong_headings.py`.
+"""Prints what a heading costs that is not as the file says: `python benchmarks/wrong_headings.py`.
 
 A scenario with two antennas and the heading of their receiver is simulated, and estimated with `mounting_yaw_deg` as it
-is, then wrong; then without the second antenna, so that nothing but the motion tells how the heading is mounted. The
-truth of the simulation judges while fixes come, from the start on. `--known`: the file says that the mounting is known.
+is, then wrong; then with its `time_offset_s` wrong; all this again without the second antenna, so that nothing but the
+motion tells how the heading is mounted. The truth of the simulation judges while fixes come, from the start on.
+`--known`: the file says that the mounting is known.
 """
 
 import argparse
@@ -18,15 +19,17 @@ from holdfast.sim.configuration import configuration_data
 from holdfast.sim.scenario import load_scenario
 
 ANGLES_DEG = (0.5, 1.0, 2.0, 5.0, 10.0, 45.0, 180.0)
+LATE_S = (0.01, 0.02, 0.05, 0.1, 0.25)
 SHOWN = ("with GNSS", "heading", "outage", "heading there")
 
 
-def turned(data: dict[str, Any], by_deg: float, *, is_alone: bool, is_known: bool) -> dict[str, Any]:
-    """Return a configuration whose headings are mounted otherwise; with one antenna, or all that there are."""
+def wrong(data: dict[str, Any], by_deg: float, by_s: float, *, is_alone: bool, is_known: bool) -> dict[str, Any]:
+    """Return a configuration whose headings are mounted or dated otherwise; with one antenna, or all that there are."""
     changed = deepcopy(data)
     sensors, config = changed["sensors"], config_of(data, "as it is")
     for name in config.sensors_of(HeadingConfig):
         sensors[name]["mounting_yaw_deg"] = configured_yaw_deg(name, config) + by_deg
+        sensors[name]["time_offset_s"] = sensors[name].get("time_offset_s", 0.0) - by_s
         if is_known:
             sensors[name]["mounting_sigma_deg"] = 0.0
     antennas = [name for name, section in sensors.items() if section["kind"] == "gnss"]
@@ -40,18 +43,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenario", nargs="?", default="rounds")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--deg", type=float, nargs="+", default=ANGLES_DEG, help="by which the file is wrong")
+    parser.add_argument("--deg", type=float, nargs="*", default=ANGLES_DEG, help="by which the file is wrong")
+    parser.add_argument("--seconds", type=float, nargs="*", default=LATE_S, help="by which they are late")
     parser.add_argument("--known", action="store_true", help="the file says that the mounting is known")
     given = parser.parse_args()
     scenario = load_scenario(given.scenario)
     data = configuration_data(scenario, given.seed)
-    tried = [(is_alone, by_deg) for is_alone in (False, True) for by_deg in (0.0, *given.deg)]
-    print(f"| antennas | wrong by [deg] | {' | '.join(SHOWN)} |")
-    print(f"|---|---:|{'---:|' * len(SHOWN)}")
-    changed = [turned(data, by_deg, is_alone=is_alone, is_known=given.known) for is_alone, by_deg in tried]
-    for (is_alone, by_deg), row in zip(tried, scored(scenario, given.seed, changed), strict=True):
+    offs = [(0.0, 0.0), *((by_deg, 0.0) for by_deg in given.deg), *((0.0, by_s) for by_s in given.seconds)]
+    tried = [(is_alone, *off) for is_alone in (False, True) for off in offs]
+    print(f"| antennas | turned by [deg] | late by [s] | {' | '.join(SHOWN)} |")
+    print(f"|---|---:|---:|{'---:|' * len(SHOWN)}")
+    changed = [wrong(data, by_deg, by_s, is_alone=is_alone, is_known=given.known) for is_alone, by_deg, by_s in tried]
+    for (is_alone, by_deg, by_s), row in zip(tried, scored(scenario, given.seed, changed), strict=True):
         cells = " | ".join(f"{row[title]:.3f}" for title in SHOWN)
-        print(f"| {'one' if is_alone else 'two'} | {by_deg:g} | {cells} |", flush=True)
+        print(f"| {'one' if is_alone else 'two'} | {by_deg:g} | {by_s:g} | {cells} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -82,15 +82,30 @@ def test_a_lidar_mounted_otherwise_is_turned_in_the_file():
     assert len(found.changes) == 1
 
 
-@pytest.mark.parametrize("off_deg", [4.0, pytest.param(0.0, marks=pytest.mark.slow)])
-def test_a_heading_mounted_otherwise_is_turned_in_the_file(off_deg):
+def headings_of(off_deg=0.0, late_s=0.0):
     rng, headings = np.random.default_rng(6), []
     for t in np.arange(0.0503, END_S, 0.2):
         x, y, _ = DRIVE.nav(t).attitude().rotate(np.array([0.0, 1.0, 0.0]))
         yaw_rad = float(np.arctan2(y, x) + np.radians(off_deg) + 0.01 * rng.standard_normal())
-        headings.append(Heading(ns(t), ns(t), "heading", yaw_rad, 0.01))
+        headings.append(Heading(ns(t + late_s), ns(t + late_s), "heading", yaw_rad, 0.01))
+    return headings
+
+
+def test_the_offset_of_a_heading_is_that_of_fixes_and_its_own():
     config = config_of(heading=True, heading_={"mounting_yaw_deg": 90.0})
-    found = mountings([drive(config, headings=headings)], config, config)
+    found = clocks([drive(config, fixes_late_s=0.03, headings=headings_of(late_s=0.15))], config, config)
+    by_sensor = {one.what: one for one in found.estimates}
+    for name, late_s in (("gnss", 0.03), ("heading", 0.15)):
+        one = by_sensor[name]
+        assert abs(one.after + late_s) < 3.0 * one.sigma and one.sigma < 0.01
+        assert one.is_written
+    assert {change.path[1]: change.value for change in found.changes}["heading"] == pytest.approx(-0.15, abs=0.03)
+
+
+@pytest.mark.parametrize("off_deg", [4.0, pytest.param(0.0, marks=pytest.mark.slow)])
+def test_a_heading_mounted_otherwise_is_turned_in_the_file(off_deg):
+    config = config_of(heading=True, heading_={"mounting_yaw_deg": 90.0})
+    found = mountings([drive(config, headings=headings_of(off_deg))], config, config)
     one = next(row for row in found.estimates if row.what == "heading")
     assert abs(one.after - 90.0 - off_deg) < 3.0 * one.sigma and one.sigma < 0.6
     written = [(change.path[1:], change.value) for change in found.changes if change.path[0] == "sensors"]

@@ -297,3 +297,14 @@ def test_exchanged_antennas_are_remembered_until_one_is_mounted_elsewhere(tmp_pa
     config = machine(right=True).model_dump(mode="json")
     config["extrinsics"][0]["translation_m"][0] += 0.1
     assert load_learnt(tmp_path / "learnt.json", Config.model_validate(config)).learnt.names == NAMES_ARE_RIGHT
+
+
+def test_the_delay_of_a_heading_is_told_with_the_clock_that_it_shares():
+    known = {
+        "clock of GNSS": LearntConstant(mean=(0.03,), sigmas=(0.003,), is_off=True),
+        "heading delay": LearntConstant(mean=(-0.15,), sigmas=(0.004,), is_off=True),
+    }
+    rows = {row.sensor: row for row in learnt_rows(LearntSnapshot(constants=known), machine(heading=True))}
+    assert rows.keys() == {"gnss", "heading"}
+    assert (rows["gnss"].write, rows["heading"].write) == ("0.0300", "-0.1200")
+    assert rows["heading"].sigma == pytest.approx(0.005)

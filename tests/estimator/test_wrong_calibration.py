@@ -126,14 +126,14 @@ def test_clocks_that_are_off_are_named_and_cost_nothing(lidar_late_s, fixes_late
 
 
 @cache
-def with_heading(off_deg, *, right, figure=False):
-    """A heading is mounted otherwise than the configuration says; returns events, and the RMS of the heading [deg]."""
+def with_heading(off_deg, *, right, figure=False, late_s=0.0):
+    """A heading is mounted otherwise than configured, or late; returns events, and the RMS of the heading [deg]."""
     motion, rng = FigureEight(speed=0.15) if figure else DRIVE, np.random.default_rng(5)
     headings = []
     for t in np.arange(0.0503, END_S, 0.1):
         x, y, _ = motion.nav(t).attitude().rotate(np.array([1.0, 0.0, 0.0]))
         yaw_rad = float(np.arctan2(y, x) + np.radians(off_deg) + 0.003 * rng.standard_normal())
-        headings.append(Heading(ns(t), ns(t + 0.05), "heading", yaw_rad, 0.003))
+        headings.append(Heading(ns(t + late_s), ns(t + 0.3), "heading", yaw_rad, 0.003))
     streams = [imu(motion, 0.0, END_S, 100.0, rng), fixes(motion, 0.0, END_S, 10.0, rng), headings]
     if right:
         streams.append(fixes(motion, 0.0, END_S, 10.0, rng, arm=ARM_RIGHT, sensor="gnss_right"))
@@ -167,3 +167,13 @@ def test_a_heading_that_is_mounted_as_configured_is_not_accused():
         events, rms_deg = with_heading(0.0, right=right, figure=not right)
         assert not any(one.kind in (EventKind.CALIBRATION, EventKind.SENSOR_LOST) for one in events)
         assert rms_deg < 0.25
+
+
+@pytest.mark.parametrize(("late_s", "right"), [(0.02, True), (0.25, True), (0.1, False)])
+def test_a_heading_that_is_late_beside_the_fixes_is_named_and_leaves_them_their_clock(late_s, right):
+    events, rms_deg = with_heading(0.0, right=right, figure=not right, late_s=late_s)
+    told = [one for one in events if one.kind is EventKind.CALIBRATION]
+    assert {one.sensor for one in told} == {"heading"}
+    assert rms_deg < max(1.2 * with_heading(0.0, right=right, figure=not right)[1], 0.05)
+    words = told[-1].reason.split()
+    assert "beside" in words and float(words[words.index("add") + 1]) == pytest.approx(-late_s, abs=0.01)

@@ -9,18 +9,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numeric import assert_derivatives, random_state
 
-from holdfast.config.sensors import GnssConfig, HeadingConfig, PrismConfig
-from holdfast.sensors.clock import has_estimated_clock, receiver_constants, with_estimated_clock
+from holdfast.config.sensors import GnssConfig, GnssVelocityConfig, HeadingConfig, PrismConfig
+from holdfast.sensors.clock import DELAY, has_estimated_clock, receiver_constants, with_estimated_clock
 from holdfast.sensors.gnss import GnssModel
+from holdfast.sensors.gnss_velocity import GnssVelocityModel
 from holdfast.sensors.heading import AxisYaw, HeadingModel
 from holdfast.sensors.prism import PrismModel
-from holdfast.sensors.sensor import Position
+from holdfast.sensors.sensor import Position, Velocity
 
 ARM = np.array([0.3, -0.2, 2.0])
 
 
 def antenna(**settings):
     return GnssModel("gnss", GnssConfig(kind="gnss", topic="/fix", **settings), ARM)
+
+
+def doppler(name="doppler"):
+    return GnssVelocityModel(name, GnssVelocityConfig(kind="gnss_velocity", topic="/velocity"), ARM)
 
 
 def mounted(**settings):
@@ -41,12 +46,37 @@ def test_a_late_stamp_of_a_fix_and_of_a_heading_is_explained_by_the_offset(seed)
     twist = np.concatenate([state.angular_velocity, state.nav.bodyVelocity()])
     later = state.nav.pose().compose(gtsam.Pose3.Expmap(twist * offset_s))
     late = state._replace(parameter=np.array([offset_s]))
+    of_both = state._replace(parameter=np.array([1.5 * offset_s, -0.5 * offset_s]))  # its own, and that of GNSS
     fix = with_estimated_clock(mounted()).innovation(position_of(later.transformFrom(ARM)), late)
     assert abs(fix.y).max() < 5.0 * offset_s**2 * (1.0 + np.linalg.norm(twist) ** 2)
     heading = HeadingModel("heading", HeadingConfig(kind="heading", topic="/heading", mounting_sigma_deg=0.0), {})
     x, y, _ = later.rotation().rotate(np.array([1.0, 0.0, 0.0]))
-    found = with_estimated_clock(heading).innovation(AxisYaw(0, "heading", float(np.arctan2(y, x)), 0.01), late)
+    found = with_estimated_clock(heading).innovation(AxisYaw(0, "heading", float(np.arctan2(y, x)), 0.01), of_both)
     assert abs(found.y).max() < 5.0 * offset_s**2 * (1.0 + np.linalg.norm(twist) ** 2)
+
+
+@given(st.integers(0, 10_000))
+def test_a_late_velocity_is_explained_by_the_mean_acceleration_over_the_offset(seed):
+    rng = np.random.default_rng(seed)
+    state, offset_s = random_state(seed, (0.0,)), float(rng.uniform(-0.2, 0.2))
+    asked, acceleration = [], rng.normal(0.0, 2.0, 3)
+    state = state._replace(
+        angular_velocity=np.zeros(3),
+        parameter=np.array([0.25 * offset_s, 0.75 * offset_s]),
+        acceleration=lambda over_s: (asked.append(over_s), acceleration)[1],
+    )
+    later = state.nav.velocity() + state.nav.attitude().rotate(acceleration) * offset_s
+    model = with_estimated_clock(doppler())
+    found = model.innovation(Velocity(0, "doppler", later, 0.05**2 * np.eye(3)), state)
+    np.testing.assert_allclose(found.y, 0.0, atol=1e-9)
+    assert asked == pytest.approx([offset_s])
+
+
+def test_what_is_no_position_has_a_delay_beside_the_clock_of_gnss():
+    for model in (HeadingModel("one", HeadingConfig(kind="heading", topic="/heading"), {}), doppler("one")):
+        *_, delay, clock = with_estimated_clock(model).parameters
+        assert (delay.name("one"), clock.name("one")) == ("one delay", "clock of GNSS")
+    assert not any(one.part == DELAY for one in with_estimated_clock(antenna()).parameters)
 
 
 @given(st.integers(0, 10_000))

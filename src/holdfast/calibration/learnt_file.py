@@ -25,7 +25,7 @@ from holdfast.integrity.learnt_snapshot import (
     LearntSnapshot,
 )
 from holdfast.output_folder import check_output_file
-from holdfast.sensors.clock import CLOCK, with_estimated_clock
+from holdfast.sensors.clock import CLOCK, DELAY, with_estimated_clock
 from holdfast.sensors.constants import priors_of_imu
 from holdfast.sensors.heading import MOUNT
 from holdfast.sensors.learnt_joint import NOTHING_OF_JOINT
@@ -199,7 +199,7 @@ def _holds(changed: Mapping[str, str] | None, keys: Set[str]) -> bool:
 def _owners(config: Config) -> dict[str, list[tuple[str, Set[str]]]]:
     """Return the sensors that have each constant, with the keys that it depends on, by its name in the graph."""
     found: dict[str, list[tuple[str, Set[str]]]] = {name: [(name, MOUNT_KEYS)] for name in priors_of_imu(config)}
-    keys_of_part = {ARM: MOUNT_KEYS, MOUNT: MOUNT_KEYS, CLOCK: CLOCK_KEYS}
+    keys_of_part = {ARM: MOUNT_KEYS, MOUNT: MOUNT_KEYS, CLOCK: CLOCK_KEYS, DELAY: CLOCK_KEYS}
     for name, sensor in sensors_of(config).items():
         for prior in with_estimated_clock(sensor).parameters:
             keys = keys_of_part.get(prior.part, CLOCK_KEYS | MOUNT_KEYS)

@@ -30,7 +30,7 @@ from holdfast.integrity.learnt_snapshot import (
 )
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.messages import Array
-from holdfast.sensors.clock import with_estimated_clock
+from holdfast.sensors.clock import DELAY, with_estimated_clock
 from holdfast.sensors.constants import OBSERVED, LearntConstant, length_and_sigma, priors_of_imu
 from holdfast.sensors.heading import IF_RIGHT_RAD, MOUNT, configured_yaw_deg
 from holdfast.sensors.learnt_joint import LearntJoint
@@ -81,7 +81,8 @@ def learnt_rows(learnt: LearntSnapshot, config: Config) -> list[Row]:
     rows: list[Row] = []
     for name, sensor in sensors_of(config).items():
         for prior in with_estimated_clock(sensor).parameters:
-            if (constant := learnt.constants.get(prior.name(name))) is not None:
+            constant = learnt.constants.get(prior.name(name))
+            if constant is not None and prior.part != DELAY:  # it comes with the clock
                 rows += _of_constant(name, config, prior, constant, learnt)
     for name, prior in priors_of_imu(config).items():
         if name in learnt.constants:
@@ -166,7 +167,7 @@ def _of_constant(
     name: str, config: Config, prior: Parameter, learnt: LearntConstant, of_all: LearntSnapshot
 ) -> Iterator[Row]:
     """Yield the rows of one of a sensor's constants, beside what was learnt of all sensors."""
-    own, early_s = of_all.constants.get(name), of_all.early_ns.get(name, 0) * 1e-9
+    own = of_all.constants.get(name)
     section, mean, sigmas = config.sensors[name], np.array(learnt.mean), np.array(learnt.sigmas)
     if prior.part == ARM:
         is_told = learnt.is_off or prior.if_right is None
@@ -184,8 +185,7 @@ def _of_constant(
             yield _of_scale(name, section.scale, float(mean[0]), float(sigmas[0]))
         return
     if prior.has_clock and getattr(section, "time_offset_sigma_s", 0.0) > 0.0:
-        off_s, is_off = early_s + float(mean[-1]), learnt.is_off or early_s != 0.0
-        yield _of_clock(name, section.time_offset_s, off_s, float(sigmas[-1]), is_off=is_off)
+        yield _of_clock(name, section.time_offset_s, learnt, of_all)
     if isinstance(section, DriftingConfig) and section.mounting_sigma_deg > 0.0:
         yield from _of_mounting(name, config, mean[:3], sigmas[:3])
     elif isinstance(section, TwistConfig):
@@ -202,7 +202,13 @@ def _of_imu(name: str, prior: Parameter, learnt: LearntConstant) -> Iterator[Row
             yield Row(name, f"scale factor of the gyroscope, {axis}", "", "1", 1.0, 1.0 + ratio, sigma)
 
 
-def _of_clock(name: str, configured_s: float, offset_s: float, sigma_s: float, *, is_off: bool) -> Row:
+def _of_clock(name: str, configured_s: float, clock: LearntConstant, of_all: LearntSnapshot) -> Row:
+    """Return the row of a clock, and of the delay and of what is in the stamps already beside it."""
+    early_s, parts = of_all.early_ns.get(name, 0) * 1e-9, [clock]
+    if (delay := of_all.constants.get(f"{name} {DELAY}")) is not None:
+        parts.append(delay)
+    offset_s, sigma_s = early_s + sum(one.mean[-1] for one in parts), hypot(*(one.sigmas[-1] for one in parts))
+    is_off = early_s != 0.0 or any(one.is_off for one in parts)
     is_wrong = is_off and abs(offset_s) > SIGMA * sigma_s + SLACK_S
     value, key = configured_s + offset_s, path_text(("sensors", name, "time_offset_s"))
     write = f"{value:z.4f}" if is_wrong else ""

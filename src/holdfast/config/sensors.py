@@ -262,6 +262,7 @@ class GnssVelocityConfig(JudgedConfig, MountedConfig):
     sigma_m_s: float = quantity(
         "m/s", 0.05, gt=0, le=10, doc="per axis, up twice as much; where none is claimed, and floor of a claim"
     )
+    time_offset_sigma_s: float = quantity("s", 0.03, ge=0, le=1, doc="of `time_offset_s`, which is estimated; 0: known")
 
 
 class NonholonomicConfig(JudgedConfig, MountedConfig):

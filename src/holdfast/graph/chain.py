@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from holdfast.graph.biases import EPOCH_NS, Biases
-from holdfast.graph.mean_twist import MeanTwist
+from holdfast.graph.motion_nearby import MotionNearby
 from holdfast.graph.nodes import Link, Timeline, to_grid
 from holdfast.graph.solver import Placed, Solver
 from holdfast.messages import Array
@@ -141,8 +141,8 @@ class Chain:
         """Return what a measurement is compared with at a node, whose covariance (9, 9) is given."""
         nav = self.nav(stamp_ns)
         rate, gravity = self.angular_velocity(stamp_ns, nav), self._motion.noise.gravity
-        beyond = MeanTwist(self._motion.imu, stamp_ns, nav, rate, bias=self._bias, gravity=gravity)
-        return State(nav, covariance, rate, joint, twist_beyond=beyond)
+        near = MotionNearby(self._motion.imu, stamp_ns, nav, rate, bias=self._bias, gravity=gravity)
+        return State(nav, covariance, rate, joint, twist_beyond=near.twist_beyond, acceleration=near.acceleration)
 
     def extend(self, stamp_ns: int) -> Iterator[Prediction]:
         """Make a node behind the newest one, with those that must lie between, and yield how each follows."""

@@ -11,6 +11,7 @@ from holdfast.events import EventKind
 from holdfast.graph.smoother import Smoother
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
+from holdfast.sensors.clock import CLOCK, DELAY
 from holdfast.sensors.constants import length_and_sigma
 from holdfast.sensors.heading import MOUNT
 from holdfast.sensors.lever_arm import ARM
@@ -87,11 +88,12 @@ def _findings(sensor: Sensor, prior: Parameter, value: Array, sigmas: Array) -> 
     if prior.has_clock:
         off_s, sigma_s = float(value[-1]), float(sigmas[-1])
         early_or_late = "early" if off_s > 0.0 else "late"
+        beside, what = (" beside those of positions", DELAY) if prior.part == DELAY else ("", CLOCK)
         text = (
-            f"its stamps are {abs(off_s) * 1e3:.1f} ms {early_or_late}, sigma {sigma_s * 1e3:.1f} ms: "
+            f"its stamps are {abs(off_s) * 1e3:.1f} ms {early_or_late}{beside}, sigma {sigma_s * 1e3:.1f} ms: "
             f"add {off_s:.4f} to time_offset_s"
         )
-        yield Finding("clock", abs(off_s), sigma_s, SLACK_S), text
+        yield Finding(what, abs(off_s), sigma_s, SLACK_S), text
     is_odometry = isinstance(sensor, OdometryModel)
     if prior.part == MOUNT and sigmas[0] < TOLD_RAD:
         off_rad, sigma_rad = float(value[0] - prior.mean[0]), float(sigmas[0])

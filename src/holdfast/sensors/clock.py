@@ -31,11 +31,16 @@ from holdfast.sensors.sensor import (
 
 Kind = TypeVar("Kind", bound=Measurement)
 CLOCK, GNSS_CLOCK = "clock", "clock of GNSS"
+DELAY = "delay"  # of what is by the clock of GNSS, but computed or sent apart from positions
+DELAY_S = 0.1  # sigma of a delay, where there is one: nobody has synchronised filters and drivers
 IF_RIGHT_S = 5e-3  # of clocks that are synchronised: sensors have filters inside
 
 
 class EstimatedClock:
     """A sensor with its offset [s] as the last of its parameters; all else is the sensor's.
+
+    That of GNSS is one for all. What is not a position has a delay beside it, before the last, that is none or far off:
+    another driver sends it, or it was filtered for longer than positions are.
 
     Args:
         sensor: of which an innovation and a factor are asked.
@@ -50,26 +55,35 @@ class EstimatedClock:
         clock = Parameter(
             np.zeros(1), np.array([sigma_s]), if_right, shared, part=CLOCK, change=if_right, has_clock=True
         )
-        self.parameters: tuple[Parameter, ...] = (*sensor.parameters, clock)
+        has_delay = shared and sensor.role is not Role.POSITION
+        delay = (clock._replace(sigmas=np.array([DELAY_S]), shared="", part=DELAY, held=1.0),) if has_delay else ()
+        self.parameters: tuple[Parameter, ...] = (*sensor.parameters, *delay, clock)
+        self._own = len(delay) + 1  # how many of its parameters are of the clock
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._sensor, name)
 
     def first_parameter(self, measurement: Any, state: State) -> Array:
         """Return the parameters (p,) about which the first factor is linearised."""
-        return np.append(self._sensor.first_parameter(measurement, state), self.known_s)
+        delays = np.zeros(self._own - 1)
+        return np.concatenate([self._sensor.first_parameter(measurement, state), delays, [self.known_s]])
 
     def innovation(self, measurement: Any, state: State) -> Innovation | Outcome:
         """Compare a measurement with a state at the time when it was taken."""
-        own = state._replace(parameter=state.parameter[:-1], parameter_covariance=state.parameter_covariance[:-1, :-1])
-        found: Innovation | Outcome = self._sensor.innovation(measurement, own)
+        own = slice(None, -self._own)
+        of_sensor = state._replace(
+            parameter=state.parameter[own], parameter_covariance=state.parameter_covariance[own, own]
+        )
+        found: Innovation | Outcome = self._sensor.innovation(measurement, of_sensor)
         if isinstance(found, Outcome):
             return found
-        off_s = float(state.parameter[-1]) - self.known_s
+        off_s = float(state.parameter[-self._own :].sum()) - self.known_s
         twist = np.concatenate([state.angular_velocity, state.nav.bodyVelocity()]) + state.twist_beyond(off_s)
         by_offset = found.H[:, :6] @ twist
+        if self._sensor.role is Role.VELOCITY:
+            by_offset += found.H[:, 6:9] @ state.acceleration(off_s)
         y, J = found.y - by_offset * off_s, np.empty((len(by_offset), len(state.parameter)))
-        J[:, :-1], J[:, -1] = found.J, by_offset
+        J[:, own], J[:, -self._own :] = found.J, by_offset[:, np.newaxis]
         H = found.H.copy()
         H[:, 6:9] += off_s * H[:, 3:6]  # a velocity that is corrected carries the position over the offset, too
         return Innovation(y, H, found.R, J)

@@ -5,8 +5,7 @@ process of unit variance per axis: z = h(x) + L u + n, (61) in docs/math.md. Mea
 then say as much as they do, of position as of heading: their common error is estimated, and not taken for news.
 """
 
-from collections.abc import Callable, Sequence
-from itertools import chain
+from collections.abc import Sequence
 from math import sqrt
 from typing import Any, NamedTuple
 
@@ -19,8 +18,6 @@ from holdfast.sensors.noise import UNBOUNDED, Colour, noise_model
 from holdfast.sensors.sensor import Comparing, Innovation, State, by_parameter, innovation_at
 
 NAV_SIZE = 9
-GIVEN = 3  # keys that GTSAM's linear factor takes
-BETWEEN = gtsam.symbol("~", 0)
 LINEAR_RAD = 0.02  # sigma of an attitude that is known well enough for a factor that is linear about the prediction
 
 
@@ -102,44 +99,28 @@ def coloured_factor(  # noqa: PLR0917 (what a factor is made of)
     keys, state, innovation, _ = compared
     root = np.zeros((len(innovation.y), len(slow.value)))
     root[:, slow.first : slow.first + len(innovation.y)] = innovation.H[:, NAV_SIZE:]
-    noise = innovation.R * inflation
+    every, noise = [*keys, slow.key], noise_model(innovation.R * inflation, loss)
     if loss.kind != "none" or state.covariance[:3, :3].trace() > LINEAR_RAD**2:
-        return _nonlinear(sensor, [*keys, slow.key], measurement, state, root, noise_model(noise, loss))
+        return _nonlinear(sensor, every, measurement, state, root, noise)
     at = gtsam.Values() if new is None else gtsam.Values(new)
     sizes = [len(prior.mean) for prior in sensor.parameters]
-    parameters = zip(by_parameter(state.parameter[None, :], sizes), by_parameter(innovation.J, sizes), strict=True)
-    variables = [
-        (state.nav, innovation.H[:, :NAV_SIZE]),
-        *((value[0], by_variable) for value, by_variable in parameters),
-        (slow.value, root),
-    ]
-    whitening = _inverse_root(noise)
-    blocks: list[tuple[int, Array]] = []
-    for key, (value, by_variable) in zip((*keys, slow.key), variables, strict=True):
+    parameters = [value[0] for value in by_parameter(state.parameter[None, :], sizes)]
+    for key, value in zip(every, [state.nav, *parameters, slow.value], strict=True):
         if not at.exists(key):
             at.insert(key, value)
-        blocks.append((key, whitening @ by_variable))
-    return gtsam.LinearContainerFactor(_jacobian_factor(blocks, whitening @ innovation.y), at)
+    H = [innovation.H[:, :NAV_SIZE], *by_parameter(innovation.J, sizes), root]
+    return gtsam.LinearContainerFactor(_linear(every, H, innovation.y, noise), at)
 
 
-def _jacobian_factor(blocks: Sequence[tuple[int, Array]], y: Array) -> gtsam.JacobianFactor:
-    """Return the factor |sum of A x - y| with unit noise, given up to five keys with their A (m, n).
+def _linear(keys: Sequence[int], H: Sequence[Array], y: Array, noise: gtsam.noiseModel.Base) -> gtsam.GaussianFactor:
+    """Return the factor |sum of H x - y| of variables with their H (m, n); GTSAM's own takes no more than three."""
 
-    GTSAM's own takes three. Of more keys, two halves are joined by a variable between them, which is eliminated.
-    """
-    make: Callable[..., gtsam.JacobianFactor] = gtsam.JacobianFactor
-    unit = gtsam.noiseModel.Unit.Create(len(y))
-    if len(blocks) <= GIVEN:
-        return make(*chain.from_iterable(blocks), y, unit)
-    between, root = np.eye(len(y)), sqrt(2.0)  # by which the noise of two halves is more
-    halves = gtsam.GaussianFactorGraph()
-    for sign, half, right in ((1.0, blocks[: GIVEN - 1], root * y), (-1.0, blocks[GIVEN - 1 :], np.zeros(len(y)))):
-        scaled = chain.from_iterable((key, root * by_variable) for key, by_variable in half)
-        halves.add(make(BETWEEN, sign * between, *scaled, right, unit))
-    eliminated = gtsam.Ordering()
-    eliminated.push_back(BETWEEN)
-    _, factor = gtsam.JacobianFactor(halves).eliminate(eliminated)
-    return factor
+    def error(_: gtsam.CustomFactor, __: gtsam.Values, jacobians: Any) -> Array:
+        for k, by_variable in enumerate(H):
+            jacobians[k] = by_variable
+        return -y
+
+    return gtsam.CustomFactor(noise, list(keys), error).linearize(gtsam.Values())
 
 
 def _nonlinear(  # noqa: PLR0917 (what a factor is made of)
@@ -162,10 +143,3 @@ def root_of(covariance: Array) -> Array:
     if np.count_nonzero(covariance) == len(covariance):
         return np.diag(np.sqrt(covariance.diagonal()))
     return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
-
-
-def _inverse_root(covariance: Array) -> Array:
-    """Return the inverse (m, m) of a root of a covariance (m, m)."""
-    if np.count_nonzero(covariance) == len(covariance):
-        return np.diag(1.0 / np.sqrt(covariance.diagonal()))
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64)

@@ -36,6 +36,7 @@ class GnssVelocityModel(StateSensor):
         self.offset_ns = round(config.time_offset_s * 1e9)
         self.settings = config
         self.p_I_P = p_I_P
+        self.offset_sigma_s = config.time_offset_sigma_s
         self._is_used = np.array([axis in config.axes for axis in "xyz"])
         self._floors = config.sigma_m_s * np.array([1.0, 1.0, UP_RATIO])
 

@@ -68,6 +68,7 @@ class State(NamedTuple):
         parameter_covariance: (p, p).
         twist_beyond: tells by how much the mean twist (6,) of I [rad/s, m/s] over a time from here on [s] differs from
             that of now.
+        acceleration: tells the mean acceleration (3,) of I over a time from here on [s], in the axes of I [m/s^2].
     """
 
     nav: gtsam.NavState
@@ -77,6 +78,7 @@ class State(NamedTuple):
     parameter: Array = np.zeros(0)
     parameter_covariance: Array = np.zeros((0, 0))
     twist_beyond: Callable[[float], Array] = lambda _: STEADY
+    acceleration: Callable[[float], Array] = lambda _: STEADY[:3]
 
 
 ANYWHERE = State(gtsam.NavState(), np.zeros((9, 9)))  # of a factor that does not depend on where it is made

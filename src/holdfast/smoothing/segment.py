@@ -123,8 +123,8 @@ class Segment:
         if mount is not None and not self._recorded.is_off(mount.name(name)):
             sensor = sensor.turned(self._recorded.believed_rad(mount.name(name)))
         clocked = with_estimated_clock(sensor)
-        is_known = clocked is sensor or not self._recorded.is_off(clocked.parameters[-1].name(name))
-        return sensor if is_known else clocked
+        of_clock = clocked.parameters[len(sensor.parameters) :]
+        return clocked if any(self._recorded.is_off(one.name(name)) for one in of_clock) else sensor
 
     def _priors(self) -> dict[str, Parameter]:
         return priors_of_machine(self._config, self._sensors)
