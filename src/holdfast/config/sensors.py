@@ -35,6 +35,12 @@ class SensorConfig(Section):
         return False
 
 
+class ClockedConfig(SensorConfig):
+    """What all sensors have whose clock is estimated."""
+
+    time_offset_sigma_s: float = quantity("s", 0.03, ge=0, le=1, doc="of `time_offset_s`, which is estimated; 0: known")
+
+
 class MountedConfig(SensorConfig):
     """What all sensors have whose mounting matters; some may sit on the chassis, beyond the turn joint."""
 
@@ -64,11 +70,10 @@ class InertialConfig(MountedConfig):
     max_gap_s: float = quantity("s", 0.05, gt=0, le=1, doc="longer silence (or 2.5 usual periods) is a drop-out")
 
 
-class PositionConfig(MountedConfig):
+class PositionConfig(MountedConfig, ClockedConfig):
     """What all sensors have that measure the position of a point of the machine."""
 
     topic: Topic
-    time_offset_sigma_s: float = quantity("s", 0.03, ge=0, le=1, doc="of `time_offset_s`, which is estimated; 0: known")
     gate_sigma: float = quantity(
         "sigma",
         4.0,
@@ -136,13 +141,12 @@ class GnssConfig(PositionConfig):
         return 3 if self.slow_time_constant_s > 0.0 and self.correlation_s > 0.0 else 0
 
 
-class HeadingConfig(JudgedConfig):
+class HeadingConfig(JudgedConfig, ClockedConfig):
     """Heading of a dual-antenna receiver or a compass."""
 
     kind: Literal["heading"]
     topic: Topic
     clockwise: bool = Field(False, description="its angle is clockwise from north, not counter-clockwise from east")
-    time_offset_sigma_s: float = quantity("s", 0.03, ge=0, le=1, doc="of `time_offset_s`, which is estimated; 0: known")
     mounting_yaw_deg: float | None = quantity(
         "deg", None, ge=-360, le=360, doc="yaw of the measured axis in the IMU frame; else that of the baseline"
     )
@@ -168,7 +172,7 @@ class HeadingConfig(JudgedConfig):
         return 1 if self.slow_time_constant_s > 0.0 and self.correlation_s > 0.0 else 0
 
 
-class DriftingConfig(MountedConfig):
+class DriftingConfig(MountedConfig, ClockedConfig):
     """What all odometries have: poses that drift. Noise is that between two poses."""
 
     topic: Topic
@@ -184,7 +188,6 @@ class DriftingConfig(MountedConfig):
         le=45,
         doc="of the frame's rotation in `extrinsics`, which is estimated, as is its place; 0: both are known",
     )
-    time_offset_sigma_s: float = quantity("s", 0.03, ge=0, le=1, doc="of `time_offset_s`, which is estimated; 0: known")
     scale: float = quantity("1", 1.0, gt=0, le=1000, doc="by which the distances of its poses are multiplied")
     scale_sigma: float = quantity("1", 0.1, ge=0, le=1, doc="of `scale` if it is wrong, which is estimated; 0: known")
     covariance: Literal["directions", "always", "never"] = Field(
@@ -250,7 +253,7 @@ class TwistConfig(JudgedConfig, MountedConfig):
     scale_sigma: float = quantity("1", 0.05, ge=0, le=1, doc="of the scale factor, which is estimated; 0: known")
 
 
-class GnssVelocityConfig(JudgedConfig, MountedConfig):
+class GnssVelocityConfig(JudgedConfig, MountedConfig, ClockedConfig):
     """Velocity of a GNSS antenna by Doppler: east, north, up, as its receiver reports it beside its fixes."""
 
     kind: Literal["gnss_velocity"]
@@ -262,7 +265,6 @@ class GnssVelocityConfig(JudgedConfig, MountedConfig):
     sigma_m_s: float = quantity(
         "m/s", 0.05, gt=0, le=10, doc="per axis, up twice as much; where none is claimed, and floor of a claim"
     )
-    time_offset_sigma_s: float = quantity("s", 0.03, ge=0, le=1, doc="of `time_offset_s`, which is estimated; 0: known")
 
 
 class NonholonomicConfig(JudgedConfig, MountedConfig):
