@@ -1,7 +1,7 @@
 """Offsets of the clocks of fixes, headings and odometries, from the constants that the graph estimates."""
 
 from collections.abc import Sequence
-from math import sqrt
+from math import hypot
 from statistics import median
 
 from holdfast.calibration.constants import combined, is_off, of_name
@@ -9,7 +9,8 @@ from holdfast.calibration.estimated import Estimated, Family, Found, judged
 from holdfast.calibration.evidence import Evidence
 from holdfast.config.edit import Change
 from holdfast.config.model import Config
-from holdfast.sensors.clock import IF_RIGHT_S, with_estimated_clock
+from holdfast.sensors.clock import DELAY_S, IF_RIGHT_S, with_estimated_clock
+from holdfast.sensors.constants import Constant
 from holdfast.sensors.registry import sensors_of
 
 FLOOR_S = 5e-4  # sigma: sampling of the IMU, filters inside of it
@@ -35,18 +36,23 @@ def clocks(evidence: Sequence[Evidence], original: Config, config: Config) -> Fo
             lost = Estimated(Family.CLOCKS, path, name, "s", before, before, prior, prior, "not observable: not used")
             estimates.append(lost)
             continue
-        offset_s, variance = 0.0, FLOOR_S**2
-        for off, covariance in map(combined, known):
-            offset_s, variance = offset_s + float(off[-1]), variance + float(covariance[-1, -1])
+        offset_s, sigma_s = _offset(known)
         early_s = median(one.early_s.get(name, 0.0) for one in evidence)
         after = config.sensors[name].time_offset_s + early_s + offset_s
-        found = judged(Estimated(Family.CLOCKS, path, name, "s", before, after, sqrt(variance), prior))
-        if not is_off(after - before, sqrt(variance), prior, IF_RIGHT_S):
+        found = judged(Estimated(Family.CLOCKS, path, name, "s", before, after, sigma_s, prior))
+        if not is_off(after - before, sigma_s, prior, IF_RIGHT_S):
             found = found.kept(f"as configured, to the {IF_RIGHT_S * 1e3:g} ms that filters in sensors take")
         estimates.append(found)
         if found.is_written:
             changes.append(Change(path, round(after, DIGITS)))
     return Found(estimates, changes)
+
+
+def _offset(known: Sequence[Sequence[Constant]]) -> tuple[float, float]:
+    """Return a sensor's offset and its sigma [s]: that of its clock, the last, and a delay unless it is none."""
+    found = [(float(off[-1]), float(covariance[-1, -1]) ** 0.5) for off, covariance in map(combined, known)]
+    parts = [found[-1], *(one for one in found[:-1] if is_off(*one, DELAY_S, IF_RIGHT_S))]
+    return sum(off_s for off_s, _ in parts), hypot(FLOOR_S, *(sigma_s for _, sigma_s in parts))
 
 
 def _by_sensor(config: Config) -> dict[str, list[str]]:

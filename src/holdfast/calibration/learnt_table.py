@@ -205,7 +205,7 @@ def _of_imu(name: str, prior: Parameter, learnt: LearntConstant) -> Iterator[Row
 def _of_clock(name: str, configured_s: float, clock: LearntConstant, of_all: LearntSnapshot) -> Row:
     """Return the row of a clock, and of the delay and of what is in the stamps already beside it."""
     early_s, parts = of_all.early_ns.get(name, 0) * 1e-9, [clock]
-    if (delay := of_all.constants.get(f"{name} {DELAY}")) is not None:
+    if (delay := of_all.constants.get(f"{name} {DELAY}")) is not None and delay.is_off:
         parts.append(delay)
     offset_s, sigma_s = early_s + sum(one.mean[-1] for one in parts), hypot(*(one.sigmas[-1] for one in parts))
     is_off = early_s != 0.0 or any(one.is_off for one in parts)
