@@ -7,7 +7,6 @@ from statistics import median
 from holdfast.calibration.constants import combined, is_off, of_name
 from holdfast.calibration.estimated import Estimated, Family, Found, judged
 from holdfast.calibration.evidence import Evidence
-from holdfast.config.edit import Change
 from holdfast.config.model import Config
 from holdfast.sensors.clock import DELAY_S, IF_RIGHT_S, with_estimated_clock
 from holdfast.sensors.constants import Constant
@@ -26,7 +25,6 @@ def clocks(evidence: Sequence[Evidence], original: Config, config: Config) -> Fo
         config: that of now, which may have an offset already.
     """
     estimates: list[Estimated] = []
-    changes: list[Change] = []
     for name, constants in _by_sensor(config).items():
         before = original.sensors[name].time_offset_s
         prior = float(getattr(original.sensors[name], "time_offset_sigma_s", 0.0))
@@ -43,9 +41,7 @@ def clocks(evidence: Sequence[Evidence], original: Config, config: Config) -> Fo
         if not is_off(after - before, sigma_s, prior, IF_RIGHT_S):
             found = found.kept(f"as configured, to the {IF_RIGHT_S * 1e3:g} ms that filters in sensors take")
         estimates.append(found)
-        if found.is_written:
-            changes.append(Change(path, round(after, DIGITS)))
-    return Found(estimates, changes)
+    return Found.of(estimates, DIGITS)
 
 
 def _offset(known: Sequence[Sequence[Constant]]) -> tuple[float, float]:
@@ -57,10 +53,10 @@ def _offset(known: Sequence[Sequence[Constant]]) -> tuple[float, float]:
 
 def _by_sensor(config: Config) -> dict[str, list[str]]:
     """Return the constants that a sensor's offset is the sum of, of those whose clock is estimated."""
-    found: dict[str, list[str]] = {}
-    for name, sensor in sensors_of(config).items():
-        if float(getattr(config.sensors[name], "time_offset_sigma_s", 0.0)) > 0.0:
-            for prior in with_estimated_clock(sensor).parameters:
-                if prior.has_clock:
-                    found.setdefault(name, []).append(prior.name(name))
-    return found
+    estimated = {
+        name: with_estimated_clock(sensor).parameters
+        for name, sensor in sensors_of(config).items()
+        if float(getattr(config.sensors[name], "time_offset_sigma_s", 0.0)) > 0.0
+    }
+    found = {name: [one.name(name) for one in priors if one.has_clock] for name, priors in estimated.items()}
+    return {name: constants for name, constants in found.items() if constants}

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from holdfast.config.document import Path, path_text
 from holdfast.config.edit import Change
@@ -88,3 +88,8 @@ class Found(NamedTuple):
 
     estimates: Sequence[Estimated] = ()
     changes: Sequence[Change] = ()
+
+    @classmethod
+    def of(cls, estimates: Sequence[Estimated], digits: int) -> Self:
+        """Return estimates whose keys are the numbers themselves; they are written with so many digits."""
+        return cls(estimates, [Change(one.path, round(one.after, digits)) for one in estimates if one.is_written])

@@ -10,7 +10,6 @@ from holdfast.calibration.constants import combined, of_name
 from holdfast.calibration.estimated import Estimated, Family, Found, judged
 from holdfast.calibration.evidence import Evidence
 from holdfast.calibration.placing import corrected, entry_of
-from holdfast.config.edit import Change
 from holdfast.config.model import Config
 from holdfast.config.sensors import DriftingConfig, HeadingConfig
 from holdfast.sensors.heading import MOUNT, configured_yaw_deg
@@ -51,7 +50,6 @@ def mountings(evidence: Sequence[Evidence], original: Config, config: Config) ->
 
 def _of_headings(evidence: Sequence[Evidence], original: Config, config: Config) -> Found:
     estimates: list[Estimated] = []
-    changes: list[Change] = []
     for name, section in original.sensors_of(HeadingConfig).items():
         known, prior = of_name(evidence, f"{name} {MOUNT}"), section.mounting_sigma_deg
         if not known or prior == 0.0:
@@ -60,8 +58,5 @@ def _of_headings(evidence: Sequence[Evidence], original: Config, config: Config)
         before, now = (configured_yaw_deg(name, one) for one in (original, config))
         path, sigma = ("sensors", name, "mounting_yaw_deg"), hypot(degrees(covariance[0, 0] ** 0.5), FLOOR_DEG)
         after = now + degrees(offset[0])
-        found = judged(Estimated(Family.MOUNTINGS, path, name, "deg", before, after, sigma, prior))
-        estimates.append(found)
-        if found.is_written:
-            changes.append(Change(path, round(after, DIGITS)))
-    return Found(estimates, changes)
+        estimates.append(judged(Estimated(Family.MOUNTINGS, path, name, "deg", before, after, sigma, prior)))
+    return Found.of(estimates, DIGITS)

@@ -6,7 +6,6 @@ from math import exp, hypot, log
 from holdfast.calibration.constants import combined, is_off, of_name
 from holdfast.calibration.estimated import Estimated, Family, Found, judged
 from holdfast.calibration.evidence import Evidence
-from holdfast.config.edit import Change
 from holdfast.config.model import Config
 from holdfast.config.sensors import DriftingConfig
 from holdfast.sensors.scale import IF_RIGHT, SCALE
@@ -18,7 +17,6 @@ DIGITS = 4
 def scales(evidence: Sequence[Evidence], original: Config, config: Config) -> Found:
     """Return by which factor the distances of each odometry are to be multiplied; arguments are those of `clocks`."""
     estimates: list[Estimated] = []
-    changes: list[Change] = []
     for name, section in original.sensors_of(DriftingConfig).items():
         known, prior = of_name(evidence, f"{name} {SCALE}"), section.scale_sigma
         if not known or prior == 0.0:
@@ -30,6 +28,4 @@ def scales(evidence: Sequence[Evidence], original: Config, config: Config) -> Fo
         if not is_off(log(after / section.scale), sigma, prior, IF_RIGHT):
             found = found.kept(f"as configured, to the {100.0 * IF_RIGHT:g} % of one that is right")
         estimates.append(found)
-        if found.is_written:
-            changes.append(Change(path, round(after, DIGITS)))
-    return Found(estimates, changes)
+    return Found.of(estimates, DIGITS)

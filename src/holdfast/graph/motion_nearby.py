@@ -44,7 +44,7 @@ class MotionNearby:
         gravity: magnitude [m/s^2].
     """
 
-    __slots__ = ("_bias", "_gravity", "_imu", "_known", "_nav", "_rate", "_stamp_ns")
+    __slots__ = ("_before", "_bias", "_gravity", "_imu", "_known", "_nav", "_rate", "_stamp_ns")
 
     def __init__(
         self,
@@ -59,6 +59,7 @@ class MotionNearby:
         self._imu, self._gravity, self._stamp_ns = imu, gravity, stamp_ns
         self._nav, self._rate, self._bias = nav, angular_velocity, bias
         self._known = (0.0, UNKNOWN)  # over how long [s]
+        self._before: Array | None = None  # acceleration of the last tenth of a second
 
     def twist_beyond(self, duration_s: float) -> Array:
         """Return by how much the mean twist (6,) over a time differs from that at the node; zero if it is too short.
@@ -73,7 +74,11 @@ class MotionNearby:
 
         Zero where the IMU did not measure all along.
         """
-        return self._over(-SHAKEN_S if abs(duration_s) < SHAKEN_S else duration_s).acceleration
+        if abs(duration_s) >= SHAKEN_S:
+            return self._over(duration_s).acceleration
+        if self._before is None:  # kept beside what is known over the offset, which a velocity asks for in turn
+            self._before = self._measured(-SHAKEN_S).acceleration
+        return self._before
 
     def _over(self, duration_s: float) -> Motion:
         """Return the motion over a time; at nearly the same times, as an offset is estimated, the same as before."""
