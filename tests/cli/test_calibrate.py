@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -139,9 +140,30 @@ def test_ctrl_c_leaves_nothing_half_written(drive, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_ctrl_c_late_keeps_what_was_found(drive, tmp_path, monkeypatch):
+    """What held-out fixes did not judge is told and not written."""
+    module = import_module("holdfast.calibration.calibrate")
+    run = module._Runs.run
+
+    def press(runs, title, *args):
+        if title.startswith("held out: noise"):
+            os.kill(os.getpid(), signal.SIGINT)
+        return run(runs, title, *args)
+
+    monkeypatch.setattr(module._Runs, "run", press)
+    output = tmp_path / "out.yaml"
+    done = holdfast("calibrate", *(drive[0], "-c", drive[1], "-o", output))
+    assert done.code == 130 and done.err.strip().endswith(f"interrupted: what was found until then is in {output}")
+    assert load_config(output) == load_config(drive[1])
+    tables = json.loads(output.with_suffix(".json").read_text())["tables"]
+    rows = {row[1]: row for table in tables.values() if "key" in table["columns"] for row in table["rows"]}
+    lidar = rows["sensors.lidar.translation_sigma_m"]
+    assert lidar[3] == 0.3 and lidar[4] < 0.1 and lidar[-1] == "it ended before held-out fixes could judge it"
+
+
 def test_what_was_found_is_written_although_the_page_cannot_be(drive, tmp_path, monkeypatch):
     """The page came first: on a full disk the work of many minutes was lost with it."""
-    found = SimpleNamespace(text="# found\n", estimates=[], held_out=[])
+    found = SimpleNamespace(text="# found\n", estimates=[], held_out=[], failure=None)
 
     def full(*_):
         raise ConfigError("c.html: cannot be written (No space left on device)")

@@ -102,4 +102,6 @@ def calibrate(
             yield show
 
     found = calibrated([str(path) for path in paths], config, with_lever_arms=lever_arms, every=hold_out, watch=watch)
+    if found.failure is not None:
+        raise found.failure
     return Calibration(found.config, found.text, found.estimates, found.held_out, found)

@@ -22,12 +22,13 @@ from holdfast.config.document import value_at, yaml_text
 from holdfast.config.edit import Change
 from holdfast.config.model import Config
 from holdfast.config.sensors import DriftingConfig, PositionConfig
-from holdfast.errors import ConfigError
+from holdfast.errors import ConfigError, HoldfastError
 from holdfast.printable import one_line
 from holdfast.recording.source import Recording
 
 MAX_ROUNDS, AT_REST = 5, 0.3  # sigmas by which nothing moves any more
 JUDGED = frozenset(Family) - {Family.TURN_JOINT}
+UNJUDGED = "it ended before held-out fixes could judge it"
 Watch = Callable[[str, Recording], AbstractContextManager[Progress]]
 """Shows how far a recording has been read, given what is being done."""
 
@@ -44,6 +45,7 @@ class Calibration:
         held_out: errors at held-out fixes, before and with one family after the other.
         recordings: names.
         rounds: runs over all recordings until no constant moved.
+        failure: what ended it early; what held-out fixes could not judge any more is not written.
     """
 
     before: Config
@@ -53,6 +55,7 @@ class Calibration:
     held_out: Sequence[HeldOut]
     recordings: Sequence[str]
     rounds: int
+    failure: HoldfastError | KeyboardInterrupt | None
 
 
 def calibrated(
@@ -76,6 +79,9 @@ def calibrated(
         ConfigError: the configuration holds mistakes, or an argument is wrong.
         RecordingError: a recording cannot be read.
         EstimatorError: the estimator never started in one of them; says why.
+        KeyboardInterrupt: as it came.
+
+    What ends it once something was found is not raised but in what is returned.
     """
     if not recordings:
         raise ConfigError("recordings: must name at least one recording")
@@ -84,21 +90,17 @@ def calibrated(
         raise ConfigError(f"{twice[0]}: is given twice, and would count twice")
     if every < 2:
         raise ConfigError(f"hold_out: must be an integer >= 2, not {every}")
-    draft = Draft.of(given)
-    runs = _Runs(recordings, every, watch)
-    found, evidence, rounds = _constants(draft, runs)
-    found += [turn_joint(evidence, draft.config), imu_noise(evidence, draft.config)]
-    now = draft.changed([change for one in found[:2] for change in one.changes])
-    if with_lever_arms:
-        config, resting = with_estimated_arms(now.config)
-        found.append(lever_arms(runs.run("lever arms", config, resting), draft.config, config))
-    found.append(fix_noise(evidence, draft.config))
-    odometries = draft.config.sensors_of(DriftingConfig)
-    if odometries and any(isinstance(one, PositionConfig) for one in draft.config.sensors.values()):
-        found.append(odometry_noise(runs.run("odometry noise", now.config, list(odometries)), draft.config))
-    names = [one_line(Path(one).name) for one in recordings]
-    after, estimates, verdicts = _accepted(draft, _commented(draft, found, names), runs, evidence)
-    return Calibration(draft.config, after.config, after.written(), estimates, verdicts, names, rounds)
+    work = _Work(Draft.of(given), _Runs(recordings, every, watch))
+    failure: HoldfastError | KeyboardInterrupt | None = None
+    try:
+        work.find_constants()
+        work.find_noise(with_lever_arms)
+        work.judge()
+    except (HoldfastError, KeyboardInterrupt) as error:
+        if not work.found:
+            raise
+        failure = error
+    return work.result(failure)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +110,11 @@ class _Runs:
     recordings: Sequence[str]
     every: int
     watch: Watch
+
+    @property
+    def names(self) -> list[str]:
+        """What the recordings are called."""
+        return [one_line(Path(one).name) for one in self.recordings]
 
     def run(
         self, title: str, config: Config, ignored: Sequence[str] = (), durations_s: Sequence[float | None] = ()
@@ -126,29 +133,99 @@ class _Runs:
         ]
 
 
-def _constants(draft: Draft, runs: _Runs) -> tuple[list[Found], list[Evidence], int]:
-    """Return clocks, mountings and scales once they have come to rest, and the runs that tell them."""
-    now, before, evidence, found = draft, list[float](), list[Evidence](), list[Found]()
-    for number in range(1, MAX_ROUNDS + 1):
-        evidence = runs.run(f"round {number}", now.config)
-        found = [family(evidence, draft.config, now.config) for family in (clocks, mountings, scales)]
-        written = [one for family in found for one in family.estimates if one.is_written]
-        now = draft.changed([change for family in found for change in family.changes])
-        values = [one.after / one.sigma for one in written]
-        is_same = len(values) == len(before)
-        if not written or (is_same and all(abs(a - b) < AT_REST for a, b in zip(values, before, strict=True))):
-            break
-        before = values
-    return found, evidence, number
+class _Work:
+    """A calibration under way; what it has found when it is interrupted stays."""
+
+    def __init__(self, draft: Draft, runs: _Runs) -> None:
+        self.draft, self.runs = draft, runs
+        self.found: list[Found] = []  # of which `judge` takes one after the other
+        self.evidence: list[Evidence] = []  # the runs that tell the constants
+        self.rounds = 0
+        self._accepted = draft
+        self._rows: list[Estimated] = []
+        self._verdicts: list[HeldOut] = []
+
+    def find_constants(self) -> None:
+        """Find clocks, mountings and scales, until they have come to rest."""
+        now, before = self.draft, list[float]()
+        for _ in range(MAX_ROUNDS):
+            evidence = self.runs.run(f"round {self.rounds + 1}", now.config)
+            found = [family(evidence, self.draft.config, now.config) for family in (clocks, mountings, scales)]
+            self.found, self.evidence, self.rounds = found, evidence, self.rounds + 1
+            written = [one for family in found for one in family.estimates if one.is_written]
+            now = self.draft.changed([change for family in found for change in family.changes])
+            values = [one.after / one.sigma for one in written]
+            is_same = len(values) == len(before)
+            if not written or (is_same and all(abs(a - b) < AT_REST for a, b in zip(values, before, strict=True))):
+                break
+            before = values
+
+    def find_noise(self, with_lever_arms: bool) -> None:
+        """Find the turn joint, lever arms if they are asked for, and noise."""
+        config = self.draft.config
+        now = self.draft.changed([change for one in self.found[:2] for change in one.changes])
+        self.found += [turn_joint(self.evidence, config), imu_noise(self.evidence, config)]
+        if with_lever_arms:
+            free, resting = with_estimated_arms(now.config)
+            self.found.append(lever_arms(self.runs.run("lever arms", free, resting), config, free))
+        self.found.append(fix_noise(self.evidence, config))
+        odometries = config.sensors_of(DriftingConfig)
+        if odometries and any(isinstance(one, PositionConfig) for one in config.sensors.values()):
+            self.found.append(odometry_noise(self.runs.run("odometry noise", now.config, list(odometries)), config))
+
+    def judge(self) -> None:
+        """Accept every family that held-out fixes do not speak against."""
+        durations = [one.duration_s for one in self.evidence]
+        if any(_is_judged(one) for one in self.found):
+            before = self.runs.run("held out: before", self.draft.config, (), durations)
+            self._verdicts.append(held_out("as configured", before))
+        while self.found:
+            one = self.found[0]
+            if not _is_judged(one):
+                self._accept(one)
+            else:
+                tried, family = self._accepted.changed(self._commented(one)), one.estimates[0].family
+                runs = self.runs.run(f"held out: {family}", tried.config, (), durations)
+                verdict = held_out(f"with {family}", runs)
+                if why := is_worse(self._verdicts[-1], verdict):
+                    self._rows += [row.kept(why) for row in one.estimates]
+                else:
+                    self._accept(one)
+                    self._verdicts.append(verdict)
+            del self.found[0]
+
+    def result(self, failure: HoldfastError | KeyboardInterrupt | None) -> Calibration:
+        """Return what was found; a family that held-out fixes could not judge any more is not written."""
+        for one in self.found:
+            if _is_judged(one):
+                self._rows += [row.kept(UNJUDGED) for row in one.estimates]
+            else:
+                self._accept(one)
+        after = self._accepted
+        return Calibration(
+            self.draft.config,
+            after.config,
+            after.written(),
+            self._rows,
+            self._verdicts,
+            self.runs.names,
+            self.rounds,
+            failure,
+        )
+
+    def _accept(self, found: Found) -> None:
+        self._accepted = self._accepted.changed(self._commented(found))
+        self._rows += found.estimates
+
+    def _commented(self, found: Found) -> list[Change]:
+        """Return the changes with comments that say from, to, sigma and recording."""
+        names = self.runs.names
+        source = ", ".join(names[:3]) + f" and {len(names) - 3} more" * (len(names) > 3)
+        return [change._replace(comment=_comment(self.draft, found, change, source)) for change in found.changes]
 
 
-def _commented(draft: Draft, found: Sequence[Found], names: Sequence[str]) -> list[Found]:
-    """Return what was found with comments that say from, to, sigma and recording."""
-    source = ", ".join(names[:3]) + f" and {len(names) - 3} more" * (len(names) > 3)
-    return [
-        one._replace(changes=[change._replace(comment=_comment(draft, one, change, source)) for change in one.changes])
-        for one in found
-    ]
+def _is_judged(found: Found) -> bool:
+    return bool(found.changes) and found.estimates[0].family in JUDGED
 
 
 def _comment(draft: Draft, found: Found, change: Change, source: str) -> str:
@@ -163,30 +240,3 @@ def _comment(draft: Draft, found: Found, change: Change, source: str) -> str:
 
 def _belongs(row: KeyPath, change: KeyPath) -> bool:
     return row == change or (row[0] == change[0] and row[0] in ("extrinsics", "turn_joint") and row[:-1] == change[:-1])
-
-
-def _accepted(
-    draft: Draft, found: Sequence[Found], runs: _Runs, evidence: Sequence[Evidence]
-) -> tuple[Draft, list[Estimated], list[HeldOut]]:
-    """Return the draft with every family that held-out fixes do not speak against, and what they say."""
-    durations = [one.duration_s for one in evidence]
-    now = draft
-    verdicts: list[HeldOut] = []
-    if any(one.changes for one in found if one.estimates and one.estimates[0].family in JUDGED):
-        verdicts.append(held_out("as configured", runs.run("held out: before", draft.config, (), durations)))
-    rows: list[Estimated] = []
-    for one in found:
-        if not one.changes:
-            rows += one.estimates
-            continue
-        family, tried = one.estimates[0].family, now.changed(one.changes)
-        if family not in JUDGED:
-            now, rows = tried, rows + list(one.estimates)
-            continue
-        verdict = held_out(f"with {family}", runs.run(f"held out: {family}", tried.config, (), durations))
-        if why := is_worse(verdicts[-1], verdict):
-            rows += [row.kept(why) for row in one.estimates]
-        else:
-            now, rows = tried, rows + list(one.estimates)
-            verdicts.append(verdict)
-    return now, rows, verdicts

@@ -13,6 +13,7 @@ from holdfast.calibration.held_out import HeldOut
 from holdfast.report.figures import quantiles
 from holdfast.report.page import Block, Cell, Figure, Mark, Page, Provenance, Section, Table, Text, digest
 
+ENDED = "It ended early: what held-out fixes could not judge any more is not written."
 COLUMNS = ("number", "key", "unit", "before", "after", "sigma", "sigma / prior", "written")
 
 
@@ -37,7 +38,7 @@ def lead(of: Calibration) -> str:
     text = (
         f"From {', '.join(of.recordings)}: {len(written)} of {len(of.estimates)} numbers are otherwise than configured "
         f"and are written, {len(unseen)} could not be observed and keep what the file says. "
-        f"Constants came to rest after {of.rounds} run{'s' * (of.rounds != 1)}."
+        + (f"Constants came to rest after {of.rounds} run{'s' * (of.rounds != 1)}." if of.failure is None else ENDED)
     )
     if len(of.held_out) > 1:
         first, last = of.held_out[0], of.held_out[-1]

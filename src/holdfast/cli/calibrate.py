@@ -41,9 +41,9 @@ def calibrate(  # noqa: PLR0917 (click passes the options by name)
     """Find from RECORDINGS of one machine what its sensors are, and write it into a copy of its configuration.
 
     Time offsets, rotations of odometries, the zero of the turn joint's encoder, noise and drift: each number with its
-    sigma. What cannot be observed keeps what the file says, and so does what makes held-out fixes worse. Comments,
-    order and layout of the file stay. A page beside the output (OUTPUT.html, and its numbers as .json) shows every
-    number before and after.
+    sigma. What cannot be observed keeps what the file says, and so does what makes held-out fixes worse, or what they
+    could not judge before Ctrl-C. Comments, order and layout of the file stay. A page beside the output (OUTPUT.html,
+    and its numbers as .json) shows every number before and after.
     """
     from holdfast.calibration.calibrate import calibrated
 
@@ -64,6 +64,10 @@ def calibrate(  # noqa: PLR0917 (click passes the options by name)
         write_page(calibration_page(found, command), page)
     _print(found)
     click.echo(f"written to {output}" + (f", {page.name} and {page.with_suffix('.json').name}" if page else ""))
+    if isinstance(found.failure, KeyboardInterrupt):
+        raise KeyboardInterrupt(f"what was found until then is in {output}")
+    if found.failure is not None:
+        raise found.failure
 
 
 def _check(output: Path, page: Path | None, reads: tuple[str, ...], every: int, force: bool) -> None:
