@@ -67,7 +67,7 @@ class Rig:
             since_ns=round(start_s * 1e9),
             believe_after_s=after_s,
         )
-        self.headings = Headings(of(Role.HEADING), scales, self.log)
+        self.headings = Headings(of(Role.HEADING), scales, self.log, lambda *_: None)
         self.odometries = Odometries(
             config,
             of(Role.ODOMETRY),

@@ -133,7 +133,7 @@ def with_heading(off_deg, *, right, figure=False, late_s=0.0):
     for t in np.arange(0.0503, END_S, 0.1):
         x, y, _ = motion.nav(t).attitude().rotate(np.array([1.0, 0.0, 0.0]))
         yaw_rad = float(np.arctan2(y, x) + np.radians(off_deg) + 0.003 * rng.standard_normal())
-        headings.append(Heading(ns(t + late_s), ns(t + 0.3), "heading", yaw_rad, 0.003))
+        headings.append(Heading(ns(t + late_s), ns(t + max(late_s, 0.3)), "heading", yaw_rad, 0.003))
     streams = [imu(motion, 0.0, END_S, 100.0, rng), fixes(motion, 0.0, END_S, 10.0, rng), headings]
     if right:
         streams.append(fixes(motion, 0.0, END_S, 10.0, rng, arm=ARM_RIGHT, sensor="gnss_right"))
@@ -177,3 +177,13 @@ def test_a_heading_that_is_late_beside_the_fixes_is_named_and_leaves_them_their_
     assert rms_deg < max(1.2 * with_heading(0.0, right=right, figure=not right)[1], 0.05)
     words = told[-1].reason.split()
     assert "beside" in words and float(words[words.index("add") + 1]) == pytest.approx(-late_s, abs=0.01)
+
+
+@pytest.mark.parametrize(("late_s", "right"), [(1.0, True), (0.6, False), (-1.5, False)])
+def test_a_heading_that_is_seconds_late_is_dated_anew(late_s, right):
+    """It was believed where the machine stood, turned its mount, moved the antennas and bent the gyroscope."""
+    events, rms_deg = with_heading(0.0, right=right, figure=not right, late_s=late_s)
+    told = [one.reason for one in events if one.kind is EventKind.CALIBRATION and "beside the motion" in one.reason]
+    words = told[0].split()
+    assert len(told) == 1 and float(words[words.index("add") + 1]) == pytest.approx(-late_s, abs=0.05)
+    assert rms_deg < (0.05 if right else 0.3)

@@ -85,7 +85,7 @@ class Initialising:
         imu = config.imu
         self._exchanges: list[Exchange] = []
         self._config, self._buffer, self._gravity = config, buffer, gravity
-        self._sensors, self._clocks = sensors, clocks or FarClocks(EventLog(config.imu_name))
+        self._sensors, self.clocks = sensors, clocks or FarClocks(EventLog(config.imu_name))
         self.jump: Jump | None = None  # of the biases, as of the last attempt
         points = of_role(sensors, Role.POSITION)  # those of GNSS first: of another somebody has typed where it stands
         self._points = dict(sorted(points.items(), key=lambda one: not is_gnss(one[1])))
@@ -304,7 +304,7 @@ class Initialising:
         evidence, lying = self._evidence(fixes, now_ns)
         is_explained = may_have_jumped and self._velocity_check.are_explained(self._collected.velocities, lying)
         jump_sigmas = self.biases.doubted if is_explained else None
-        late_s = self._clocks.late_s(fixes[-1].sensor) - self.clock_ns * 1e-9 if may_be_late else None
+        late_s = self.clocks.late_s(fixes[-1].sensor) - self.clock_ns * 1e-9 if may_be_late else None
         batch = self._batches.solve(evidence, self.biases.prior, limit_rad, jump_sigmas, late_s)
         if batch.clock is not None and abs(batch.clock.by_s) > REACH_S:  # what it was made of was longer ago than that
             self._know_far_off(batch.clock)
@@ -317,7 +317,7 @@ class Initialising:
         """Know that stamps of GNSS are early by so much, those that will come, too."""
         by_ns = round(offset.by_s * 1e9)
         self._collected.stamp_later(by_ns)
-        self._clocks.move([name for name, one in self._sensors.items() if is_by_gnss_clock(one)], by_ns)
+        self.clocks.move([name for name, one in self._sensors.items() if is_by_gnss_clock(one)], by_ns)
         self.found.know_clock_off(offset._replace(by_s=0.0))
 
     def attempt_with_moved_antennas(self) -> OptimisedState | None:

@@ -119,7 +119,7 @@ class Tracking:
             believe_after_s=config.gate.patience_s(has_odometry=bool(of_role(sensors, Role.ODOMETRY))),
             accelerometer=carried.accelerometer,
         )
-        self._headings = Headings(of_role(sensors, Role.HEADING), scales, log)
+        self._headings = Headings(of_role(sensors, Role.HEADING), scales, log, successor.start.clocks.move)
         odometries = of_role(sensors, Role.ODOMETRY)
         self._odometries = Odometries(
             config,

@@ -1,11 +1,13 @@
 """Learns how wrong the accelerometer is in motion, from fixes alone: (76) to (78) in docs/math.md.
 
 Three fixes and what the IMU measured between them need neither position nor velocity: whatever these were, they cancel.
-What is left over a second is the noise of the fixes, over several seconds the error of the accelerometer.
+What is left over a second is the noise of the fixes, over several seconds the error of the accelerometer; or gravity,
+if the attitude is wrong. Of five fixes a tilt that grows evenly cancels, too: they say how large the error is at most.
 """
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from math import log
 from typing import NamedTuple
 
 import gtsam
@@ -14,6 +16,7 @@ import numpy as np
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.force_scales import ForceScales, Seen
 from holdfast.integrity.learnt_snapshot import LearntScale
+from holdfast.integrity.point_motion import divided_difference
 from holdfast.messages import Array
 from holdfast.sensors.imu import InertialMotion
 from holdfast.sensors.noise import Colour
@@ -23,7 +26,7 @@ from holdfast.sensors.sensor import Position
 SPANS = 1, 2, 4  # steps between two of three fixes
 STEP_NS, MAX_STEP_NS = 900_000_000, 2_500_000_000
 MEMORY_S = 600.0
-TILTING = 0.767  # of T^5: how an angle that walks tilts gravity in the middle of three fixes a time T apart
+LASTING = 1.5  # times what five fixes see at most: of an error that lasts, more is seen of three
 
 
 class _Step(NamedTuple):
@@ -61,17 +64,19 @@ class ForceLearning:
     """
 
     def __init__(self, carried: LearntScale | None = None) -> None:
-        self._scales = ForceScales(carried)
+        self._scales = {3: ForceScales(carried), 5: ForceScales()}  # by how many fixes are compared
         self._places: deque[_Place] = deque(maxlen=2 * max(SPANS) + 1)
 
     @property
     def accelerometer_scale(self) -> float:
         """How many times larger the error of the accelerometer in proportion to the motion is than configured."""
-        return self._scales.accelerometer
+        return min(self._scales[3].accelerometer, LASTING * self._scales[5].most)
 
     def learnt(self) -> LearntScale | None:
         """Return what is believed of the accelerometer; None where nothing was taken in."""
-        return self._scales.learnt()
+        found = self._scales[3].learnt()
+        too_large = log(self._scales[3].accelerometer / self.accelerometer_scale)
+        return found and found.model_copy(update={"log_mean": found.log_mean - too_large})
 
     def learn(self, smoother: Smoother, position: Position, beyond: Array, colour: Colour) -> None:
         """Take in a fix that was used and has a node, in the order of stamps.
@@ -93,32 +98,57 @@ class ForceLearning:
         if step is None:
             self._places.clear()
         self._places.append(_Place(position.stamp_ns, nav.position() + beyond, position.covariance.diagonal(), step))
-        for span in SPANS:
-            if len(self._places) > 2 * span:
-                self._compare(span, smoother, nav.attitude().matrix(), colour)
-        self._scales.forget(since_ns * 1e-9 / MEMORY_S)
+        places, R_W_I = list(self._places), nav.attitude().matrix()
+        for count, scales in self._scales.items():
+            for span in SPANS:
+                if len(places) > (steps := (count - 1) * span):
+                    scales.learn(_compared(places[-1 - steps :], span, smoother, R_W_I, colour), 0.5 / span)
+        for scales in self._scales.values():
+            scales.forget(since_ns * 1e-9 / MEMORY_S)
 
-    def _compare(self, span: int, smoother: Smoother, R_W_I: Array, colour: Colour) -> None:
-        """Compare the newest fix and the two that came one and two spans before it; attitude (3, 3) at the newest."""
-        first, middle, newest = (self._places[k] for k in (-1 - 2 * span, -1 - span, -1))
-        steps = [place.step for place in list(self._places)[-2 * span :] if place.step is not None]
-        whole, half = _joined(steps), _joined(steps[:span])
-        total_s, half_s = sum(one.time_s for one in steps), sum(one.time_s for one in steps[:span])
-        ratio = total_s / half_s
-        lever_s2 = 0.5 * (total_s**2 - ratio * half_s**2)  # by which a constant acceleration counts
-        fallen = np.array([0.0, 0.0, lever_s2 * smoother.imu_noise.gravity])
-        at_first = R_W_I @ whole.R.T
-        seen = (newest.p_W_I - first.p_W_I) - ratio * (middle.p_W_I - first.p_W_I)
-        beyond = seen - (at_first @ (whole.p - ratio * half.p) - fallen)
-        density, error, turning = _integrated(steps, half_s, total_s)
-        known = lever_s2**2 * _acceleration_variance(smoother, R_W_I) + density
-        known += smoother.imu_noise.gravity**2 * turning * TILTING * half_s**5 / total_s * np.array([1.0, 1.0, 0.0])
-        weights = np.array([ratio - 1.0, -ratio, 1.0])
-        at_s = np.array([0.0, half_s, total_s])
-        alike = float(weights @ np.exp(-np.abs(at_s[:, None] - at_s) / colour.time_constant_s) @ weights)
-        white = colour.white * float(weights @ weights) * middle.claim
-        slow = colour.slow * alike * middle.claim
-        self._scales.learn(Seen(beyond**2, known, error, white, slow), 0.5 / span)
+
+def _compared(places: Sequence[_Place], span: int, smoother: Smoother, R_W_I: Array, colour: Colour) -> Seen:
+    """Compare every span-th fix with what was measured from step to step; attitude (3, 3) at the newest."""
+    steps = [place.step for place in places[1:] if place.step is not None]
+    times_s = np.cumsum([0.0, *(one.time_s for one in steps)])
+    weights = np.zeros(len(places))
+    weights[::span] = divided_difference(times_s[::span])
+    counted, gravity = _Counted.of(times_s, weights), smoother.imu_noise.gravity
+    R, moved = _moved(steps)
+    track = np.array([one.p_W_I for one in places])
+    beyond = weights @ track - R_W_I @ R.T @ (weights @ moved) + [0.0, 0.0, counted.steady_s2 * gravity]
+    density, error, turning = np.array([(one.density, one.error, one.turning) for one in steps]).T
+    known = counted.steady_s2**2 * _acceleration_variance(smoother, R_W_I) + counted.noise @ density
+    known[:2] += gravity**2 * (counted.tilt @ turning)
+    alike = float(weights @ np.exp(-np.abs(times_s[:, None] - times_s) / colour.time_constant_s) @ weights)
+    claim = places[len(places) // 2].claim
+    return Seen(beyond**2, known, float(counted.noise @ error), colour.white * claim, colour.slow * alike * claim)
+
+
+class _Counted(NamedTuple):
+    """How an acceleration counts in a combination of positions in which neither place nor velocity is left.
+
+    Attributes:
+        steady_s2: one that lasts all the time.
+        noise: white noise of density 1 in each step (n,) [s^3].
+        tilt: gravity tilted by a gyroscope whose noise in each step has density 1 (n,) [s^5].
+    """
+
+    steady_s2: float
+    noise: Array
+    tilt: Array
+
+    @classmethod
+    def of(cls, times_s: Array, weights: Array) -> "_Counted":
+        """Return that of positions at times (n + 1,)."""
+        lengths_s = np.diff(times_s)
+        nodes, shares = np.polynomial.legendre.leggauss(3)  # exact
+        at_s, shares = times_s[:-1, None] + lengths_s[:, None] * 0.5 * (1.0 + nodes), 0.5 * shares
+        left_s = np.maximum(times_s - at_s[..., None], 0.0)
+        steady_s2 = 0.5 * float(weights @ times_s**2)
+        noise = lengths_s * ((left_s @ weights) ** 2 @ shares)
+        tilt = lengths_s * ((steady_s2 - 0.5 * left_s**2 @ weights) ** 2 @ shares)
+        return cls(steady_s2, noise, tilt)
 
 
 def _measured(smoother: Smoother, start_ns: int, end_ns: int, nav: gtsam.NavState) -> _Step | None:
@@ -146,34 +176,14 @@ def _measured(smoother: Smoother, start_ns: int, end_ns: int, nav: gtsam.NavStat
     )
 
 
-def _joined(steps: list[_Step]) -> InertialMotion:
-    """Return what the IMU measured over steps that follow each other."""
-    R, v, p = np.eye(3), np.zeros(3), np.zeros(3)
+def _moved(steps: Iterable[_Step]) -> tuple[Array, Array]:
+    """Return the attitude (3, 3) after steps that follow each other, and the way after each (n + 1, 3), from 0 on."""
+    R, v, p = np.eye(3), np.zeros(3), [np.zeros(3)]
     for time_s, motion, *_ in steps:
-        p = p + v * time_s + R @ motion.p
+        p.append(p[-1] + v * time_s + R @ motion.p)
         v = v + R @ motion.v
         R = R @ motion.R
-    return InertialMotion(R, v, p)
-
-
-def _integrated(steps: list[_Step], half_s: float, total_s: float) -> tuple[float, float, float]:
-    """Return what white noise, proportional errors [m^2] and the gyroscope [rad^2] come to.
-
-    An acceleration at t counts with h(t), which rises from 0 at the first fix to the middle one, and falls to the last.
-    """
-    density, error, turning, at_s = 0.0, 0.0, 0.0, 0.0
-    for step in steps:
-        before, after = _counted(at_s, half_s, total_s), _counted(at_s + step.time_s, half_s, total_s)
-        squared = (before**2 + before * after + after**2) / 3.0 * step.time_s
-        density += squared * step.density
-        error += squared * step.error
-        turning += step.turning * step.time_s
-        at_s += step.time_s
-    return density, error, turning
-
-
-def _counted(at_s: float, half_s: float, total_s: float) -> float:
-    return (total_s - at_s) - (total_s / half_s * (half_s - at_s) if at_s < half_s else 0.0)
+    return R, np.array(p)
 
 
 def _acceleration_variance(smoother: Smoother, R_W_I: Array) -> Array:

@@ -15,6 +15,7 @@ from holdfast.messages import Array
 LOWEST, HIGHEST, POINTS = 0.03, 30.0, 31  # of the accelerometer, a sigma
 LEAST, MOST, WHITES = 3e-3, 6.0, 24  # of the fixes, a variance
 ACCELEROMETER_SIGMA, WHITE_SIGMA = log(3.0), log(3.0)
+REFUTED = 2.0  # by which a likelihood is smaller: two sigmas
 MAX_RATIO = 9.0  # of a squared residual and its expectation: an outlier tells no more
 
 _LOG_SCALES: Array = np.linspace(log(LOWEST), log(HIGHEST), POINTS)
@@ -88,6 +89,12 @@ class ForceScales:
         """The scale of its error that is not exceeded with 84 %."""
         found = self._marginals()[0]
         return exp(found.mean + found.sigma)
+
+    @property
+    def most(self) -> float:
+        """The largest scale of its error that is not refuted."""
+        likelihood = (self._log_likelihood - 0.5 * (_LOG_WHITES / WHITE_SIGMA) ** 2).max(axis=1)
+        return exp(_LOG_SCALES[likelihood >= likelihood.max() - REFUTED][-1])
 
     def learnt(self) -> LearntScale | None:
         """Return what is believed of the accelerometer; None where nothing was taken in."""

@@ -3,12 +3,14 @@
 They come from the receiver whose fixes are doubted, so while GNSS is lost they wait in quarantine; those of its
 recovery enter together with the fixes, and the heading of the world is corrected once.
 
-What is refused because it is mounted otherwise than configured is let go from there, and comes back.
+What is refused because it is mounted otherwise than configured is let go from there, and comes back; what is dated
+seconds late is dated anew.
 """
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from math import remainder, sqrt, tau
+from typing import Any
 
 import numpy as np
 
@@ -16,10 +18,12 @@ from holdfast.event_log import EventLog
 from holdfast.events import EventKind, Outcome
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import Smoother
+from holdfast.integrity.late_headings import FAR_S, LateHeadings
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.states import JudgedSensor
 from holdfast.integrity.turned_headings import TurnedHeadings
 from holdfast.integrity.yaw_learning import WITNESS_NS, Witness
+from holdfast.sensors.clock import DELAY
 from holdfast.sensors.heading import MOUNT, AxisYaw
 from holdfast.sensors.sensor import StateSensor, part_of
 
@@ -34,9 +38,17 @@ class Headings:
         sensors: the models, by name.
         scales: of their noise, by name.
         log: where counts and events go.
+        date_later: reads stamps of sensors as so much later [ns], those that will come.
     """
 
-    def __init__(self, sensors: dict[str, StateSensor], scales: Mapping[str, NoiseScale], log: EventLog) -> None:
+    def __init__(
+        self,
+        sensors: dict[str, StateSensor],
+        scales: Mapping[str, NoiseScale],
+        log: EventLog,
+        date_later: Callable[[Collection[str], int], object],
+    ) -> None:
+        self._sensors: dict[str, Any] = dict(sensors)
         self._judged = {
             name: JudgedSensor(sensor, scales[name], lambda _: None, log) for name, sensor in sensors.items()
         }
@@ -44,6 +56,8 @@ class Headings:
             name: mount for name, sensor in sensors.items() if (mount := part_of(sensor.parameters, MOUNT)) is not None
         }
         self._runs = {name: (TurnedHeadings(), TurnedHeadings()) for name in self._mounts}  # turned, and mirrored
+        self._late = {name: LateHeadings() for name, sensor in self._sensors.items() if sensor.offset_sigma_s > 0.0}
+        self._date_later = date_later
         self._quarantine: deque[AxisYaw] = deque()
         self._used: deque[AxisYaw] = deque(maxlen=WITNESSES)
         self._told: set[str] = set()
@@ -67,8 +81,11 @@ class Headings:
             outcome = judged.judge(heading, graph.main, [graph.main], now_ns)
             if outcome is Outcome.USED:
                 self._used.append(heading)
+            is_refused = outcome is Outcome.INNOVATION
+            if heading.sensor in self._late:
+                self._look_whether_late(graph, heading, is_refused=is_refused)
             if heading.sensor in self._mounts:
-                self._look_whether_turned(graph, heading, is_refused=outcome is Outcome.INNOVATION)
+                self._look_whether_turned(graph, heading, is_refused=is_refused)
             return outcome
         judged.gate.note(heading, now_ns)
         while self._quarantine and self._quarantine[0].stamp_ns < smoother.oldest_ns:
@@ -76,6 +93,33 @@ class Headings:
         self._quarantine.append(heading)
         self._log.record(heading.stamp_ns, heading.sensor, Outcome.QUARANTINED)
         return Outcome.QUARANTINED
+
+    def _look_whether_late(self, graph: DualGraph, heading: AxisYaw, *, is_refused: bool) -> None:
+        """Read the stamps of a sensor by another clock, if its headings are refused because they are seconds late."""
+        name = heading.sensor
+        sensor, late = self._sensors[name], self._late[name]
+        attitude = graph.main.nav(heading.stamp_ns).attitude()
+        if (found := sensor.of_imu(heading, attitude)) is None:
+            return
+        late.note(heading.stamp_ns, heading.yaw_rad, heading.sigma_rad, found[0])
+        if not (is_refused or self._is_far(graph, sensor)) or (delay_s := late.delay_s()) is None:
+            return
+        sign = "late" if delay_s > 0.0 else "early"
+        reason = f"its stamps are {abs(delay_s):.2f} s {sign} beside the motion: add {-delay_s:.2f} to time_offset_s"
+        self._log.report(EventKind.CALIBRATION, heading.stamp_ns, name, reason)
+        self._date_later([name], -round(delay_s * 1e9))
+        late.clear()
+        for parameter in sensor.parameters:
+            if not parameter.shared:
+                graph.begin_parameter_anew(parameter.name(name), parameter)
+
+    def _is_far(self, graph: DualGraph, sensor: Any) -> bool:
+        """Whether the graph believes in a delay that is too long for it."""
+        delay = part_of(sensor.parameters, DELAY)
+        if delay is None:
+            return False
+        believed_s = graph.main.parameters.belief(delay.name(sensor.name), delay)[0]
+        return abs(float(believed_s[0])) > FAR_S
 
     def _look_whether_turned(self, graph: DualGraph, heading: AxisYaw, *, is_refused: bool) -> None:
         """Let the mounting of a sensor go, if its headings are refused for that alone; tell one that is a mirror."""

@@ -1,0 +1,96 @@
+"""Headings that are beside the estimate as it turns, but as it was seconds ago: dated late, not wrong.
+
+A delay of a tenth of a second is a state of the graph, linear about none; one of a second is found here, where it
+explains what no mounting does, and belongs into the stamps.
+"""
+
+from collections import deque
+from math import pi, radians, tau
+from typing import NamedTuple
+
+import numpy as np
+
+from holdfast.messages import Array
+
+MOST_NS, COUNT = 40_000_000_000, 256  # of headings that are kept
+ENOUGH, ENOUGH_NS = 16, 10_000_000_000  # of these, to tell anything
+EVERY_NS = 1_000_000_000  # between two looks
+MOST_S, STEP_S = 3.0, 0.05  # delays that are tried, of either sign
+SAME_S, SURE_NS = 0.1, 3_000_000_000  # by which a delay is the same one, and for how long it must be found
+FAR_S = 0.3  # nearer ones are found by the graph
+FEWER = 9.0  # times less is left of the squares
+SPREAD_RAD, SIGMAS = radians(1.0), 4.0  # by which headings that are late are beside the estimate at least, in the mean
+
+
+class _Seen(NamedTuple):
+    """A heading, and that of the estimate at its stamp [rad]."""
+
+    stamp_ns: int
+    measured_rad: float
+    sigma_rad: float
+    expected_rad: float
+
+
+class LateHeadings:
+    """The newest headings of one sensor."""
+
+    def __init__(self) -> None:
+        self._seen: deque[_Seen] = deque(maxlen=COUNT)
+        self._looked_ns = 0
+        self._suspected: tuple[float, int] | None = None  # a delay [s], and when it was found first
+
+    def clear(self) -> None:
+        """Forget them: their stamps mean something else now."""
+        self._seen.clear()
+        self._suspected = None
+
+    def note(self, stamp_ns: int, measured_rad: float, sigma_rad: float, beside_rad: float) -> None:
+        """Take in a heading that is so much beside the estimate at its stamp, whether it was used or not."""
+        if self._seen and stamp_ns <= self._seen[-1].stamp_ns:
+            return
+        thin_ns = MOST_NS // COUNT
+        if len(self._seen) > 1 and stamp_ns - self._seen[-2].stamp_ns < thin_ns:
+            self._seen.pop()
+        self._seen.append(_Seen(stamp_ns, measured_rad, sigma_rad, measured_rad - beside_rad))
+        while stamp_ns - self._seen[0].stamp_ns > MOST_NS:
+            self._seen.popleft()
+
+    def delay_s(self) -> float | None:
+        """Return by how much stamps are late [s], if they are far off, that explains the headings, and goes on so."""
+        if not self._seen or self._seen[-1].stamp_ns - self._looked_ns < EVERY_NS:
+            return None
+        self._looked_ns = self._seen[-1].stamp_ns
+        found_s = self._found_s()
+        if found_s is None or self._suspected is None or abs(found_s - self._suspected[0]) > SAME_S:
+            self._suspected = None if found_s is None else (found_s, self._looked_ns)
+        is_sure = self._suspected is not None and self._looked_ns - self._suspected[1] >= SURE_NS
+        return found_s if is_sure else None
+
+    def _found_s(self) -> float | None:
+        if len(self._seen) < ENOUGH or self._looked_ns - self._seen[0].stamp_ns < ENOUGH_NS:
+            return None
+        stamps_ns, measured, sigmas, expected = (np.array(one) for one in zip(*self._seen, strict=True))
+        times_s = (stamps_ns - stamps_ns[0]) * 1e-9
+        expected = np.unwrap(expected)
+        is_judged = (times_s > MOST_S) & (times_s < times_s[-1] - MOST_S)
+
+        def left(delay_s: float) -> float:
+            at_s = times_s[is_judged] - delay_s
+            return _spread(measured[is_judged] - np.interp(at_s, times_s, expected))
+
+        allowed = SPREAD_RAD**2 + (SIGMAS * float(sigmas.mean())) ** 2
+        if is_judged.sum() < ENOUGH or (as_stamped := left(0.0)) < allowed:
+            return None
+        delays_s = np.arange(-MOST_S, MOST_S + 0.5 * STEP_S, STEP_S)
+        squares = np.array([left(one) for one in delays_s])
+        best = int(squares.argmin())
+        fits = squares[best] < min(allowed, as_stamped / FEWER)
+        if not fits or abs(delays_s[best]) < FAR_S or best in (0, len(delays_s) - 1):
+            return None
+        before, least, after = squares[best - 1 : best + 2]
+        return float(delays_s[best] + 0.5 * STEP_S * (before - after) / (before - 2.0 * least + after))
+
+
+def _spread(beside: Array) -> float:
+    """Return the mean square of angles (n,) [rad] about their mean."""
+    return float(((beside - beside[0] + pi) % tau).var())
