@@ -74,6 +74,7 @@ class Rig:
             self.log,
             headings=self.witness,
             fixes=lambda *_: False,
+            date_later=lambda *_: None,
             carried=carried.odometries,
         )
         self.states = States(of(Role.STATE, Role.VELOCITY, Role.POSE), scales, lambda _: None, self.log)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from motion import FigureEight, deviation, estimates, fixes, imu, in_order, machine, ns, run, scans
+from motion import FigureEight, StopAndGo, deviation, estimates, fixes, imu, in_order, machine, ns, run, scans
 
 from holdfast.events import EventKind
 
@@ -32,3 +32,19 @@ def test_fixes_are_believed_rather_than_it_and_a_gap_of_the_imu_is_crossed(drive
     """1.6 s at 10 m/s: taken for the motion over 0.3 s, the velocity beside the gap says what nobody measured."""
     drive, _, _, given = driven
     assert max(deviation(drive, one)[0] for one in given if one.stamp_ns > ns(RIGHT_S)) < 0.3
+
+
+@pytest.mark.parametrize(
+    ("drive", "early_s"), [(StopAndGo(radius_m=4.0, speed=0.35), 1.2), (FigureEight(speed=0.35), -0.8)]
+)
+def test_one_that_is_seconds_off_is_dated_anew_and_holds_an_outage(drive, early_s):
+    """It was not trusted, for good, or its clock crept and bent all else: 20 s without fixes cost metres."""
+    rng = np.random.default_rng(1)
+    poses = scans(drive, 0.0, 75.0, 10.0, rng, phase_s=0.0071, delay_s=1.3, stamp_shift_s=-early_s)
+    streams = imu(drive, 0.0, 75.0, 100.0, rng), fixes(drive, 0.0, 55.0, 5.0, rng), poses
+    estimator, outputs = run(machine(), in_order(*streams))
+    told = [event for event in estimator.events if "beside the motion" in event.reason]
+    assert [event.sensor for event in told] == ["lidar"]
+    known_s = estimator.early_ns["lidar"] * 1e-9 + estimator.constants()["lidar"].value[-1]
+    assert known_s == pytest.approx(early_s, abs=0.02)
+    assert max(deviation(drive, one)[0] for one in estimates(outputs) if one.stamp_ns > ns(45.0)) < 0.3

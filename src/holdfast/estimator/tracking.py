@@ -120,13 +120,13 @@ class Tracking:
             accelerometer=carried.accelerometer,
         )
         self._headings = Headings(of_role(sensors, Role.HEADING), scales, log, successor.start.clocks.move)
-        odometries = of_role(sensors, Role.ODOMETRY)
         self._odometries = Odometries(
             config,
-            odometries,
+            of_role(sensors, Role.ODOMETRY),
             log,
             headings=self._heading_witness,
             fixes=successor.start.fixes_vouch_for,
+            date_later=successor.start.clocks.move,
             carried=carried.odometries,
         )
         successor.start.weigh_odometries(self._odometries.noises)

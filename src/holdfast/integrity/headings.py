@@ -8,8 +8,8 @@ seconds late is dated anew.
 """
 
 from collections import deque
-from collections.abc import Callable, Collection, Mapping
-from math import remainder, sqrt, tau
+from collections.abc import Mapping
+from math import radians, remainder, sqrt, tau
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from holdfast.event_log import EventLog
 from holdfast.events import EventKind, Outcome
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import Smoother
-from holdfast.integrity.late_headings import FAR_S, LateHeadings
+from holdfast.integrity.far_delay import FAR_S, DateLater, FarDelay, told
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.states import JudgedSensor
 from holdfast.integrity.turned_headings import TurnedHeadings
@@ -27,6 +27,7 @@ from holdfast.sensors.clock import DELAY
 from holdfast.sensors.heading import MOUNT, AxisYaw
 from holdfast.sensors.sensor import StateSensor, part_of
 
+BESIDE_RAD = radians(1.0)  # by which headings that are late are beside the estimate at least, in the mean
 WITNESSES = 32  # how many are remembered
 MIRRORED = "it turns the other way than the machine: `clockwise` is not as configured"
 
@@ -46,7 +47,7 @@ class Headings:
         sensors: dict[str, StateSensor],
         scales: Mapping[str, NoiseScale],
         log: EventLog,
-        date_later: Callable[[Collection[str], int], object],
+        date_later: DateLater,
     ) -> None:
         self._sensors: dict[str, Any] = dict(sensors)
         self._judged = {
@@ -56,7 +57,8 @@ class Headings:
             name: mount for name, sensor in sensors.items() if (mount := part_of(sensor.parameters, MOUNT)) is not None
         }
         self._runs = {name: (TurnedHeadings(), TurnedHeadings()) for name in self._mounts}  # turned, and mirrored
-        self._late = {name: LateHeadings() for name, sensor in self._sensors.items() if sensor.offset_sigma_s > 0.0}
+        clocked = [name for name, sensor in self._sensors.items() if sensor.offset_sigma_s > 0.0]
+        self._late = {name: FarDelay(BESIDE_RAD, is_angle=True) for name in clocked}
         self._date_later = date_later
         self._quarantine: deque[AxisYaw] = deque()
         self._used: deque[AxisYaw] = deque(maxlen=WITNESSES)
@@ -101,12 +103,10 @@ class Headings:
         attitude = graph.main.nav(heading.stamp_ns).attitude()
         if (found := sensor.of_imu(heading, attitude)) is None:
             return
-        late.note(heading.stamp_ns, heading.yaw_rad, heading.sigma_rad, found[0])
+        late.note(heading.stamp_ns, heading.yaw_rad, heading.sigma_rad, heading.yaw_rad - found[0])
         if not (is_refused or self._is_far(graph, sensor)) or (delay_s := late.delay_s()) is None:
             return
-        sign = "late" if delay_s > 0.0 else "early"
-        reason = f"its stamps are {abs(delay_s):.2f} s {sign} beside the motion: add {-delay_s:.2f} to time_offset_s"
-        self._log.report(EventKind.CALIBRATION, heading.stamp_ns, name, reason)
+        self._log.report(EventKind.CALIBRATION, heading.stamp_ns, name, told(delay_s))
         self._date_later([name], -round(delay_s * 1e9))
         late.clear()
         for parameter in sensor.parameters:

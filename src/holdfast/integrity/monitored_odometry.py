@@ -3,16 +3,18 @@
 from enum import Enum
 
 from holdfast.integrity.drift_monitor import DriftMonitor
+from holdfast.integrity.far_delay import FAR_S
 from holdfast.integrity.innovation import PERIODS_OF_SILENCE
 from holdfast.integrity.learnt_snapshot import LearntOdometry
 from holdfast.integrity.odometry_learning import OdometryLearning
 from holdfast.integrity.odometry_trust import OdometryTrust
+from holdfast.integrity.turn_rates import TurnRates
 from holdfast.measured_fields import NEVER_NS
-from holdfast.sensors.odometry import OdometryModel, OdometryNoise
+from holdfast.sensors.odometry import CONFIGURED, OdometryModel, OdometryNoise
 
 DISTRUST = 3.0  # factor on the noise of an odometry that proves to be worse than configured
 AGAIN_NS = 5_000_000_000  # an odometry whose noise is trebled twice in this time is lost
-FAR_S, FAR_SIGMA = 0.05, 3.0  # both: so far off is a clock that is to be in the stamps
+OFF_S, OFF_SIGMA = 0.05, 3.0  # both: so far off is a clock that is to be in the stamps
 JUMPS, JUMPS_NS = 4, 20_000_000_000  # so many jumps in this time are no jumps but noise
 
 
@@ -37,6 +39,7 @@ class MonitoredOdometry:
         self.monitor = DriftMonitor(self.noise)
         self.learning = OdometryLearning(self.noise, carried)
         self.trust = OdometryTrust(model.calibration)
+        self.turn_rates = TurnRates()
         self.is_silent = self.is_stuck = False
         self.broken_ns = NEVER_NS
         self.early_ns = 0
@@ -59,8 +62,16 @@ class MonitoredOdometry:
     def lose(self) -> None:
         """It is trusted no more: its jumps were no noise."""
         self.trust.lose()
+        self.turn_rates.clear()
         self._jumps_ns.clear()
         self.forget_frame()
+
+    def begin_anew(self) -> None:
+        """Know no more of it than at first; it is not trusted yet."""
+        self.noise.scale, self.noise.learnt = 1.0, CONFIGURED
+        self.learning = OdometryLearning(self.noise)
+        self.early_ns = 0
+        self.lose()
 
     def break_track(self, now_ns: int) -> None:
         """The odometry has jumped, slipped or begun a new map."""
@@ -78,13 +89,19 @@ class MonitoredOdometry:
         return self.is_silent or self.trust.is_lost
 
     @property
+    def may_be_seconds_off(self) -> bool:
+        """Whether its clock may be further off than a graph can tell: it is not trusted, or its clock is not."""
+        is_far = self.trust.is_lost or abs(self.early_ns) > FAR_S * 1e9
+        return is_far and self.model.config.time_offset_sigma_s > 0.0
+
+    @property
     def parts_from_gyroscope(self) -> bool:
         """Whether it has of late turned otherwise than the gyroscope, by far, and no clock explains it."""
         return self.learning.parts_from_gyroscope and not self.learning.clock_trace.may_be_late
 
     def know_clock(self, early_s: float, sigma_s: float) -> None:
         """Date the poses that come by what is believed of its clock, and of that the sigma."""
-        if abs(early_s - self.early_ns * 1e-9) > max(FAR_S, FAR_SIGMA * sigma_s):
+        if abs(early_s - self.early_ns * 1e-9) > max(OFF_S, OFF_SIGMA * sigma_s):
             self.early_ns = round(early_s * 1e3) * 1_000_000
 
     def pass_over(self, gap_ns: int) -> None:

@@ -15,6 +15,7 @@ from holdfast.events import EventKind, Outcome
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.odometry_track import OdometryTrack, believed_calibration
 from holdfast.integrity.drift_monitor import Contradiction
+from holdfast.integrity.far_delay import DateLater, told
 from holdfast.integrity.learnt_snapshot import LearntOdometry
 from holdfast.integrity.monitored_odometry import DISTRUST, Jumps, MonitoredOdometry
 from holdfast.integrity.odometry_trust import AGREES_M, AGREES_RAD, Watched
@@ -52,6 +53,7 @@ class Odometries:
         log: where counts and events go.
         headings: what they say of the heading of an estimate.
         fixes: whether they say the same as an odometry.
+        date_later: reads stamps of sensors as so much later [ns], those that will come.
         carried: what was learnt of odometries before, by name.
     """
 
@@ -63,13 +65,14 @@ class Odometries:
         *,
         headings: HeadingWitness,
         fixes: FixWitness,
+        date_later: DateLater,
         carried: Mapping[str, LearntOdometry] = MappingProxyType({}),
     ) -> None:
         self._odometries = {name: MonitoredOdometry(model, carried.get(name)) for name, model in models.items()}
         self._mode = config.graph.main_odometry
         self._is_monitored = config.gate.drift_monitor
         self._log = log
-        self._headings, self._fixes = headings, fixes
+        self._headings, self._fixes, self._date_later = headings, fixes, date_later
         self._has_turned = False
         self._mounts: dict[str, Parameter] = {}  # priors of those that are mounted otherwise than configured
 
@@ -118,6 +121,7 @@ class Odometries:
     def add(self, graph: DualGraph, pose: TrackPose, now_ns: int) -> Outcome:
         """Join a pose to its track in the graphs; a jump begins a new frame."""
         odometry = self._odometries[pose.sensor]
+        self._look_whether_seconds_off(graph, odometry, pose)
         if odometry.trust.is_lost:
             outcome = self._watch(graph, odometry, pose, now_ns)
             self._log.record(pose.stamp_ns, pose.sensor, outcome)
@@ -238,6 +242,24 @@ class Odometries:
                     reason = f"mounted {off_deg:.0f} deg otherwise than configured it moves as the estimate"
                 self._log.report(EventKind.SENSOR_REGAINED, now_ns, pose.sensor, reason)
         return Outcome.QUARANTINED
+
+    def _look_whether_seconds_off(self, graph: DualGraph, odometry: MonitoredOdometry, pose: TrackPose) -> None:
+        """Read the stamps of an odometry by another clock, if it turns as the machine did seconds ago.
+
+        What was believed of it was by a clock that was not its own: it is watched before it is trusted again.
+        """
+        if not odometry.may_be_seconds_off or (delay_s := odometry.turn_rates.delay_s(graph.main, pose)) is None:
+            return
+        name, calibration = pose.sensor, odometry.model.calibration
+        self._log.report(EventKind.CALIBRATION, pose.stamp_ns, name, told(delay_s))
+        self._date_later([name], -round(delay_s * 1e9))
+        odometry.begin_anew()
+        for smoother in graph.smoothers():
+            graph.begin_tracks_anew(smoother, name)
+        self._mounts.pop(name, None)
+        for prior in calibration.prior, calibration.arm_prior, calibration.scale_prior:
+            if prior is not None:
+                graph.begin_parameter_anew(prior.name(name), prior)
 
     def _lose(self, graph: DualGraph, name: str, since_ns: int, now_ns: int, reason: str) -> None:
         """Trust an odometry no more, and take out what it has said since a time."""

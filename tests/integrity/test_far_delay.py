@@ -1,9 +1,9 @@
-"""Headings that are those of the machine seconds before or after their stamps are told from all others."""
+"""What is of the machine seconds before or after its stamps is told from all else: headings, and rates of turning."""
 
 import numpy as np
 import pytest
 
-from holdfast.integrity.late_headings import LateHeadings
+from holdfast.integrity.far_delay import FarDelay
 
 SIGMA_RAD = 0.01
 
@@ -20,11 +20,11 @@ def round_and_round(t):
 
 def found(measured, *, yaw=swung, hz=5.0, until_s=45.0):
     """Return the first delay that is found, of headings that an estimate whose own is right compares with it."""
-    rng, late = np.random.default_rng(0), LateHeadings()
+    rng, late = np.random.default_rng(0), FarDelay(np.radians(1.0), is_angle=True)
     for t in np.arange(0.0, until_s, 1.0 / hz):
         seen = measured(t) + SIGMA_RAD * rng.standard_normal()
         wrapped = np.angle(np.exp(1j * seen))
-        late.note(round(t * 1e9), wrapped, SIGMA_RAD, wrapped - np.angle(np.exp(1j * yaw(t))))
+        late.note(round(t * 1e9), wrapped, SIGMA_RAD, np.angle(np.exp(1j * yaw(t))))
         if (delay_s := late.delay_s()) is not None:
             return delay_s
     return None
@@ -59,3 +59,13 @@ def test_on_a_circle_a_delay_is_a_mounting():
 
 def test_what_stands_tells_nothing():
     assert found(lambda _: 1.0, yaw=lambda t: 1.0 + 0.01 * np.sin(t)) is None
+
+
+@pytest.mark.parametrize("late_s", [-2.0, 0.5, 1.3])
+def test_numbers_that_are_late_are_found_though_they_are_beside_by_a_constant(late_s):
+    rng, late, delays = np.random.default_rng(0), FarDelay(0.03, is_angle=False), []
+    for t in np.arange(0.0, 40.0, 0.4):
+        measured = abs(0.4 * np.sin(0.6 * (t - late_s))) + 0.1 + 0.01 * rng.standard_normal()
+        late.note(round(t * 1e9), measured, 0.0, abs(0.4 * np.sin(0.6 * t)))
+        delays.append(late.delay_s())
+    assert next(one for one in delays if one is not None) == pytest.approx(late_s, abs=0.05)

@@ -1,40 +1,50 @@
-"""Headings that are beside the estimate as it turns, but as it was seconds ago: dated late, not wrong.
+"""What is beside the motion of now, but as it was seconds ago, or will be: dated late or early, not wrong.
 
 A delay of a tenth of a second is a state of the graph, linear about none; one of a second is found here, where it
 explains what no mounting does, and belongs into the stamps.
 """
 
 from collections import deque
-from math import pi, radians, tau
+from collections.abc import Callable, Collection
+from math import pi, tau
 from typing import NamedTuple
 
 import numpy as np
 
 from holdfast.messages import Array
 
-MOST_NS, COUNT = 40_000_000_000, 256  # of headings that are kept
+MOST_NS, COUNT = 40_000_000_000, 256  # of values that are kept
 ENOUGH, ENOUGH_NS = 16, 10_000_000_000  # of these, to tell anything
 EVERY_NS = 1_000_000_000  # between two looks
 MOST_S, STEP_S = 3.0, 0.05  # delays that are tried, of either sign
 SAME_S, SURE_NS = 0.1, 3_000_000_000  # by which a delay is the same one, and for how long it must be found
 FAR_S = 0.3  # nearer ones are found by the graph
 FEWER = 9.0  # times less is left of the squares
-SPREAD_RAD, SIGMAS = radians(1.0), 4.0  # by which headings that are late are beside the estimate at least, in the mean
+SIGMAS = 4.0  # by which values that are late are beside what is expected at least, in the mean
+
+DateLater = Callable[[Collection[str], int], object]
+"""Reads stamps of sensors as so much later [ns], those that will come."""
 
 
 class _Seen(NamedTuple):
-    """A heading, and that of the estimate at its stamp [rad]."""
+    """A value, and what is expected at its stamp."""
 
     stamp_ns: int
-    measured_rad: float
-    sigma_rad: float
-    expected_rad: float
+    measured: float
+    sigma: float
+    expected: float
 
 
-class LateHeadings:
-    """The newest headings of one sensor."""
+class FarDelay:
+    """The newest values of one sensor, beside what is expected but for a constant.
 
-    def __init__(self) -> None:
+    Args:
+        least: by which they are beside it at least where they are late, in the mean; and so much may be left.
+        is_angle: whether they are angles [rad], and the same with a full turn.
+    """
+
+    def __init__(self, least: float, *, is_angle: bool) -> None:
+        self._least, self._is_angle = least, is_angle
         self._seen: deque[_Seen] = deque(maxlen=COUNT)
         self._looked_ns = 0
         self._suspected: tuple[float, int] | None = None  # a delay [s], and when it was found first
@@ -44,19 +54,19 @@ class LateHeadings:
         self._seen.clear()
         self._suspected = None
 
-    def note(self, stamp_ns: int, measured_rad: float, sigma_rad: float, beside_rad: float) -> None:
-        """Take in a heading that is so much beside the estimate at its stamp, whether it was used or not."""
+    def note(self, stamp_ns: int, measured: float, sigma: float, expected: float) -> None:
+        """Take in a value with its noise, and what is expected, whether it was used or not."""
         if self._seen and stamp_ns <= self._seen[-1].stamp_ns:
             return
         thin_ns = MOST_NS // COUNT
         if len(self._seen) > 1 and stamp_ns - self._seen[-2].stamp_ns < thin_ns:
             self._seen.pop()
-        self._seen.append(_Seen(stamp_ns, measured_rad, sigma_rad, measured_rad - beside_rad))
+        self._seen.append(_Seen(stamp_ns, measured, sigma, expected))
         while stamp_ns - self._seen[0].stamp_ns > MOST_NS:
             self._seen.popleft()
 
     def delay_s(self) -> float | None:
-        """Return by how much stamps are late [s], if they are far off, that explains the headings, and goes on so."""
+        """Return by how much stamps are late [s], if they are far off, that explains the values, and goes on so."""
         if not self._seen or self._seen[-1].stamp_ns - self._looked_ns < EVERY_NS:
             return None
         self._looked_ns = self._seen[-1].stamp_ns
@@ -71,14 +81,14 @@ class LateHeadings:
             return None
         stamps_ns, measured, sigmas, expected = (np.array(one) for one in zip(*self._seen, strict=True))
         times_s = (stamps_ns - stamps_ns[0]) * 1e-9
-        expected = np.unwrap(expected)
+        expected = np.unwrap(expected) if self._is_angle else expected
         is_judged = (times_s > MOST_S) & (times_s < times_s[-1] - MOST_S)
 
         def left(delay_s: float) -> float:
             at_s = times_s[is_judged] - delay_s
-            return _spread(measured[is_judged] - np.interp(at_s, times_s, expected))
+            return self._spread(measured[is_judged] - np.interp(at_s, times_s, expected))
 
-        allowed = SPREAD_RAD**2 + (SIGMAS * float(sigmas.mean())) ** 2
+        allowed = self._least**2 + (SIGMAS * float(sigmas.mean())) ** 2
         if is_judged.sum() < ENOUGH or (as_stamped := left(0.0)) < allowed:
             return None
         delays_s = np.arange(-MOST_S, MOST_S + 0.5 * STEP_S, STEP_S)
@@ -90,7 +100,12 @@ class LateHeadings:
         before, least, after = squares[best - 1 : best + 2]
         return float(delays_s[best] + 0.5 * STEP_S * (before - after) / (before - 2.0 * least + after))
 
+    def _spread(self, beside: Array) -> float:
+        """Return the mean square of values (n,) about their mean."""
+        return float(((beside - beside[0] + pi) % tau if self._is_angle else beside).var())
 
-def _spread(beside: Array) -> float:
-    """Return the mean square of angles (n,) [rad] about their mean."""
-    return float(((beside - beside[0] + pi) % tau).var())
+
+def told(delay_s: float) -> str:
+    """Return in words that stamps are late by so much, and what to do about it."""
+    sign = "late" if delay_s > 0.0 else "early"
+    return f"its stamps are {abs(delay_s):.2f} s {sign} beside the motion: add {-delay_s:.2f} to time_offset_s"
