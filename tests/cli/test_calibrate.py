@@ -154,6 +154,7 @@ def test_ctrl_c_late_keeps_what_was_found(drive, tmp_path, monkeypatch):
     output = tmp_path / "out.yaml"
     done = holdfast("calibrate", *(drive[0], "-c", drive[1], "-o", output))
     assert done.code == 130 and done.err.strip().endswith(f"interrupted: what was found until then is in {output}")
+    assert "sensors.lidar.translation_sigma_m: lidar: 0.3 -> " in done.out and ", not written" in done.out
     assert load_config(output) == load_config(drive[1])
     tables = json.loads(output.with_suffix(".json").read_text())["tables"]
     rows = {row[1]: row for table in tables.values() if "key" in table["columns"] for row in table["rows"]}

@@ -87,9 +87,13 @@ def _check(output: Path, page: Path | None, reads: tuple[str, ...], every: int, 
 
 def _print(found: "Calibration") -> None:
     """Print what is written, and what is not and why."""
+    from holdfast.calibration.calibrate import UNJUDGED
+
     for one in found.estimates:
-        if one.is_written:
-            click.echo(f"{one.key}: {one.what}: {one.before:.4g} -> {one.after:.4g} {one.unit}, sigma {one.sigma:.2g}")
+        if one.is_written or one.reason == UNJUDGED:
+            but = "" if one.is_written else ", not written"
+            values = f"{one.before:.4g} -> {one.after:.4g} {one.unit}, sigma {one.sigma:.2g}{but}"
+            click.echo(f"{one.key}: {one.what}: {values}")
     for reason in dict.fromkeys(one.reason for one in found.estimates if not one.is_written):
         names = [f"{one.what} ({one.path[-1]})" for one in found.estimates if one.reason == reason]
         click.echo(f"kept, {reason}: {', '.join(names)}")
