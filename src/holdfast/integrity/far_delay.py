@@ -45,14 +45,13 @@ class FarDelay:
 
     def __init__(self, least: float, *, is_angle: bool) -> None:
         self._least, self._is_angle = least, is_angle
-        self._seen: deque[_Seen] = deque(maxlen=COUNT)
-        self._looked_ns = 0
-        self._suspected: tuple[float, int] | None = None  # a delay [s], and when it was found first
+        self.clear()
 
     def clear(self) -> None:
         """Forget them: their stamps mean something else now."""
-        self._seen.clear()
-        self._suspected = None
+        self._seen: deque[_Seen] = deque(maxlen=COUNT)
+        self._looked_ns = 0
+        self._suspected: tuple[float, int] | None = None  # a delay [s], and when it was found first
 
     def note(self, stamp_ns: int, measured: float, sigma: float, expected: float) -> None:
         """Take in a value with its noise, and what is expected, whether it was used or not."""

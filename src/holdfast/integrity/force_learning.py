@@ -16,13 +16,14 @@ import numpy as np
 from holdfast.graph.smoother import Smoother
 from holdfast.integrity.force_scales import ForceScales, Seen
 from holdfast.integrity.learnt_snapshot import LearntScale
-from holdfast.integrity.point_motion import divided_difference
+from holdfast.integrity.point_motion import divided_difference, white_acceleration
 from holdfast.messages import Array
 from holdfast.sensors.imu import InertialMotion
 from holdfast.sensors.noise import Colour
 from holdfast.sensors.preintegration import MOTION_CORRELATION_S
 from holdfast.sensors.sensor import Position
 
+_NODES, _SHARES = np.polynomial.legendre.leggauss(3)  # exact for polynomials of degree 5
 SPANS = 1, 2, 4  # steps between two of three fixes
 STEP_NS, MAX_STEP_NS = 900_000_000, 2_500_000_000
 MEMORY_S = 600.0
@@ -103,7 +104,6 @@ class ForceLearning:
             for span in SPANS:
                 if len(places) > (steps := (count - 1) * span):
                     scales.learn(_compared(places[-1 - steps :], span, smoother, R_W_I, colour), 0.5 / span)
-        for scales in self._scales.values():
             scales.forget(since_ns * 1e-9 / MEMORY_S)
 
 
@@ -142,13 +142,11 @@ class _Counted(NamedTuple):
     def of(cls, times_s: Array, weights: Array) -> "_Counted":
         """Return that of positions at times (n + 1,)."""
         lengths_s = np.diff(times_s)
-        nodes, shares = np.polynomial.legendre.leggauss(3)  # exact
-        at_s, shares = times_s[:-1, None] + lengths_s[:, None] * 0.5 * (1.0 + nodes), 0.5 * shares
+        at_s = times_s[:-1, None] + lengths_s[:, None] * 0.5 * (1.0 + _NODES)
         left_s = np.maximum(times_s - at_s[..., None], 0.0)
         steady_s2 = 0.5 * float(weights @ times_s**2)
-        noise = lengths_s * ((left_s @ weights) ** 2 @ shares)
-        tilt = lengths_s * ((steady_s2 - 0.5 * left_s**2 @ weights) ** 2 @ shares)
-        return cls(steady_s2, noise, tilt)
+        tilt = lengths_s * ((steady_s2 - 0.5 * left_s**2 @ weights) ** 2 @ (0.5 * _SHARES))
+        return cls(steady_s2, white_acceleration(times_s, weights), tilt)
 
 
 def _measured(smoother: Smoother, start_ns: int, end_ns: int, nav: gtsam.NavState) -> _Step | None:

@@ -51,3 +51,14 @@ def divided_difference(times_s: Array) -> Array:
     weights: Array = 1.0 / differences.prod(axis=1)
     weights /= np.linalg.norm(weights)
     return weights
+
+
+def white_acceleration(times_s: Array, weights: Array) -> Array:
+    """Return the variance (N - 1,) [s^3] of a combination of positions by white noise of density 1 in each interval.
+
+    An acceleration at a time counts as a velocity that begins there, which is linear from one of the times to the next.
+    """
+    counted = np.maximum(times_s - times_s[:, None], 0.0) @ weights
+    before, after = counted[:-1], counted[1:]
+    variances: Array = (before**2 + before * after + after**2) / 3.0 * np.diff(times_s)
+    return variances

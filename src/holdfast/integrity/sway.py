@@ -13,7 +13,14 @@ import numpy as np
 
 from holdfast.event_log import EventLog
 from holdfast.events import EventKind
-from holdfast.integrity.point_motion import SAME_M, Motions, divided_difference, motions_between, times_of
+from holdfast.integrity.point_motion import (
+    SAME_M,
+    Motions,
+    divided_difference,
+    motions_between,
+    times_of,
+    white_acceleration,
+)
 from holdfast.measured_fields import NEVER_NS
 from holdfast.messages import Array
 from holdfast.sensors.imu import ImuBuffer
@@ -51,9 +58,7 @@ class Felt(NamedTuple):
         """Return that of positions (N, 3) at times (N,), given how the IMU has moved meanwhile."""
         weights = divided_difference(times_s)
         seen = weights @ track
-        counted = np.maximum(times_s - times_s[:, None], 0.0) @ weights  # how a velocity at each time counts
-        before, after = counted[:-1], counted[1:]
-        variance = (before**2 + before * after + after**2) / 3.0 @ np.diff(times_s)
+        variance = white_acceleration(times_s, weights).sum()
         by_arm = np.einsum("k,kij->ij", weights, motions.R)
         return cls(weights @ motions.of_point(p_I_P), by_arm, float(seen @ seen), float(variance))
 

@@ -21,21 +21,25 @@ class TurnRates:
     """Those of one odometry."""
 
     def __init__(self) -> None:
-        self.clear()
-
-    def clear(self) -> None:
-        """Forget them: their stamps mean something else now."""
         self._delay = FarDelay(BESIDE_RAD_S, is_angle=False)
         self._before: TrackPose | None = None
 
+    def clear(self) -> None:
+        """Forget them: their stamps mean something else now."""
+        self._delay.clear()
+        self._before = None
+
     def delay_s(self, smoother: Smoother, pose: TrackPose) -> float | None:
         """Take in a pose by its own clock; return by how much that is ahead [s], if it is far off."""
-        before, imu, end_ns = self._before, smoother.imu, pose.claimed_ns
-        start_ns = end_ns - STEP_NS if before is None else before.claimed_ns
+        before, imu = self._before, smoother.imu
+        if before is None or pose.begins_anew:
+            self._before = pose
+            return None
+        start_ns, end_ns = before.claimed_ns, pose.claimed_ns
         if 0 < (time_ns := end_ns - start_ns) < STEP_NS:
             return None
         self._before = pose
-        if before is None or not 0 < time_ns <= MAX_STEP_NS or pose.begins_anew:
+        if not 0 < time_ns <= MAX_STEP_NS:
             return None
         if start_ns < imu.oldest_ns or end_ns > imu.latest_ns or not imu.is_trusted(start_ns, end_ns):
             return None
