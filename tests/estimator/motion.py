@@ -6,6 +6,7 @@ and pitching. Everything is a function of a phase that is zero at standstill and
 """
 
 from dataclasses import dataclass
+from math import cos, sin
 
 import gtsam
 import numpy as np
@@ -57,26 +58,27 @@ class Drive:
 
     def phase(self, t):
         """Phase and its first two derivatives: the rate is a smooth step of fifth order."""
-        x = np.clip((t - self.start_s) / self.ramp_s, 0.0, 1.0)
+        x = min(max((t - self.start_s) / self.ramp_s, 0.0), 1.0)
         ramp = self.ramp_s * (x**6 - 3.0 * x**5 + 2.5 * x**4)
         phase = ramp + max(0.0, t - self.start_s - self.ramp_s)
         rate = 6.0 * x**5 - 15.0 * x**4 + 10.0 * x**3
-        return self.speed * np.array([phase, rate, (30.0 * x**4 - 60.0 * x**3 + 30.0 * x**2) / self.ramp_s])
+        change = (30.0 * x**4 - 60.0 * x**3 + 30.0 * x**2) / self.ramp_s
+        return self.speed * phase, self.speed * rate, self.speed * change
 
     def _euler(self, u):
         """Roll, pitch and yaw, and their derivatives by phase."""
         angles = [
-            self.roll_rad + 0.15 * self.tilt * np.sin(1.3 * u),
-            self.pitch_rad + 0.1 * self.tilt * np.sin(0.9 * u),
+            self.roll_rad + 0.15 * self.tilt * sin(1.3 * u),
+            self.pitch_rad + 0.1 * self.tilt * sin(0.9 * u),
             self.yaw_rad + u,
         ]
-        return angles, [0.195 * self.tilt * np.cos(1.3 * u), 0.09 * self.tilt * np.cos(0.9 * u), 1.0]
+        return angles, [0.195 * self.tilt * cos(1.3 * u), 0.09 * self.tilt * cos(0.9 * u), 1.0]
 
     def nav(self, t):
         u, du, _ = self.phase(t)
         r, a = self.radius_m, self.yaw_rad
-        position = [r * (np.sin(a + u) - np.sin(a)), r * (np.cos(a) - np.cos(a + u)), self.heave_m * np.sin(0.7 * u)]
-        velocity = np.array([r * np.cos(a + u), r * np.sin(a + u), 0.7 * self.heave_m * np.cos(0.7 * u)]) * du
+        position = [r * (sin(a + u) - sin(a)), r * (cos(a) - cos(a + u)), self.heave_m * sin(0.7 * u)]
+        velocity = np.array([r * cos(a + u), r * sin(a + u), 0.7 * self.heave_m * cos(0.7 * u)]) * du
         return gtsam.NavState(gtsam.Rot3.RzRyRx(*self._euler(u)[0]), np.array(position), velocity)
 
     def pose(self, t):
@@ -86,17 +88,17 @@ class Drive:
         """Specific force [m/s^2] and angular velocity [rad/s] of I."""
         u, du, ddu = self.phase(t)
         r, a = self.radius_m, self.yaw_rad
-        first = np.array([r * np.cos(a + u), r * np.sin(a + u), 0.7 * self.heave_m * np.cos(0.7 * u)])
-        second = np.array([-r * np.sin(a + u), r * np.cos(a + u), -0.49 * self.heave_m * np.sin(0.7 * u)])
-        (roll, pitch, _), (d_roll, d_pitch, d_yaw) = self._euler(u)
+        first = np.array([r * cos(a + u), r * sin(a + u), 0.7 * self.heave_m * cos(0.7 * u)])
+        second = np.array([-r * sin(a + u), r * cos(a + u), -0.49 * self.heave_m * sin(0.7 * u)])
+        (roll, pitch, yaw), (d_roll, d_pitch, d_yaw) = self._euler(u)
         rate = np.array(
             [
-                d_roll - np.sin(pitch) * d_yaw,
-                np.cos(roll) * d_pitch + np.sin(roll) * np.cos(pitch) * d_yaw,
-                -np.sin(roll) * d_pitch + np.cos(roll) * np.cos(pitch) * d_yaw,
+                d_roll - sin(pitch) * d_yaw,
+                cos(roll) * d_pitch + sin(roll) * cos(pitch) * d_yaw,
+                -sin(roll) * d_pitch + cos(roll) * cos(pitch) * d_yaw,
             ]
         )
-        return self.nav(t).attitude().unrotate(second * du**2 + first * ddu + UP), rate * du
+        return gtsam.Rot3.RzRyRx(roll, pitch, yaw).unrotate(second * du**2 + first * ddu + UP), rate * du
 
 
 class StopAndGo(Drive):
@@ -104,8 +106,8 @@ class StopAndGo(Drive):
 
     def phase(self, t):
         u, du, ddu = super().phase(t)
-        swing = 1.0 + 0.7 * np.cos(2.0 * u)
-        return np.array([u + 0.35 * np.sin(2.0 * u), du * swing, ddu * swing - 1.4 * np.sin(2.0 * u) * du**2])
+        swing = 1.0 + 0.7 * cos(2.0 * u)
+        return u + 0.35 * sin(2.0 * u), du * swing, ddu * swing - 1.4 * sin(2.0 * u) * du**2
 
 
 @dataclass(frozen=True)
@@ -114,8 +116,8 @@ class FigureEight(Drive):
 
     def _derivatives(self, u):
         """Position and its first two derivatives by phase."""
-        p = np.array([20.0 * np.sin(u), 10.0 * np.sin(2.0 * u), 0.0])
-        return p, np.array([20.0 * np.cos(u), 20.0 * np.cos(2.0 * u), 0.0]), np.array([-p[0], -4.0 * p[1], 0.0])
+        p = np.array([20.0 * sin(u), 10.0 * sin(2.0 * u), 0.0])
+        return p, np.array([20.0 * cos(u), 20.0 * cos(2.0 * u), 0.0]), np.array([-p[0], -4.0 * p[1], 0.0])
 
     def nav(self, t):
         u, du, _ = self.phase(t)

@@ -110,6 +110,6 @@ def test_the_track_of_one_odometry_may_begin_anew_alone():
     rig = Rig(DRIVE, machine(more={"camera": {"kind": "odometry", "frame": "lidar"}}), 3.0)
     for name in ("lidar", "camera"):
         rig.graph.add_pose(TrackPose(ns(0.5), name, gtsam.Pose3()))
-    rig.graph.begin_tracks_anew(rig.graph.main, "camera")
+    rig.graph.begin_tracks_anew("camera", within=rig.graph.main)
     assert rig.graph.newest_pose("camera") is None
     assert rig.graph.newest_pose("lidar").stamp_ns == ns(0.5)

@@ -88,11 +88,11 @@ class StandstillUpdates:
         quiet, node = self._quiet(end_ns), smoother.last_before(stamp_ns)
         if quiet is None or node is None or self._quiet(end_ns + self._period_ns) is None:
             return False
-        nav, covariance = smoother.nav(node), smoother.covariance(node)
-        doubt = 3.0 * float(np.sqrt(covariance[6:9, 6:9].trace()))
+        nav, newest = smoother.nav(node), smoother.newest  # whose covariance is at hand, that of a node is not
+        doubt = 3.0 * float(np.sqrt(newest.covariance[6:9, 6:9].trace()))
         if np.linalg.norm(nav.velocity()) > self._config.max_speed_m_s + doubt:
             return False
-        if self._is_accelerating(quiet[0], nav, smoother.newest.bias, smoother.newest.covariance):
+        if self._is_accelerating(quiet[0], nav, newest.bias, newest.covariance):
             return False
         stand = self._stands(end_ns, self._config.window_s)
         return doubt < KNOWN_SPEED_M_S if stand is None else stand

@@ -394,7 +394,7 @@ class Tracking:
             smoother.optimise()
         except OptimiserError as fault:
             self._log.report(EventKind.OPTIMISER_FAULT, smoother.newest_ns, "", str(fault))
-            self.graph.begin_tracks_anew(smoother)
+            self.graph.begin_tracks_anew(within=smoother)
             self._monitor.reset(self._buffer.latest_ns)
             if smoother is self.graph.main:
                 self._recovery.forget_window()

@@ -149,8 +149,11 @@ class DualGraph:
         for smoother in self.smoothers():
             smoother.parameters.let_go(name, start)
 
-    def begin_tracks_anew(self, smoother: Smoother, odometry: str | None = None) -> None:
-        """Begin the track of an odometry, or of all, anew in a smoother that lost its window or its position."""
+    def begin_tracks_anew(self, odometry: str | None = None, *, within: Smoother | None = None) -> None:
+        """Begin the track of an odometry, or of all, anew in both graphs, or within one smoother.
+
+        What joins it to the poses before is not to be believed, or the smoother lost its window or its position.
+        """
         for graph in self._graphs():
-            if graph.smoother is smoother:
+            if within in (None, graph.smoother):
                 graph.begin_tracks_anew(odometry)

@@ -92,7 +92,7 @@ class MotionNearby:
         there_ns = self._stamp_ns + round(duration_s * 1e9)
         start_ns, end_ns = min(self._stamp_ns, there_ns), min(max(self._stamp_ns, there_ns), self._imu.latest_ns)
         dt_s = (end_ns - start_ns) * 1e-9
-        if dt_s < LEAST_S or start_ns < self._imu.oldest_ns or not self._imu.is_trusted(start_ns, end_ns):
+        if dt_s < LEAST_S or not self._imu.is_trusted(start_ns, end_ns):
             return UNKNOWN
         R, v, p = self._imu.motion(start_ns, end_ns, self._bias.vector())
         velocity = self._nav.bodyVelocity()

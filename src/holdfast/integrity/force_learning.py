@@ -66,18 +66,23 @@ class ForceLearning:
 
     def __init__(self, carried: LearntScale | None = None) -> None:
         self._scales = {3: ForceScales(carried), 5: ForceScales()}  # by how many fixes are compared
+        self._told = self._tell()
         self._places: deque[_Place] = deque(maxlen=2 * max(SPANS) + 1)
 
     @property
     def accelerometer_scale(self) -> float:
         """How many times larger the error of the accelerometer in proportion to the motion is than configured."""
-        return min(self._scales[3].accelerometer, LASTING * self._scales[5].most)
+        return self._told[0]
 
+    @property
     def learnt(self) -> LearntScale | None:
-        """Return what is believed of the accelerometer; None where nothing was taken in."""
-        found = self._scales[3].learnt()
-        too_large = log(self._scales[3].accelerometer / self.accelerometer_scale)
-        return found and found.model_copy(update={"log_mean": found.log_mean - too_large})
+        """What is believed of the accelerometer; None where nothing was taken in."""
+        return self._told[1]
+
+    def _tell(self) -> tuple[float, LearntScale | None]:
+        of_three, found = self._scales[3].accelerometer, self._scales[3].learnt()
+        scale = min(of_three, LASTING * self._scales[5].most)
+        return scale, found and found.model_copy(update={"log_mean": found.log_mean - log(of_three / scale)})
 
     def learn(self, smoother: Smoother, position: Position, beyond: Array, colour: Colour) -> None:
         """Take in a fix that was used and has a node, in the order of stamps.
@@ -99,27 +104,51 @@ class ForceLearning:
         if step is None:
             self._places.clear()
         self._places.append(_Place(position.stamp_ns, nav.position() + beyond, position.covariance.diagonal(), step))
-        places, R_W_I = list(self._places), nav.attitude().matrix()
+        places, tilted = list(self._places), _Tilted.now(smoother, nav.attitude().matrix())
         for count, scales in self._scales.items():
             for span in SPANS:
                 if len(places) > (steps := (count - 1) * span):
-                    scales.learn(_compared(places[-1 - steps :], span, smoother, R_W_I, colour), 0.5 / span)
+                    scales.learn(_compared(places[-1 - steps :], span, tilted, colour), 0.5 / span)
             scales.forget(since_ns * 1e-9 / MEMORY_S)
+        self._told = self._tell()
 
 
-def _compared(places: Sequence[_Place], span: int, smoother: Smoother, R_W_I: Array, colour: Colour) -> Seen:
-    """Compare every span-th fix with what was measured from step to step; attitude (3, 3) at the newest."""
+class _Tilted(NamedTuple):
+    """How the machine stands at a fix.
+
+    Attributes:
+        R_W_I: attitude (3, 3).
+        gravity: [m/s^2].
+        variance: of an acceleration in W (3,) [m^2/s^4], given tilt and bias, which are one at rest.
+    """
+
+    R_W_I: Array
+    gravity: float
+    variance: Array
+
+    @classmethod
+    def now(cls, smoother: Smoother, R_W_I: Array) -> "_Tilted":
+        """Return it, known as well as the newest state."""
+        gravity = smoother.imu_noise.gravity
+        J = np.concatenate([R_W_I @ gtsam.SO3.Hat(R_W_I.T @ np.array([0.0, 0.0, gravity])), R_W_I], axis=1)
+        held = np.r_[0:3, 9:12]
+        covariance = smoother.newest.covariance[np.ix_(held, held)]
+        return cls(R_W_I, gravity, np.einsum("ij,jk,ik->i", J, covariance, J))
+
+
+def _compared(places: Sequence[_Place], span: int, tilted: _Tilted, colour: Colour) -> Seen:
+    """Compare every span-th fix with what was measured from step to step, as the machine stands at the newest."""
     steps = [place.step for place in places[1:] if place.step is not None]
     times_s = np.cumsum([0.0, *(one.time_s for one in steps)])
     weights = np.zeros(len(places))
     weights[::span] = divided_difference(times_s[::span])
-    counted, gravity = _Counted.of(times_s, weights), smoother.imu_noise.gravity
+    counted = _Counted.of(times_s, weights)
     R, moved = _moved(steps)
     track = np.array([one.p_W_I for one in places])
-    beyond = weights @ track - R_W_I @ R.T @ (weights @ moved) + [0.0, 0.0, counted.steady_s2 * gravity]
+    beyond = weights @ track - tilted.R_W_I @ R.T @ (weights @ moved) + [0.0, 0.0, counted.steady_s2 * tilted.gravity]
     density, error, turning = np.array([(one.density, one.error, one.turning) for one in steps]).T
-    known = counted.steady_s2**2 * _acceleration_variance(smoother, R_W_I) + counted.noise @ density
-    known[:2] += gravity**2 * (counted.tilt @ turning)
+    known = counted.steady_s2**2 * tilted.variance + counted.noise @ density
+    known[:2] += tilted.gravity**2 * (counted.tilt @ turning)
     alike = float(weights @ np.exp(-np.abs(times_s[:, None] - times_s) / colour.time_constant_s) @ weights)
     claim = places[len(places) // 2].claim
     return Seen(beyond**2, known, float(counted.noise @ error), colour.white * claim, colour.slow * alike * claim)
@@ -152,7 +181,7 @@ class _Counted(NamedTuple):
 def _measured(smoother: Smoother, start_ns: int, end_ns: int, nav: gtsam.NavState) -> _Step | None:
     """Return what the IMU measured between two times, at the latter of which a state is known; None in a gap."""
     imu, noise = smoother.imu, smoother.imu_noise
-    if start_ns < imu.oldest_ns or not imu.is_trusted(start_ns, end_ns):
+    if not imu.is_trusted(start_ns, end_ns):
         return None
     time_s = (end_ns - start_ns) * 1e-9
     bias: Array = smoother.newest.bias.vector()
@@ -184,15 +213,6 @@ def _moved(steps: Iterable[_Step]) -> tuple[Array, Array]:
     return R, np.array(p)
 
 
-def _acceleration_variance(smoother: Smoother, R_W_I: Array) -> Array:
-    """Return how well the acceleration in W is known (3,) [m^2/s^4], given tilt and bias, which are one at rest."""
-    up = R_W_I.T @ np.array([0.0, 0.0, smoother.imu_noise.gravity])
-    J = np.concatenate([R_W_I @ gtsam.SO3.Hat(up), R_W_I], axis=1)
-    held = np.r_[0:3, 9:12]
-    variance: Array = np.einsum("ij,jk,ik->i", J, smoother.newest.covariance[np.ix_(held, held)], J)
-    return variance
-
-
 def least_scale(learners: Iterable[ForceLearning]) -> float:
     """Return the scale of the accelerometer: an error of it shows against each receiver that has told anything."""
-    return min((one.accelerometer_scale for one in learners if one.learnt() is not None), default=1.0)
+    return min((one.accelerometer_scale for one in learners if one.learnt is not None), default=1.0)

@@ -212,8 +212,7 @@ class Odometries:
         reason = f"its stamps are {abs(early_s):.2f} s {'early' if early_s > 0.0 else 'late'} now"
         self._log.report(EventKind.CLOCK_STEP, graph.main.newest_ns, name, reason)
         self._mount(graph, name, calibration.prior_by_clock(known, np.sqrt(covariance.diagonal()), early_s))
-        for smoother in graph.smoothers():
-            graph.begin_tracks_anew(smoother, name)
+        graph.begin_tracks_anew(name)
         odometry.forget_frame()
 
     def go_on_from(self, graph: DualGraph, before: "Odometries") -> None:
@@ -254,8 +253,7 @@ class Odometries:
         self._log.report(EventKind.CALIBRATION, pose.stamp_ns, name, told(delay_s))
         self._date_later([name], -round(delay_s * 1e9))
         odometry.begin_anew()
-        for smoother in graph.smoothers():
-            graph.begin_tracks_anew(smoother, name)
+        graph.begin_tracks_anew(name)
         self._mounts.pop(name, None)
         for prior in calibration.prior, calibration.arm_prior, calibration.scale_prior:
             if prior is not None:
@@ -271,7 +269,7 @@ class Odometries:
                     if smoother is graph.main:
                         self._log.recount(name, Outcome.USED, Outcome.CONTRADICTED)
                         self._log.record(one.stamp_ns, name, Outcome.CONTRADICTED)
-            graph.begin_tracks_anew(smoother, name)
+        graph.begin_tracks_anew(name)
         self._forget_shape(graph, name)
         self._log.report(EventKind.SENSOR_LOST, now_ns, name, reason)
 
@@ -327,7 +325,7 @@ class Odometries:
             if self._odometries[name].trust.note_slip(now_ns, found.distance_m, found.moved_m):
                 self._lose(graph, name, found.since_ns, now_ns, f"it slips again, {beside}")
             else:
-                graph.begin_tracks_anew(graph.main, name)
+                graph.begin_tracks_anew(name, within=graph.main)
         return None
 
     def estimated(self, graph: DualGraph, pose: TrackPose) -> gtsam.Pose3:

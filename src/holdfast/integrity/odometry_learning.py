@@ -329,7 +329,7 @@ def _measured(smoother: Smoother, first: TrackPose, last: TrackPose, believed: A
     """Return what the IMU measured between two poses of an odometry; None where it did not measure all along."""
     imu, early_ns = smoother.imu, _early_ns(believed)
     start_ns, end_ns = first.claimed_ns + early_ns, last.claimed_ns + early_ns
-    if end_ns - start_ns > MAX_STEP_NS or start_ns < imu.oldest_ns or not imu.is_trusted(start_ns, end_ns):
+    if end_ns - start_ns > MAX_STEP_NS or not imu.is_trusted(start_ns, end_ns):
         return None
     return imu.motion(start_ns, end_ns, smoother.seen_bias(imu.turning(start_ns, end_ns)).vector())
 

@@ -39,9 +39,7 @@ class TurnRates:
         if 0 < (time_ns := end_ns - start_ns) < STEP_NS:
             return None
         self._before = pose
-        if not 0 < time_ns <= MAX_STEP_NS:
-            return None
-        if start_ns < imu.oldest_ns or end_ns > imu.latest_ns or not imu.is_trusted(start_ns, end_ns):
+        if not 0 < time_ns <= MAX_STEP_NS or not imu.is_trusted(start_ns, end_ns):
             return None
         by_odometry = before.T_I0_I.rotation().between(pose.T_I0_I.rotation()).matrix()
         by_gyroscope = imu.motion(start_ns, end_ns, smoother.newest.bias.vector()).R

@@ -176,7 +176,10 @@ class ImuBuffer:
         return int(self._one["first"]), int(self._one["end"])
 
     def is_trusted(self, start_ns: int, end_ns: int) -> bool:
-        """Whether the IMU measured all along, and not in a way that may yet turn out to be a straight line."""
+        """Whether the IMU measured all along, and not in a way that may yet turn out to be a straight line.
+
+        It has not before the oldest sample that is held, nor after the newest.
+        """
         line_start, end = int(self._one["line_start"]), int(self._one["end"])
         if end - 1 - line_start >= SUSPECT_LINE and end_ns > self.samples[line_start]["stamp_ns"]:
             return False

@@ -67,7 +67,7 @@ class RateForecast:
         self._next_ns = until_ns + STEP_NS
         for k, span_s in enumerate(SPANS_S):
             start_ns = until_ns - round(span_s * 1e9)
-            if start_ns <= imu.oldest_ns or not imu.is_trusted(start_ns, until_ns):
+            if not imu.is_trusted(start_ns, until_ns):
                 continue
             R = imu.motion(start_ns, until_ns, np.r_[np.zeros(3), bias]).R
             x, y = imu.angular_velocity(start_ns) - bias, gtsam.Rot3.Logmap(gtsam.Rot3(R)) / span_s
