@@ -11,7 +11,7 @@ from copy import deepcopy
 from typing import Any
 
 import numpy as np
-from wrong_by_ten import scored
+from wrong_by_ten import print_scored
 
 from holdfast.sim.configuration import configuration_data
 from holdfast.sim.scenario import load_scenario
@@ -55,14 +55,13 @@ def main() -> None:
     scenario = load_scenario(given.scenario)
     data = configuration_data(scenario, given.seed)
     distances = {which: (0.0,) if which == "exchanged" else (0.0, *given.m) for which in given.which}
-    tried = [(which, axis, by) for which in given.which for by in distances[which] for axis in "xy"[: 2 if by else 1]]
-    print("| antennas | axis | moved by [m] | horizontal RMS [m] | heading RMS [deg] | outages: horizontal RMS [m] |")
-    print("|---|---|---:|---:|---:|---:|")
-    vectors = [np.eye(3)["xyz".index(axis)] * by for _, axis, by in tried]
-    changed = [moved(data, which, by, is_known=given.known) for (which, _, _), by in zip(tried, vectors, strict=True)]
-    for (which, axis, by), row in zip(tried, scored(scenario, given.seed, changed), strict=True):
-        cells = " | ".join(f"{row[title]:.3f}" for title in SHOWN)
-        print(f"| {which} | {axis if by else ''} | {by:g} | {cells} |", flush=True)
+    tried = [
+        ((which, axis if by_m else "", f"{by_m:g}"), moved(data, which, by_m * along, is_known=given.known))
+        for which in given.which
+        for by_m in distances[which]
+        for axis, along in zip("xy"[: 2 if by_m else 1], np.eye(3), strict=False)
+    ]
+    print_scored(scenario, given.seed, ("antennas", "axis", "moved by [m]"), tried, SHOWN)
 
 
 if __name__ == "__main__":

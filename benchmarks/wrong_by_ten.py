@@ -84,6 +84,20 @@ def scored(
         )
 
 
+def print_scored(
+    scenario: Scenario,
+    seed: int,
+    heads: Sequence[str],
+    tried: Sequence[tuple[Sequence[str], dict[str, Any]]],
+    shown: Sequence[str],
+) -> None:
+    """Print a table of some measures: a line per configuration, which begins with what is wrong with it."""
+    print(f"| {' | '.join([*heads, *shown])} |")
+    print(f"|{'---|' * len(heads)}{'---:|' * len(shown)}")
+    for (labels, _), row in zip(tried, scored(scenario, seed, [data for _, data in tried]), strict=True):
+        print(f"| {' | '.join([*labels, *(f'{row[title]:.3f}' for title in shown)])} |", flush=True)
+
+
 def main() -> None:
     """Run what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__)

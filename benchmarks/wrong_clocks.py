@@ -8,7 +8,7 @@ import argparse
 from copy import deepcopy
 from typing import Any
 
-from wrong_by_ten import scored
+from wrong_by_ten import print_scored
 
 from holdfast.sim.configuration import configuration_data
 from holdfast.sim.scenario import load_scenario
@@ -36,12 +36,9 @@ def main() -> None:
     scenario = load_scenario(given.scenario)
     data = configuration_data(scenario, given.seed)
     sensors = [name for name, one in data["sensors"].items() if "topic" in one and one["kind"] != "imu"]
-    tried = [("none", 0.0), *((name, by_s) for name in sensors if given.only in name for by_s in given.seconds)]
-    print(f"| sensor | late by [s] | {' | '.join(SHOWN)} |")
-    print(f"|---|---:|{'---:|' * len(SHOWN)}")
-    changed = [late(data, name, by_s) if by_s else data for name, by_s in tried]
-    for (name, by_s), row in zip(tried, scored(scenario, given.seed, changed), strict=True):
-        print(f"| {name} | {by_s:g} | {' | '.join(f'{row[title]:.3f}' for title in SHOWN)} |", flush=True)
+    wrong = [(name, by_s) for name in sensors if given.only in name for by_s in given.seconds]
+    tried = [(("none", "0"), data), *(((name, f"{by_s:g}"), late(data, name, by_s)) for name, by_s in wrong)]
+    print_scored(scenario, given.seed, ("sensor", "late by [s]"), tried, SHOWN)
 
 
 if __name__ == "__main__":

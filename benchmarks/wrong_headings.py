@@ -10,7 +10,7 @@ import argparse
 from copy import deepcopy
 from typing import Any
 
-from wrong_by_ten import scored
+from wrong_by_ten import print_scored
 
 from holdfast.config.load import config_of
 from holdfast.config.sensors import HeadingConfig
@@ -50,13 +50,12 @@ def main() -> None:
     scenario = load_scenario(given.scenario)
     data = configuration_data(scenario, given.seed)
     offs = [(0.0, 0.0), *((by_deg, 0.0) for by_deg in given.deg), *((0.0, by_s) for by_s in given.seconds)]
-    tried = [(is_alone, *off) for is_alone in (False, True) for off in offs]
-    print(f"| antennas | turned by [deg] | late by [s] | {' | '.join(SHOWN)} |")
-    print(f"|---|---:|---:|{'---:|' * len(SHOWN)}")
-    changed = [wrong(data, by_deg, by_s, is_alone=is_alone, is_known=given.known) for is_alone, by_deg, by_s in tried]
-    for (is_alone, by_deg, by_s), row in zip(tried, scored(scenario, given.seed, changed), strict=True):
-        cells = " | ".join(f"{row[title]:.3f}" for title in SHOWN)
-        print(f"| {'one' if is_alone else 'two'} | {by_deg:g} | {by_s:g} | {cells} |", flush=True)
+    tried = [
+        ((antennas, f"{by_deg:g}", f"{by_s:g}"), wrong(data, by_deg, by_s, is_alone=is_alone, is_known=given.known))
+        for antennas, is_alone in (("two", False), ("one", True))
+        for by_deg, by_s in offs
+    ]
+    print_scored(scenario, given.seed, ("antennas", "turned by [deg]", "late by [s]"), tried, SHOWN)
 
 
 if __name__ == "__main__":
