@@ -113,6 +113,18 @@ def test_while_the_imu_is_silent_a_measurement_does_not_wait_for_it():
     assert not run.tracking.receive(receive(run.buffer, imu(DRIVE, 1.1, 1.1)[0]))
 
 
+def test_what_would_begin_anew_does_not_take_a_prism_that_is_elsewhere():
+    """Where GNSS was silent it began there, metres off, and refused GNSS when that came back."""
+    run = begun(more={"prism": {"kind": "prism", "mount": at(ARM)}})
+    elsewhere = [position(DRIVE, t, ARM, (2.0, 0.0, 0.0), sensor="prism") for t in np.arange(0.15, 3.0, 0.1)]
+    run.go(3.0, sorted([*fixes(0.1, 3.0), *elsewhere], key=lambda one: one.stamp_ns))
+    assert run.tracking.distrusted == {"prism"}
+    taken = []
+    run.tracking.successor.add = taken.append
+    run.go(5.0, [position(DRIVE, 4.0, ARM), position(DRIVE, 4.05, ARM, (2.0, 0.0, 0.0), sensor="prism")])
+    assert [one.sensor for one in taken] == ["gnss"]
+
+
 def test_a_gap_of_the_imu_is_reported_once():
     run = begun()
     run.go(2.0, skip=lambda t: 0.5 < t < 1.0)

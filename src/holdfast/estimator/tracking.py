@@ -294,7 +294,7 @@ class Tracking:
         What would begin anew takes it as it was claimed: fixes that wander would else fit to each other.
         """
         measurement = self._dated(measurement)
-        if measurement.sensor not in self._odometries.distrusted:
+        if measurement.sensor not in self.distrusted:
             self.successor.add(measurement if isinstance(measurement, TrackPose) else claimed)
         stamp_ns, published = measurement.stamp_ns, self.graph.published
         name = measurement.sensor

@@ -85,7 +85,7 @@ class Positions:
         self.are_arms_proven = False  # whether those of antennas are as they were measured
         self._departures = {name: Departures() for name in sensors}
         self.wandering: Collection[str] = ()  # receivers that are wrong, though their positions agree with each other
-        self._agreeing: set[str] = set()  # have ever been as expected; what is no antenna, beside one that led
+        self._agreeing: set[str] = set()  # have ever been as expected; what is no antenna was used, beside one that led
         self._scales = scales
         self._force = {name: ForceLearning(accelerometer) for name in sensors}
         self.believe_after_s = believe_after_s
@@ -189,7 +189,7 @@ class Positions:
         is_apart = worse is not position and not others  # from the other antennas, as it is mounted
         outcome = gate.judge(position, prediction, now_ns=now_ns, baseline_agrees=is_apart)
         is_refused = outcome not in (Outcome.USED, Outcome.QUARANTINED)
-        if not is_refused and (self.lead or name in self._antennas):
+        if (self.lead and outcome is Outcome.USED) or (name in self._antennas and not is_refused):
             self._agreeing.add(name)
         self._consensus[name].add(position, outcome, innovation.y, is_expected=prediction.nis <= gate.limit)
         self._note_departure(claimed, prediction.innovation, scale, is_refused=is_refused)
