@@ -60,5 +60,5 @@ def test_an_attitude_that_is_wrong_does_not_accuse_it(wrong):
     """It was believed thirty times less, so that nothing mended the attitude."""
     learning = learnt(**wrong)
     assert learning.accelerometer_scale < 1.5
-    found = learning.learnt
+    found = learning.learnt()
     assert np.exp(found.log_mean) <= learning.accelerometer_scale

@@ -66,18 +66,17 @@ class ForceLearning:
 
     def __init__(self, carried: LearntScale | None = None) -> None:
         self._scales = {3: ForceScales(carried), 5: ForceScales()}  # by how many fixes are compared
-        self._told = self._tell()
+        self._scale, self._learnt = self._tell()
         self._places: deque[_Place] = deque(maxlen=2 * max(SPANS) + 1)
 
     @property
     def accelerometer_scale(self) -> float:
         """How many times larger the error of the accelerometer in proportion to the motion is than configured."""
-        return self._told[0]
+        return self._scale
 
-    @property
     def learnt(self) -> LearntScale | None:
-        """What is believed of the accelerometer; None where nothing was taken in."""
-        return self._told[1]
+        """Return what is believed of the accelerometer; None where nothing was taken in."""
+        return self._learnt
 
     def _tell(self) -> tuple[float, LearntScale | None]:
         of_three, found = self._scales[3].accelerometer, self._scales[3].learnt()
@@ -110,7 +109,7 @@ class ForceLearning:
                 if len(places) > (steps := (count - 1) * span):
                     scales.learn(_compared(places[-1 - steps :], span, tilted, colour), 0.5 / span)
             scales.forget(since_ns * 1e-9 / MEMORY_S)
-        self._told = self._tell()
+        self._scale, self._learnt = self._tell()
 
 
 class _Tilted(NamedTuple):
@@ -215,4 +214,4 @@ def _moved(steps: Iterable[_Step]) -> tuple[Array, Array]:
 
 def least_scale(learners: Iterable[ForceLearning]) -> float:
     """Return the scale of the accelerometer: an error of it shows against each receiver that has told anything."""
-    return min((one.accelerometer_scale for one in learners if one.learnt is not None), default=1.0)
+    return min((one.accelerometer_scale for one in learners if one.learnt() is not None), default=1.0)

@@ -241,7 +241,7 @@ class Positions:
 
     def learnt_accelerometer(self) -> LearntScale | None:
         """Return what is known of the accelerometer; None where nothing is."""
-        known = [found for one in self._force.values() if (found := one.learnt) is not None]
+        known = [found for one in self._force.values() if (found := one.learnt()) is not None]
         return min(known, key=lambda one: one.log_mean, default=None)
 
     def _learn_force(self, graph: DualGraph, claimed: Position, found: Compared) -> None:
