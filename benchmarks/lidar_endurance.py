@@ -21,7 +21,7 @@ from endurance import resident_mb
 
 from holdfast.config.load import load_config
 from holdfast.lidar_odometry.in_step import InStep
-from holdfast.lidar_odometry.runner import DECODE_IMU, Options, choose_topic, guide_of
+from holdfast.lidar_odometry.runner import Options, choose_topic, guide_of
 from holdfast.lidar_odometry.scan_map import MEMORY_SWEEPS
 from holdfast.recording.decode import stamp_ns
 from holdfast.recording.kinds.scans import point_cloud
@@ -52,7 +52,7 @@ def rows(folder: Path, row_minutes: float) -> Iterator[tuple[float, ...]]:
                     continue
                 message = codecs[channel].deserialize(raw)
                 if channel.topic != topic:
-                    odometry.add_sample(DECODE_IMU(message, arrival_ns))
+                    odometry.add_sample(guide.decode(message, arrival_ns))
                     continue
                 odometry.add_scan(point_cloud(stamp_ns(message), arrival_ns, "", message))
                 is_row = arrival_ns >= next_ns

@@ -26,7 +26,7 @@ from holdfast.evaluation.association import Pairs, associate
 from holdfast.evaluation.relative import rpe
 from holdfast.lidar_odometry.inertial_guide import ImuSamples
 from holdfast.lidar_odometry.registration import METHODS
-from holdfast.lidar_odometry.runner import DECODE_IMU, Options, choose_topic, guide_of, settings_of_options
+from holdfast.lidar_odometry.runner import Options, choose_topic, guide_of, settings_of_options
 from holdfast.lidar_odometry.scan_odometry import ScanOdometry
 from holdfast.recording.decode import stamp_ns
 from holdfast.recording.kinds.scans import point_cloud
@@ -62,7 +62,7 @@ def register(folder: Path, method: str, imu_helps: bool, threads: int, seconds: 
                 continue
             message = codecs[channel].deserialize(raw)
             if channel.topic != topic:
-                samples.append(DECODE_IMU(message, arrival_ns))
+                samples.append(guide.decode(message, arrival_ns))
                 continue
             scan = point_cloud(stamp_ns(message), arrival_ns, "", message)
             began_s, cpu_s = perf_counter(), process_time()

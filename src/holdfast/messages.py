@@ -97,7 +97,7 @@ class ImuSample:
         return (*self.angular_velocity.tolist(), *self.specific_force.tolist())
 
     @classmethod
-    def of(cls, stamp_ns: int, arrival_ns: int, sensor: str, values: Sequence[float]) -> Self:
+    def of(cls, stamp_ns: int, arrival_ns: int, sensor: str, values: Sequence[float] | Array) -> Self:
         """Return the sample that has a row."""
         readings = np.array(values)
         return cls(stamp_ns, arrival_ns, sensor, readings[:3], readings[3:])

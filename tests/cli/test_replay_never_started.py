@@ -84,8 +84,14 @@ def test_an_accelerometer_in_g_is_guessed(rows, tmp_path):
     in_g = [(at, arrival, (*v[:3], *(x / 9.81 for x in v[3:]))) for at, arrival, v in rows.imu]
     drive = write_csv(tmp_path / "csv", replace(rows, imu=in_g))
     done = holdfast("replay", drive, "-c", write_config(tmp_path / "config.yaml"), "-o", tmp_path / "out")
-    assert_one_error(done, 4, "never started", "is the accelerometer in g?")
+    why = "sensors.imu.accelerometer_factors looks wrong (gravity shows that its accelerometer gives g): [9.80665, "
+    assert_one_error(done, 4, "never started", "is the accelerometer in g?", why)
     assert_outputs_say_why(tmp_path / "out", "is the accelerometer in g?")
+    assert summary(tmp_path / "out")["looks_wrong"][0].startswith(why)
+    config = write_config(tmp_path / "right.yaml", imu={"accelerometer_factors": [9.81, 9.81, 9.81]})
+    done = holdfast("replay", drive, "-c", config, "-o", tmp_path / "right")
+    assert done.code == 0, done.err
+    assert summary(tmp_path / "right")["looks_wrong"] == []
 
 
 def test_standstill_without_a_heading_says_what_to_give(rows, tmp_path):

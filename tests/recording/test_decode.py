@@ -23,7 +23,8 @@ from bags import (
 from hypothesis import given
 from hypothesis import strategies as st
 
-from holdfast.errors import RecordingError
+from holdfast.config.sensors import ImuConfig
+from holdfast.errors import ConfigError, RecordingError
 from holdfast.messages import FixStatus
 from holdfast.recording.decode import UndecodableError
 from holdfast.recording.kinds import KINDS, make_decoder
@@ -50,6 +51,22 @@ def test_imu_passes_every_float_on_unchanged(store, rate, force) -> None:
     np.testing.assert_array_equal(sample.angular_velocity, rate)
     np.testing.assert_array_equal(sample.specific_force, force)
     assert (sample.stamp_ns, sample.arrival_ns, sample.sensor) == (START_NS + 123, 7, "sensor")
+
+
+@pytest.mark.parametrize("store", STORES)
+def test_readings_of_a_driver_with_other_units_are_multiplied(store) -> None:
+    section = ImuConfig(kind="imu", topic="/imu", gyroscope_factors=(0.1, 1.0, -1.0), accelerometer_factors=(9.8,) * 3)
+    message = imu(store, START_NS, (1.0, 2.0, 3.0), (0.0, 0.5, 1.0))
+    subscription = Subscription("/t", "sensor", "imu", factors=section.factors)
+    sample = make_decoder(subscription, message.__msgtype__, "file")(message, 7)
+    np.testing.assert_allclose(sample.angular_velocity, (0.1, 2.0, -3.0))
+    np.testing.assert_allclose(sample.specific_force, (0.0, 4.9, 9.8))
+    assert (sample.stamp_ns, sample.arrival_ns, sample.sensor) == (START_NS, 7, "sensor")
+
+
+def test_a_factor_of_zero_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"gyroscope_factors: must not hold 0"):
+        ImuConfig(kind="imu", topic="/imu", gyroscope_factors=(1.0, 0.0, 1.0))
 
 
 @given(stamp_ns=st.integers(0, 2**31 * 10**9 - 1))

@@ -21,6 +21,7 @@ from holdfast.config.sensors import (
     ScansConfig,
 )
 from holdfast.geometry.earth import Geodetic, LocalFrame
+from holdfast.recording.driver_check import driver_faults
 from holdfast.recording.first_config import first_config
 from holdfast.recording.imu_at_rest import imu_at_rest
 from holdfast.recording.source import open_recording
@@ -116,16 +117,14 @@ def test_an_imu_that_never_is_quiet_gives_no_noise(tmp_path: Path) -> None:
     assert config.imu == ImuConfig(kind="imu", topic="/imu")
 
 
-def test_an_accelerometer_in_g_is_a_warning(tmp_path: Path) -> None:
-    text, _ = configured(tmp_path, standing(scale=1.0 / 9.81))
-    assert "# WARNING: the mean specific force is 1.00 at rest: the accelerometer seems to measure in g" in text
-    assert "in g" not in configured(tmp_path / "good", standing())[0]
-
-
-def test_an_accelerometer_in_thousandths_of_g_is_a_warning(tmp_path: Path) -> None:
-    text, _ = configured(tmp_path, standing(scale=1000.0 / 9.81))
-    assert "# WARNING: the median specific force is 1000, where gravity alone is 9.8" in text
-    assert "another unit" not in configured(tmp_path / "good", standing())[0]
+@pytest.mark.parametrize(("unit", "factor"), [("g", 9.80665), ("mg", 0.00980665)])
+def test_an_accelerometer_in_g_or_mg_gets_factors_and_a_warning(tmp_path: Path, unit: str, factor: float) -> None:
+    text, config = configured(tmp_path, standing(scale=1.0 / factor))
+    assert config.imu.accelerometer_factors == (factor,) * 3
+    assert config.imu.gyroscope_factors == (1.0, 1.0, 1.0)
+    assert text.count("# WARNING: ") == 1
+    assert f"# WARNING: gravity shows that its accelerometer gives {unit}: mended by accelerometer_factors" in text
+    assert "mended" not in configured(tmp_path / "good", standing())[0]
 
 
 def test_specific_force_without_gravity_is_a_warning(tmp_path: Path) -> None:
@@ -177,6 +176,7 @@ def moving(
     velocity_early_s: float = 0.0,
     *,
     unit_rad_s: float = 1.0,
+    unit_m_s2: float = 1.0,
     axes: tuple[int, ...] = (0, 1, 2),
     heading_sign: float = 1.0,
     ahead_s: float = 0.0,
@@ -189,7 +189,7 @@ def moving(
     ahead_ns, late_ns = round(ahead_s * 1e9), round(late_s * 1e9)
     for t, row in zip(*driven(motion), strict=True):
         stamp, rate = START_NS + round(t * 1e9), row[:3] / unit_rad_s
-        yield "/imu", stamp, imu(HUMBLE, stamp, rate=rate, force=row[3:])
+        yield "/imu", stamp, imu(HUMBLE, stamp, rate=rate, force=row[3:] / unit_m_s2)
     frame = LocalFrame(Geodetic(47.4, 8.0, 450.0))
     for t, p in zip(*received(motion, POSITIONS, 0.01, fix_early_s, 4), strict=True):
         at = START_NS + round(t * 1e9) + late_ns
@@ -258,15 +258,41 @@ def test_a_clock_that_is_right_stays_alone_and_a_note_says_how_well_it_is_known(
     assert text.count("# clock against the IMU: too little motion to measure it") == 3
 
 
-def test_an_imu_that_goes_otherwise_than_its_antennas_is_a_warning_and_measures_no_clock(
-    tmp_path: Path, right: tuple[str, Config]
+@pytest.mark.parametrize(("unit_rad_s", "unit_m_s2"), [(np.pi / 180.0, 1.0), (np.pi / 180.0, 9.80665), (1.0, -1.0)])
+def test_an_imu_that_goes_otherwise_than_its_antennas_gets_factors_and_all_else_is_measured_with_them(
+    tmp_path: Path, right: tuple[str, Config], unit_rad_s: float, unit_m_s2: float
 ) -> None:
-    text, config = configured(tmp_path, moving(fix_early_s=0.1, unit_rad_s=np.pi / 180.0))
-    assert "# WARNING: it goes with the motion of the antennas as if the gyroscope gave deg/s (residuals " in text
-    assert offsets(config) == [0.0] * 3
-    assert "clock against the IMU" not in text
-    text, _ = right
-    assert "motion of the antennas" not in text
+    text, config = configured(
+        tmp_path, moving(fix_early_s=0.1, velocity_early_s=0.1, unit_rad_s=unit_rad_s, unit_m_s2=unit_m_s2)
+    )
+    assert config.imu.gyroscope_factors == pytest.approx([unit_rad_s] * 3)
+    assert config.imu.accelerometer_factors == pytest.approx([unit_m_s2] * 3)
+    assert "# WARNING: " in text and ": mended by " in text
+    assert offsets(config) == [pytest.approx(0.1, abs=0.02)] * 3
+    text, config = right
+    assert "mended" not in text
+    assert config.imu.factors is None
+
+
+def test_noise_is_measured_in_the_units_that_are_meant(tmp_path: Path) -> None:
+    of = [
+        configured(tmp_path / name, standing(rate=0.01, scale=s))[1].imu for name, s in (("si", 1.0), ("g", 1 / 9.81))
+    ]
+    assert of[1].accelerometer_factors == (9.80665, 9.80665, 9.80665)
+    assert of[0].gyroscope_noise_density == of[1].gyroscope_noise_density > 5e-4
+    assert of[0].accelerometer_noise_density == of[1].accelerometer_noise_density
+
+
+def test_where_a_run_goes_badly_the_keys_that_the_driver_contradicts_are_named(tmp_path: Path) -> None:
+    rows = sorted(moving(unit_rad_s=np.pi / 180.0), key=lambda row: row[1])
+    with open_recording(write_bag(tmp_path / "b", "mcap", rows)) as recording:
+        right = parse_config(first_config(recording))
+        given = right.imu.model_copy(update={"gyroscope_factors": (1.0, 1.0, 1.0)})
+        wrong = right.model_copy(update={"sensors": {**right.sensors, right.imu_name: given}})
+        assert driver_faults(recording, right) == []
+        (line,) = driver_faults(recording, wrong)
+    assert line.startswith("sensors.imu.gyroscope_factors looks wrong (it goes with the motion of the antennas as if ")
+    assert line.endswith(": [0.0174533, 0.0174533, 0.0174533]")
 
 
 def test_a_velocity_that_goes_otherwise_than_the_fixes_is_a_warning_and_spoils_no_other_measurement(

@@ -11,10 +11,12 @@ from holdfast.calibration.learnt_file import Loaded, load_learnt, save_learnt
 from holdfast.calibration.learnt_table import learnt_rows, plain_rows, wrong_lines
 from holdfast.config.model import Config
 from holdfast.errors import EstimatorError, HoldfastError
+from holdfast.events import EventKind
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.lidar_odometry.replayed import ReplayedScans
 from holdfast.loops.opening import loop_closer
 from holdfast.messages import Message
+from holdfast.recording.driver_check import driver_faults
 from holdfast.recording.source import Recording
 from holdfast.replay.batch_outputs import CAUSAL, BatchOutputs
 from holdfast.replay.held_out import HoldOut
@@ -31,6 +33,7 @@ from holdfast.whole_file import write_whole
 if TYPE_CHECKING:  # starting processes is left to whoever wants them
     from holdfast.realtime.engine import RealtimeEstimator
 
+OFTEN = 2  # times that an estimate has begun anew: its sensors contradict each other
 ShowProgress = AbstractContextManager[Callable[[int], None] | None]
 
 
@@ -102,7 +105,8 @@ class Finished:
         if not self.run.has_started:
             estimator = self.run.estimator
             why = never_started(estimator.waiting_for, estimator.counts, session.config)
-            raise EstimatorError(f"{session.path}: the estimator never started: {why}")
+            looks_wrong = "".join(f"; {line}" for line in self.summary["looks_wrong"])
+            raise EstimatorError(f"{session.path}: the estimator never started: {why}{looks_wrong}")
 
 
 def run(session: Session, opened: Recording, show: ShowProgress) -> Finished:
@@ -165,7 +169,9 @@ def _run(session: Session, opened: Recording, show: ShowProgress, begin_to_end: 
     warnings += [] if batch is None else batch.warnings()
     summary = _summarise(session, replay, warnings, failure is None)
     rows = learnt_rows(learnt, config)
-    summary |= {"learnt": plain_rows(rows), "looks_wrong": wrong_lines(rows)}
+    went_badly = not replay.has_started or replay.estimator.event_counts[EventKind.BEGUN_ANEW] >= OFTEN
+    of_driver = driver_faults(opened, config) if went_badly and failure is None else []
+    summary |= {"learnt": plain_rows(rows), "looks_wrong": [*of_driver, *wrong_lines(rows)]}
     _write_summary(causal, summary)
     if batch is not None and files is not None:
         summary["smooth"] = files.summary(batch)

@@ -84,7 +84,7 @@ class Measured:
 
     notes: tuple[str, ...] = ()
     remarks: Mapping[str, str] = field(default_factory=dict)
-    values: Mapping[str, float | str] = field(default_factory=dict)
+    values: Mapping[str, float | str | tuple[float, ...]] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
     def joined(self, other: "Measured") -> "Measured":

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError
 from pydantic_core import CoreSchema, core_schema
 
 from holdfast.errors import ConfigError
@@ -13,7 +13,14 @@ def quantity(unit: str, default: Any = ..., *, doc: str, **bounds: float) -> Any
     return Field(default, description=doc, json_schema_extra={"unit": unit}, **bounds)  # type: ignore[call-overload]
 
 
+def _without_zero(factors: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not all(factors):
+        raise ValueError("must not hold 0: what an axis says would be lost")
+    return factors
+
+
 Vector3 = Annotated[tuple[float, float, float], Field(description="x, y, z")]
+Factors = Annotated[Vector3, AfterValidator(_without_zero)]
 Topic = Annotated[str, Field(min_length=1, description="topic in the recording, or the CSV file's stem")]
 
 

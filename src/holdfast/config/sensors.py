@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from holdfast.config.section import Section, Topic, Vector3, quantity
+from holdfast.config.section import Factors, Section, Topic, Vector3, quantity
 
 Axis = Literal["x", "y", "z"]
 MOST_OFFSET_S = 100  # leap seconds are 18, and 37 to atomic time
@@ -53,6 +53,15 @@ class InertialConfig(MountedConfig):
     """An inertial measurement unit; densities as in Kalibr's imu.yaml (continuous time)."""
 
     topic: Topic
+    gyroscope_factors: Factors = quantity(
+        "1",
+        (1.0, 1.0, 1.0),
+        doc="what the topic says of each axis, times this, is rad/s: 0.0174533 of a driver that gives deg/s, -1 of an "
+        "axis with the wrong sign",
+    )
+    accelerometer_factors: Factors = quantity(
+        "1", (1.0, 1.0, 1.0), doc="likewise, for m/s^2: 9.80665 of a driver that gives multiples of g"
+    )
     accelerometer_noise_density: float = quantity("m/s^2/sqrt(Hz)", 2e-3, gt=0, le=1, doc="white noise")
     gyroscope_noise_density: float = quantity("rad/s/sqrt(Hz)", 2e-4, gt=0, le=1, doc="white noise")
     accelerometer_random_walk: float = quantity("m/s^3/sqrt(Hz)", 1e-4, gt=0, le=1, doc="drift of the bias")
@@ -68,6 +77,12 @@ class InertialConfig(MountedConfig):
     accelerometer_range: float = quantity("m/s^2", 160.0, gt=10, doc="samples beyond are refused")
     gyroscope_range: float = quantity("rad/s", 35.0, gt=0.1, doc="samples beyond are refused")
     max_gap_s: float = quantity("s", 0.05, gt=0, le=1, doc="longer silence (or 2.5 usual periods) is a drop-out")
+
+    @property
+    def factors(self) -> tuple[float, ...] | None:
+        """Both factors (6,), of the gyroscope first; None where the messages are as they should be."""
+        factors = (*self.gyroscope_factors, *self.accelerometer_factors)
+        return None if all(factor == 1.0 for factor in factors) else factors
 
 
 class PositionConfig(MountedConfig, ClockedConfig):

@@ -252,7 +252,7 @@ class Initialising:
             return None
         force = float(np.linalg.norm(recent[0].mean(axis=0)))
         if not PLAUSIBLE_FORCE_M_S2[0] < force < PLAUSIBLE_FORCE_M_S2[1]:
-            hint = ": is the accelerometer in g?" if 0.8 < force < 1.3 else ""
+            hint = ": is the accelerometer in g? accelerometer_factors makes m/s^2 of it" if 0.8 < force < 1.3 else ""
             self.reason = (
                 f"mean specific force is {force:.2f} m/s^2, on the ground it is near {self._gravity:.2f}{hint}"
             )

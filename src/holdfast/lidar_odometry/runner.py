@@ -19,7 +19,7 @@ from holdfast.lidar_odometry.registration import DEFAULT_METHOD, Registered
 from holdfast.lidar_odometry.scan_odometry import Settings, lidar_of, settings_of
 from holdfast.messages import Array, ImuSample
 from holdfast.point_cloud import PointCloud
-from holdfast.recording.decode import UndecodableError, stamp_ns
+from holdfast.recording.decode import Decoder, UndecodableError, stamp_ns
 from holdfast.recording.kinds.imu import imu_decoder
 from holdfast.recording.kinds.scans import POINT_CLOUD, point_cloud
 from holdfast.recording.mcap_writer import McapWriter
@@ -31,7 +31,6 @@ from holdfast.ros.cdr import OdometryEncoder
 ODOMETRY = "nav_msgs/msg/Odometry"
 FRAME = "lidar_odom"
 UNKNOWN = np.zeros(36)
-DECODE_IMU = imu_decoder(Subscription("", "imu", "imu"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,9 +101,10 @@ def choose_topic(bag: RawBag, options: Options) -> str:
 
 
 class Guide(NamedTuple):
-    """The IMU of a recording: its topic, and the settings of the odometry that it guides."""
+    """The IMU of a recording: its topic, what decodes it, and the settings of the odometry that it guides."""
 
     imu_topic: str
+    decode: Decoder
     settings: Settings
 
 
@@ -123,10 +123,11 @@ def guide_of(config: Config, bag: RawBag, options: Options) -> Guide:
         RecordingError: the recording has no topic of the IMU.
     """
     name = lidar_of(config, options.output_topic)
-    topic = find_topic(bag.recording, config.imu.topic).topic
+    topic, kind = find_topic(bag.recording, config.imu.topic).topic, config.imu.kind
+    decode = imu_decoder(Subscription(topic, config.imu_name, kind, factors=config.imu.factors))
     if isinstance(config.sensors[name], ScansConfig):
-        return Guide(topic, settings_of(config, name))
-    return Guide(topic, replace(settings_of_options(options), imu=imu_mount(config, name)))
+        return Guide(topic, decode, settings_of(config, name))
+    return Guide(topic, decode, replace(settings_of_options(options), imu=imu_mount(config, name)))
 
 
 def run(  # noqa: PLR0917 (all but the last two are needed)
@@ -170,7 +171,7 @@ def run(  # noqa: PLR0917 (all but the last two are needed)
                 if channel not in codecs:
                     continue
                 try:
-                    message = _decoded(codecs[channel].deserialize(raw), channel.topic == topic, arrival_ns)
+                    message = _decoded(codecs[channel].deserialize(raw), arrival_ns, channel.topic == topic, guide)
                 except Exception as error:  # damaged bytes raise anything; one message must not end the run
                     skipped.add(channel.topic, arrival_ns, error)
                     continue
@@ -188,10 +189,10 @@ def run(  # noqa: PLR0917 (all but the last two are needed)
     return summary
 
 
-def _decoded(message: Any, is_cloud: bool, arrival_ns: int) -> PointCloud | ImuSample:
-    if is_cloud:
+def _decoded(message: Any, arrival_ns: int, is_cloud: bool, guide: Guide | None) -> PointCloud | ImuSample:
+    if is_cloud or guide is None:
         return point_cloud(stamp_ns(message), arrival_ns, "", message)
-    sample = DECODE_IMU(message, arrival_ns)
+    sample = guide.decode(message, arrival_ns)
     assert isinstance(sample, ImuSample)
     return sample
 

@@ -2,10 +2,13 @@
 
 from collections.abc import Callable, Iterator
 
+import numpy as np
+
 from holdfast.config.assignment import Measured, assign
 from holdfast.config.proposal import Proposal, propose
 from holdfast.config.starter import starter_yaml, workable
-from holdfast.recording.imu_beside_receivers import imu_beside_receivers
+from holdfast.messages import Array
+from holdfast.recording.imu_beside_receivers import FACTORS, imu_beside_receivers
 from holdfast.recording.inspection import TopicFindings, inspect
 from holdfast.recording.kinds import KINDS
 from holdfast.recording.problems import topic_problems
@@ -30,15 +33,22 @@ def first_proposal(recording: Recording, progress: Callable[[int], None] | None 
     Raises:
         RecordingError: no topic can be the IMU, or there is no message at all.
     """
-    inspection = inspect(recording, duration_s=LOOKED_AT_S, progress=progress)
+    beside = imu_beside_receivers(recording, assign(recording.topics, KINDS.values()).guesses)
+    factors = {topic: _factors(one) for topic, one in beside.items() if set(FACTORS) & set(one.values)}
+    inspection = inspect(recording, duration_s=LOOKED_AT_S, progress=progress, factors=factors)
     measured = {topic.topic: _measured(topic) for topic in inspection.topics if topic.kind is not None and topic.count}
-    for topic, found in imu_beside_receivers(recording, assign(recording.topics, KINDS.values()).guesses).items():
+    for topic, found in beside.items():
         measured[topic] = measured.get(topic, Measured()).joined(found)
     frames = read_frames(recording, LOOKED_AT_S)
     told, untold = (
         propose(str(recording.path), recording.topics, KINDS.values(), measured, of) for of in (frames, None)
     )
     return workable(told, untold)
+
+
+def _factors(found: Measured) -> Array:
+    """Return by what the readings (6,) of an IMU are to be multiplied."""
+    return np.array([found.values.get(key, (1.0, 1.0, 1.0)) for key in FACTORS], dtype=np.float64).ravel()
 
 
 def _measured(topic: TopicFindings) -> Measured:

@@ -6,14 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from holdfast.config.model import StandstillConfig
+from holdfast.geometry.earth import STANDARD_GRAVITY_M_S2
 from holdfast.messages import Array
 
 WINDOW_S = 2.0
 SHAKEN = 10.0  # times the bounds of standstill: an idling engine shakes less, a motion more
 MIN_SAMPLES = 20
 SAME_READING = 1e-12  # differences below are round-off
-FORCE_IN_G = (0.8, 1.3)
+FORCE_IN_G, OFTEN = (0.8, 1.3), 0.9  # in so many of all stretches of two seconds
 NO_FORCE_M_S2 = 0.8  # nothing on the ground is quiet with less
+UNITS_OF_GRAVITY = {STANDARD_GRAVITY_M_S2: "g", STANDARD_GRAVITY_M_S2 / 1000.0: "mg"}
 Axes = tuple[float, float, float]
 
 
@@ -43,10 +45,6 @@ class ImuAtRest:
     accelerometer_noise_density: float
     rate_step_rad_s: float
     force_step_m_s2: float
-
-    def is_in_g(self) -> bool:
-        """Whether the accelerometer gives multiples of gravity."""
-        return FORCE_IN_G[0] < self.mean_force_m_s2 < FORCE_IN_G[1]
 
     def is_without_gravity(self) -> bool:
         """Whether gravity was taken off the specific force."""
@@ -86,8 +84,7 @@ def imu_at_rest(stamps_ns: NDArray[np.int64], values: Array, start_ns: int) -> I
     stamps_ns, values = stamps_ns[kept], values[kept]
     if len(values) < MIN_SAMPLES or stamps_ns[-1] <= stamps_ns[0]:
         return None
-    period_s = float(np.median(np.diff(stamps_ns))) * 1e-9
-    size = max(MIN_SAMPLES, round(WINDOW_S / max(period_s, 1e-6)))
+    period_s, size = float(np.median(np.diff(stamps_ns))) * 1e-9, window_size(stamps_ns)
     windows = values[: len(values) // size * size].reshape(-1, size, 6)
     times_ns = stamps_ns[: len(windows) * size].reshape(-1, size)
     if not len(windows):
@@ -114,6 +111,31 @@ def imu_at_rest(stamps_ns: NDArray[np.int64], values: Array, start_ns: int) -> I
         rate_step_rad_s=float(steps[0]),
         force_step_m_s2=float(steps[1]),
     )
+
+
+def force_unit_m_s2(values: Array, size: int) -> float:
+    """Return what a unit of an accelerometer is, as gravity shows: 1, or that of a driver that gives g or mg.
+
+    Without gravity, or in m/s^2, hardly any machine accelerates by one for seconds on end.
+
+    Args:
+        values: (N, 6) of gyroscope and accelerometer.
+        size: samples in about two seconds.
+    """
+    forces = values[np.isfinite(values).all(axis=1), 3:]
+    size = max(1, min(size, len(forces)))
+    means = forces[: len(forces) // size * size].reshape(-1, size, 3).mean(axis=1)
+    for unit_m_s2 in UNITS_OF_GRAVITY:
+        in_g = np.linalg.norm(means, axis=1) * unit_m_s2 / STANDARD_GRAVITY_M_S2
+        if len(in_g) and np.mean((in_g > FORCE_IN_G[0]) & (in_g < FORCE_IN_G[1])) > OFTEN:
+            return unit_m_s2
+    return 1.0
+
+
+def window_size(stamps_ns: NDArray[np.int64]) -> int:
+    """Return how many samples fill two seconds, 20 at least."""
+    period_s = float(np.median(np.diff(stamps_ns))) * 1e-9 if len(stamps_ns) > 1 else WINDOW_S
+    return max(MIN_SAMPLES, round(WINDOW_S / max(period_s, 1e-6)))
 
 
 def _step(readings: Array) -> float:

@@ -1,7 +1,6 @@
 """The IMU beside the GNSS receivers, for the first configuration of a recording: clocks, axes and units of both."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
 from statistics import median
 
 import numpy as np
@@ -13,17 +12,16 @@ from holdfast.errors import RecordingError
 from holdfast.geometry.earth import Geodetic, LocalFrame
 from holdfast.messages import Array, FixStatus, GnssFix, GnssVelocity, Heading, ImuSample, Message
 from holdfast.recording import velocity_convention
-from holdfast.recording.clock_offset import ClockOffset, clock_offset, pooled
+from holdfast.recording.clock_offset import ClockOffset, pooled
 from holdfast.recording.heading_convention import is_clockwise
-from holdfast.recording.imu_convention import SPAN_S, mistake
+from holdfast.recording.imu_mended import Mended, Received, mended
 from holdfast.recording.kinds import SATELLITE
 from holdfast.recording.source import Recording, Subscription
-from holdfast.recording.stretch import Stretch, stretches
 
 WINDOWS_S = ((0.0, 120.0), (120.0, 180.0))  # begin and length; the second where the first tells too little
 WANTED_SIGMA_S = 0.012
-FAR_S = 1.0  # a delay that may be a clock: leap seconds, a machine that was set by hand
 MAX_RATE_HZ = 5.0  # of a receiver; more tell no more of a machine's motion
+FACTORS = "gyroscope_factors", "accelerometer_factors"  # keys of the IMU
 ORDERS = {"gnss": 2, "gnss_velocity": 1}
 CLOCKWISE = Measured(
     remarks={"clockwise": "it turns the other way than the gyroscope, as a compass does"}, values={"clockwise": True}
@@ -33,70 +31,72 @@ CLOCKWISE = Measured(
 def imu_beside_receivers(recording: Recording, guesses: Sequence[Guess]) -> dict[str, Measured]:
     """Return by topic what a configuration can say of the IMU and of the receivers; reads at most five minutes.
 
-    Where a driver's units or axes are wrong, a warning says so, and what the clocks seem to be is left out.
+    Where a driver gives other units or signs, a warning says so, and all else is measured with what mends them.
     """
     used = [guess for guess in guesses if not guess.rule.spare and guess.kind in {"imu", "heading", *ORDERS}]
     receivers = {guess.topic.topic: ORDERS[guess.kind] for guess in used if guess.kind in ORDERS}
     imu_topic = next((guess.topic.topic for guess in used if guess.kind == "imu"), None)
-    if imu_topic is None or len(used) < 2:
+    if imu_topic is None:
         return {}
     messages: dict[str, list[Message]] = {guess.topic.topic: [] for guess in used}
-    offsets: dict[str, ClockOffset | None] = dict.fromkeys(receivers)
-    behind_s: dict[str, float] = {}
-    compared: list[Stretch] = []
     wrong: dict[str, Measured] = {}
-    clockwise: dict[str, Measured] = {}
+    imu = mended(np.empty(0), np.empty((0, 6)), {})
     for start_s, duration_s in WINDOWS_S:
-        news = list(_read(recording, used, start_s, duration_s))
+        news = list(read_window(recording, [_as_guessed(guess) for guess in used], start_s, duration_s))
         if not news:
             continue
         for message in news:
             messages[message.sensor].append(message)
-        imu = _imu(messages[imu_topic])
-        received = {topic: _receiver(messages[topic]) for topic in receivers}
-        behind_s = {topic: _delay_s(messages[topic]) - _delay_s(messages[imu_topic]) for topic in receivers}
+        received = received_beside(messages, imu_topic, receivers)
         wrong = dict(_wrong_velocities(received, used))
-        headings = [guess.topic.topic for guess in used if guess.kind == "heading"]
-        clockwise = {topic: CLOCKWISE for topic in headings if is_clockwise(*imu, *_heading(messages[topic]))}
-        offsets, compared = {}, []
-        for topic in (topic for topic in receivers if topic not in wrong):
-            (times_s, values), order = received[topic], receivers[topic]
-            offsets[topic], apart_s = _offset(imu, times_s, values, order, behind_s[topic])
-            compared += stretches(*imu, times_s + apart_s, values, order, span_s=SPAN_S)
-        if all(offset is not None and offset.sigma_s <= WANTED_SIGMA_S for offset in offsets.values()):
+        right = {topic: one for topic, one in received.items() if topic not in wrong}
+        imu = mended(*imu_rows(messages[imu_topic]), right)
+        if all(offset is not None and offset.sigma_s <= WANTED_SIGMA_S for offset in imu.offsets.values()):
             break
-    if (found := mistake(compared)) is not None:
-        return wrong | {imu_topic: Measured(warnings=(_told(*found),))}
-    measured = {topic: _measured(offset) for topic, offset in _of_receivers(offsets, guesses).items()}
-    measured |= wrong
-    for topic, apart_s in behind_s.items():
-        if abs(apart_s) > MOST_OFFSET_S:
-            measured[topic] = Measured(warnings=(_far(apart_s),))
-    return measured | {topic: one.joined(measured.get(topic, Measured())) for topic, one in clockwise.items()}
+    measured = {topic: _measured(offset) for topic, offset in _of_receivers(imu.offsets, guesses).items()} | wrong
+    for topic, one in received_beside(messages, imu_topic, receivers).items():
+        if abs(one.behind_s) > MOST_OFFSET_S:
+            measured[topic] = Measured(warnings=(_far(one.behind_s),))
+    for topic in (guess.topic.topic for guess in used if guess.kind == "heading"):
+        if is_clockwise(imu.times_s, imu.readings, *_heading(messages[topic])):
+            measured[topic] = CLOCKWISE.joined(measured.get(topic, Measured()))
+    return measured | ({imu_topic: _of_driver(imu)} if imu.mistakes else {})
 
 
-def _offset(
-    imu: tuple[Array, Array], times_s: Array, values: Array, order: int, behind_s: float
-) -> tuple[ClockOffset | None, float]:
-    """Return the offset of a clock, and by how much (0 else) its stamps go with the IMU as late as they arrive."""
-    as_stamped = clock_offset(*imu, times_s, values, order)
-    if FAR_S < abs(behind_s) <= MOST_OFFSET_S:
-        as_arrived = clock_offset(*imu, times_s + behind_s, values, order)
-        if as_arrived is not None and (as_stamped is None or as_stamped.stretches < as_arrived.stretches):
-            return replace(as_arrived, offset_s=as_arrived.offset_s + behind_s), behind_s
-    return as_stamped, 0.0
+def received_beside(
+    messages: Mapping[str, Sequence[Message]], imu: str, receivers: Mapping[str, int]
+) -> dict[str, Received]:
+    """Return what receivers say, by sensor; `receivers` says the order of each, see `Received`."""
+    delay_s = _delay_s(messages[imu])
+    return {
+        name: Received(*_receiver(messages[name]), order, _delay_s(messages[name]) - delay_s)
+        for name, order in receivers.items()
+    }
 
 
-def _wrong_velocities(
-    received: Mapping[str, tuple[Array, Array]], guesses: Sequence[Guess]
-) -> Iterator[tuple[str, Measured]]:
+def _of_driver(imu: Mended) -> Measured:
+    """Return the factors that mend what the driver of an IMU says."""
+    why = "; ".join(imu.mistakes)
+    factors = dict(zip(FACTORS, np.split(imu.factors, 2), strict=True))
+    needed = {
+        key: tuple(float(f"{factor:.9g}") for factor in one) for key, one in factors.items() if (one != 1.0).any()
+    }
+    return Measured((), dict.fromkeys(needed, why), needed, (f"{why}: mended by {' and '.join(needed)}",))
+
+
+def _as_guessed(guess: Guess) -> Subscription:
+    return Subscription(guess.topic.topic, guess.topic.topic, guess.kind)
+
+
+def _wrong_velocities(received: Mapping[str, Received], guesses: Sequence[Guess]) -> Iterator[tuple[str, Measured]]:
     """Yield the topics whose velocities are not those of their receiver's fixes, with a warning."""
     antennas = [guess for guess in guesses if guess.kind == "gnss"]
     for guess in guesses:
         antenna, topic = antenna_of(guess, antennas), guess.topic.topic
         if antenna is None:
             continue
-        found = velocity_convention.mistake(*received[antenna.topic.topic], *received[topic])
+        fixes, velocities = received[antenna.topic.topic], received[topic]
+        found = velocity_convention.mistake(fixes.times_s, fixes.values, velocities.times_s, velocities.values)
         if found is not None:
             warning = (
                 f"it goes with the fixes of {antenna.topic.topic} as if {found[0]} (residuals {found[1]:.1f} times "
@@ -105,28 +105,22 @@ def _wrong_velocities(
             yield topic, Measured(warnings=(warning,))
 
 
-def _told(explanation: str, times: float) -> str:
-    return (
-        f"it goes with the motion of the antennas as if {explanation} (residuals {times:.1f} times smaller); its "
-        "driver must give rad/s and the specific force in m/s^2, both in one right-handed frame"
-    )
-
-
 def _far(behind_s: float) -> str:
     way = "behind" if behind_s > 0.0 else "ahead of"
     return f"its stamps are {abs(behind_s):.0f} s {way} the IMU's, by their arrivals; both drivers must use one clock"
 
 
-def _read(recording: Recording, guesses: Iterable[Guess], start_s: float, duration_s: float) -> Iterator[Message]:
+def read_window(
+    recording: Recording, subscriptions: Sequence[Subscription], start_s: float, duration_s: float
+) -> Iterator[Message]:
     """Yield the messages of a window, up to the end or the damage of the recording."""
-    subscriptions = [Subscription(guess.topic.topic, guess.topic.topic, guess.kind) for guess in guesses]
     try:
         yield from recording.read(subscriptions, start_s, duration_s)
     except RecordingError:
         return
 
 
-def _imu(messages: Sequence[Message]) -> tuple[Array, Array]:
+def imu_rows(messages: Sequence[Message]) -> tuple[Array, Array]:
     """Return stamps (N,) [s] and readings (N, 6)."""
     samples = [one for one in messages if isinstance(one, ImuSample)]
     return _ordered([one.stamp_ns for one in samples], np.array([one.values() for one in samples]).reshape(-1, 6))

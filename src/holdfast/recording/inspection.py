@@ -2,13 +2,14 @@
 
 from array import array
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from holdfast.errors import RecordingError
+from holdfast.messages import Array
 from holdfast.recording.kinds import Findings, Kind, kinds_of
 from holdfast.recording.source import Header, Recording
 
@@ -67,6 +68,7 @@ class _TopicLog:
     """What is kept of a topic while reading: 16 bytes a message, and its values where its kind has a check."""
 
     kind: Kind | None
+    factors: Array | float
     stamps: "array[int]" = field(default_factory=lambda: array("q"))
     arrivals: "array[int]" = field(default_factory=lambda: array("q"))
     count: int = 0
@@ -88,7 +90,7 @@ class _TopicLog:
     def findings(self, start_ns: int) -> Findings | None:
         if self.kind is None or self.kind.check is None:
             return None
-        values = np.array(self.values, dtype=np.float64).reshape(-1, self.kind.message.WIDTH)
+        values = np.array(self.values, dtype=np.float64).reshape(-1, self.kind.message.WIDTH) * self.factors
         return self.kind.check(np.array(self.measured, dtype=np.int64), values, start_ns)
 
 
@@ -97,6 +99,7 @@ def inspect(
     start_s: float = 0.0,
     duration_s: float | None = None,
     progress: Callable[[int], None] | None = None,
+    factors: Mapping[str, Array] | None = None,
 ) -> Inspection:
     """Read a recording once and list what it holds.
 
@@ -105,12 +108,16 @@ def inspect(
         start_s: as in `Recording.read`.
         duration_s: as in `Recording.read`.
         progress: is called with the arrival [ns] now and then.
+        factors: by which the values of some topics are multiplied, by topic.
 
     Raises:
         RecordingError: the window is empty. Damage further in ends the reading and is part of the result.
     """
     headers = recording.read_headers(start_s, duration_s)
-    logs = {info.topic: _TopicLog(next(iter(kinds_of(info.type)), None)) for info in recording.topics}
+    logs = {
+        info.topic: _TopicLog(next(iter(kinds_of(info.type)), None), (factors or {}).get(info.topic, 1.0))
+        for info in recording.topics
+    }
     damage = None
     try:
         for number, header in enumerate(headers):

@@ -11,8 +11,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
+import numpy as np
+
 from holdfast.errors import RecordingError
-from holdfast.messages import Message
+from holdfast.messages import ImuSample, Message
 from holdfast.printable import listed, quoted
 
 NS_PER_S = 1_000_000_000
@@ -45,12 +47,21 @@ class Subscription:
         sensor: name that the messages carry, as in the configuration.
         kind: name of a row in `holdfast.recording.kinds`: what the messages are decoded to.
         joint_name: which joint of a JointState; needed if the message has several.
+        factors: (6,) by which the readings of an IMU are multiplied, of the gyroscope first; None for as they are.
     """
 
     topic: str
     sensor: str
     kind: str
     joint_name: str | None = None
+    factors: tuple[float, ...] | None = None
+
+    def meant(self, message: Message) -> Message:
+        """Return a decoded message as its sensor means it: what an IMU says, times the factors."""
+        if self.factors is None or not isinstance(message, ImuSample):
+            return message
+        values = np.multiply(message.values(), self.factors)
+        return ImuSample.of(message.stamp_ns, message.arrival_ns, message.sensor, values)
 
 
 @dataclass(frozen=True, slots=True)

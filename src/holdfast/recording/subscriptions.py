@@ -23,8 +23,8 @@ def subscriptions(config: Config) -> list[Subscription]:
             continue
         if section.kind not in KINDS:
             raise ConfigError(f"sensors.{name}.kind: nothing is registered that decodes {section.kind}")
-        joint_name = getattr(section, "joint_name", None)
-        found.append(Subscription(section.topic, name, section.kind, joint_name))
+        joint_name, factors = (getattr(section, key, None) for key in ("joint_name", "factors"))
+        found.append(Subscription(section.topic, name, section.kind, joint_name, factors))
     return found
 
 

@@ -57,7 +57,7 @@ class TrackRecording(Closing):
         for subscription in subscriptions:
             find_topic(self, subscription.topic)
         chosen = [
-            (track, _checked_kind(track, subscription), subscription.sensor)
+            (track, _checked(track, subscription))
             for track in self._tracks
             for subscription in subscriptions
             if subscription.topic == track.info.topic
@@ -67,7 +67,8 @@ class TrackRecording(Closing):
     def read_headers(self, start_s: float = 0.0, duration_s: float | None = None) -> Iterator[Header]:
         """Yield the headers of all messages in order of arrival; see the contract."""
         window = arrival_window(self, start_s, duration_s)
-        rows = self._merge([(track, track.kinds[0], track.info.topic) for track in self._tracks], *window)
+        wanted = [(track, Subscription(track.info.topic, track.info.topic, track.kinds[0])) for track in self._tracks]
+        rows = self._merge(wanted, *window)
         return (
             Header(track.info.topic, message.stamp_ns, message.arrival_ns, track.file.name, "", message)
             for track, message in rows
@@ -77,7 +78,7 @@ class TrackRecording(Closing):
         """Do nothing: the files are open only while they are read."""
 
     def _merge(
-        self, chosen: Sequence[tuple[Track, str, str]], begin_ns: int | None, end_ns: int | None
+        self, chosen: Sequence[tuple[Track, Subscription]], begin_ns: int | None, end_ns: int | None
     ) -> Iterator[tuple[Track, Message]]:
         skipped = SkippedMessages()
         parts = [(one[0].start_ns or 0, partial(self._rows, *one, skipped)) for one in chosen]
@@ -91,15 +92,15 @@ class TrackRecording(Closing):
             self.warnings.extend(skipped.lines(str(self.path)))
 
     def _rows(
-        self, track: Track, kind: str, sensor: str, skipped: SkippedMessages
+        self, track: Track, subscription: Subscription, skipped: SkippedMessages
     ) -> Iterator[tuple[int, Track, Message]]:
         latest_ns, backward = 0, 0
         try:
-            for message in track.messages(kind, sensor, skipped, self.warnings):
+            for message in track.messages(subscription.kind, subscription.sensor, skipped, self.warnings):
                 if message.arrival_ns < latest_ns:
                     backward += 1
                 latest_ns = max(latest_ns, message.arrival_ns)
-                yield message.arrival_ns, track, message
+                yield message.arrival_ns, track, subscription.meant(message)
         except OSError as error:
             raise RecordingError(f"{track.file}: cannot be read ({error.strerror or error})") from None
         if backward:
@@ -108,14 +109,14 @@ class TrackRecording(Closing):
             )
 
 
-def _checked_kind(track: Track, subscription: Subscription) -> str:
+def _checked(track: Track, subscription: Subscription) -> Subscription:
     if subscription.kind not in track.kinds:
         raise RecordingError(
             f"{track.file}: topic {subscription.topic!r} is {track.info.type} with the columns of "
             f"{' or '.join(track.kinds)}, which is no {subscription.kind} (allowed: a file with the columns of "
             f"{subscription.kind})"
         )
-    return subscription.kind
+    return subscription
 
 
 def last_line(file: Path) -> str:

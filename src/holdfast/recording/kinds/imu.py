@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from holdfast.config.assignment import Measured, Rule
 from holdfast.config.sensors import InertialConfig
-from holdfast.messages import Array, ImuSample
+from holdfast.messages import Array, ImuSample, Message
 from holdfast.recording.columns import Columns, axes
 from holdfast.recording.decode import IMU, STAMP, Decoder, FieldDecoder
-from holdfast.recording.imu_at_rest import ImuAtRest, imu_at_rest
+from holdfast.recording.imu_at_rest import UNITS_OF_GRAVITY, ImuAtRest, force_unit_m_s2, imu_at_rest, window_size
 from holdfast.recording.kinds import CHASSIS, DERIVED, Kind, register
 from holdfast.recording.source import Subscription
 
@@ -35,14 +35,18 @@ def imu_decoder(subscription: Subscription) -> Decoder:
         stamp_ns = sec * 1_000_000_000 + nanosec
         return ImuSample(stamp_ns, arrival_ns, sensor, np.array(numbers[:3]), np.array(numbers[3:]))
 
-    return FieldDecoder(FIELDS, build)
+    def build_of_other_units(arrival_ns: int, sec: int, nanosec: int, *numbers: float) -> Message:
+        return subscription.meant(build(arrival_ns, sec, nanosec, *numbers))
+
+    return FieldDecoder(FIELDS, build if subscription.factors is None else build_of_other_units)
 
 
 @dataclass(frozen=True, slots=True)
 class ImuFindings:
     """Samples that an IMU cannot have measured; lines are runs of 4 or more samples on a line in all six channels.
 
-    `at_rest` is what it is like at its quietest, None if it never is quiet; the force is the median of its length.
+    `at_rest` is what it is like at its quietest, None if it never is quiet; the force is the median of its length, and
+    its unit what gravity shows it to be.
     """
 
     repeats: int
@@ -52,6 +56,7 @@ class ImuFindings:
     longest_line_s: float
     longest_line_at_s: float
     median_force_m_s2: float
+    force_unit_m_s2: float
     at_rest: ImuAtRest | None
 
     def summary(self) -> str:
@@ -74,15 +79,15 @@ class ImuFindings:
             )
         if self.not_finite:
             yield f"{self.not_finite} sample(s) are not finite; they are counted and not used"
-        if self.median_force_m_s2 > GREATEST_MEDIAN_FORCE_M_S2:
+        if self.force_unit_m_s2 != 1.0:
+            yield (
+                f"gravity shows that the accelerometer gives {UNITS_OF_GRAVITY[self.force_unit_m_s2]}, of which "
+                f"accelerometer_factors of {self.force_unit_m_s2:.9g} each would make m/s^2"
+            )
+        elif self.median_force_m_s2 > GREATEST_MEDIAN_FORCE_M_S2:
             yield (
                 f"the median specific force is {self.median_force_m_s2:.0f}, where gravity alone is 9.8: the driver "
-                "seems to give another unit (mg: 1000); it must give m/s^2"
-            )
-        if self.at_rest is not None and self.at_rest.is_in_g():
-            yield (
-                f"the mean specific force is {self.at_rest.mean_force_m_s2:.2f} at rest: the accelerometer seems to "
-                "measure in g; its driver must give m/s^2"
+                "seems to give another unit, of which accelerometer_factors would make m/s^2"
             )
         if self.at_rest is not None and self.at_rest.is_without_gravity():
             yield (
@@ -121,6 +126,7 @@ def check(stamps_ns: NDArray[np.int64], values: Array, start_ns: int) -> ImuFind
         longest_line_s=float(stamps_ns[end - 1] - stamps_ns[begin]) / NS_PER_S if lines else 0.0,
         longest_line_at_s=float(stamps_ns[begin] - start_ns) / NS_PER_S if lines else 0.0,
         median_force_m_s2=float(np.median(np.linalg.norm(values[finite, 3:], axis=1))) if finite.any() else 0.0,
+        force_unit_m_s2=force_unit_m_s2(values, window_size(stamps_ns)),
         at_rest=imu_at_rest(stamps_ns, values, start_ns),
     )
 
