@@ -24,6 +24,7 @@ from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import OptimiserError, Smoother
 from holdfast.integrity.calibration import Calibration
 from holdfast.integrity.headings import Headings
+from holdfast.integrity.late_receivers import LateReceivers
 from holdfast.integrity.learnt_constants import carried_priors, constants_of_machine, learnt_constants
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.integrity.lever_arms import LeverArms
@@ -133,7 +134,7 @@ class Tracking:
         self._states = States(of_role(sensors, Role.STATE, Role.VELOCITY, Role.POSE), scales, joint_at, log)
         self._recovery = Recovery(config.gate, self._positions, self._headings, self._odometries, log)
         self._channels: dict[Role, Channel] = {
-            Role.POSITION: self._positions.add,
+            Role.POSITION: LateReceivers(receivers, self._positions, log, successor.start.clocks.move).add,
             Role.HEADING: self._headings.add,
             Role.ODOMETRY: self._odometries.add,
             Role.STATE: self._states.add,
@@ -148,12 +149,11 @@ class Tracking:
         self._due_ns: int | None = None
         self._constrained_ns = state.stamp_ns
         self._late: set[str] = set()  # sensors whose last measurement was too late
-        self._epochs = Epochs()
         self._calibration = Calibration(sensors, config.imu_name, log)
         self._noise_review = NoiseReview(config.imu_name, log)
         self._priors = priors_of_machine(config, sensors)
         self._machine_constants = constants_of_machine(config, sensors, lever_arms.doubts())
-        self.queue = MeasurementQueue()
+        self._epochs, self.queue = Epochs(), MeasurementQueue()
         known = carried_priors(carried.constants, self._machine_constants)
         self.graph = DualGraph(
             config,

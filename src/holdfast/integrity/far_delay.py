@@ -27,24 +27,25 @@ DateLater = Callable[[Collection[str], int], object]
 
 
 class _Seen(NamedTuple):
-    """A value, and what is expected at its stamp."""
+    """A value (k,), and what is expected at its stamp."""
 
     stamp_ns: int
-    measured: float
+    measured: Array
     sigma: float
-    expected: float
+    expected: Array
 
 
 class FarDelay:
     """The newest values of one sensor, beside what is expected but for a constant.
 
     Args:
-        least: by which they are beside it at least where they are late, in the mean; and so much may be left.
+        least: by which they are beside it at least where they are late, in the mean.
         is_angle: whether they are angles [rad], and the same with a full turn.
+        left: so much what is expected may be wrong by; as much as `least` if it is not given.
     """
 
-    def __init__(self, least: float, *, is_angle: bool) -> None:
-        self._least, self._is_angle = least, is_angle
+    def __init__(self, least: float, *, is_angle: bool, left: float | None = None) -> None:
+        self._least, self._is_angle, self._left = least, is_angle, least if left is None else left
         self.clear()
 
     def clear(self) -> None:
@@ -53,14 +54,14 @@ class FarDelay:
         self._looked_ns = 0
         self._suspected: tuple[float, int] | None = None  # a delay [s], and when it was found first
 
-    def note(self, stamp_ns: int, measured: float, sigma: float, expected: float) -> None:
-        """Take in a value with its noise, and what is expected, whether it was used or not."""
+    def note(self, stamp_ns: int, measured: float | Array, sigma: float, expected: float | Array) -> None:
+        """Take in a value, or several (k,), with the noise in all, and what is expected, whether it was used or not."""
         if self._seen and stamp_ns <= self._seen[-1].stamp_ns:
             return
         thin_ns = MOST_NS // COUNT
         if len(self._seen) > 1 and stamp_ns - self._seen[-2].stamp_ns < thin_ns:
             self._seen.pop()
-        self._seen.append(_Seen(stamp_ns, measured, sigma, expected))
+        self._seen.append(_Seen(stamp_ns, np.atleast_1d(measured), sigma, np.atleast_1d(expected)))
         while stamp_ns - self._seen[0].stamp_ns > MOST_NS:
             self._seen.popleft()
 
@@ -80,28 +81,29 @@ class FarDelay:
             return None
         stamps_ns, measured, sigmas, expected = (np.array(one) for one in zip(*self._seen, strict=True))
         times_s = (stamps_ns - stamps_ns[0]) * 1e-9
-        expected = np.unwrap(expected) if self._is_angle else expected
+        expected = np.unwrap(expected, axis=0) if self._is_angle else expected
         is_judged = (times_s > MOST_S) & (times_s < times_s[-1] - MOST_S)
 
         def left(delay_s: float) -> float:
             at_s = times_s[is_judged] - delay_s
-            return self._spread(measured[is_judged] - np.interp(at_s, times_s, expected))
+            moved = np.column_stack([np.interp(at_s, times_s, column) for column in expected.T])
+            return self._spread(measured[is_judged] - moved)
 
-        allowed = self._least**2 + (SIGMAS * float(sigmas.mean())) ** 2
-        if is_judged.sum() < ENOUGH or (as_stamped := left(0.0)) < allowed:
+        noise = (SIGMAS * float(sigmas.mean())) ** 2
+        if is_judged.sum() < ENOUGH or (as_stamped := left(0.0)) < self._least**2 + noise:
             return None
         delays_s = np.arange(-MOST_S, MOST_S + 0.5 * STEP_S, STEP_S)
         squares = np.array([left(one) for one in delays_s])
         best = int(squares.argmin())
-        fits = squares[best] < min(allowed, as_stamped / FEWER)
+        fits = squares[best] < min(self._left**2 + noise, as_stamped / FEWER)
         if not fits or abs(delays_s[best]) < FAR_S or best in (0, len(delays_s) - 1):
             return None
         before, least, after = squares[best - 1 : best + 2]
         return float(delays_s[best] + 0.5 * STEP_S * (before - after) / (before - 2.0 * least + after))
 
     def _spread(self, beside: Array) -> float:
-        """Return the mean square of values (n,) about their mean."""
-        return float(((beside - beside[0] + pi) % tau if self._is_angle else beside).var())
+        """Return the mean square of values (n, k) about their mean."""
+        return float(((beside - beside[0] + pi) % tau if self._is_angle else beside).var(axis=0).sum())
 
 
 def told(delay_s: float) -> str:
