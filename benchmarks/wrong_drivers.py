@@ -19,7 +19,7 @@ from holdfast.config.model import Config
 from holdfast.estimator.estimator import Estimator
 from holdfast.messages import ImuSample, Message
 from holdfast.recording.first_config import first_config
-from holdfast.recording.imu_beside_receivers import FACTORS
+from holdfast.recording.imu_mended import FACTORS
 from holdfast.recording.source import Subscription, open_recording
 from holdfast.recording.subscriptions import subscriptions
 from holdfast.replay.held_out import HoldOut

@@ -7,11 +7,13 @@ explains what no mounting does, and belongs into the stamps.
 from collections import deque
 from collections.abc import Callable, Collection
 from math import pi, tau
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from holdfast.graph.dual_graph import DualGraph
 from holdfast.messages import Array
+from holdfast.sensors.sensor import Parameter
 
 MOST_NS, COUNT = 40_000_000_000, 256  # of values that are kept
 ENOUGH, ENOUGH_NS = 16, 10_000_000_000  # of these, to tell anything
@@ -104,6 +106,21 @@ class FarDelay:
     def _spread(self, beside: Array) -> float:
         """Return the mean square of values (n, k) about their mean."""
         return float(((beside - beside[0] + pi) % tau if self._is_angle else beside).var(axis=0).sum())
+
+
+def is_far(graph: DualGraph, name: str, clock: Parameter) -> bool:
+    """Whether a graph believes in an offset that is too long for it."""
+    believed_s = graph.main.parameters.belief(clock.name(name), clock)[0]
+    return abs(float(believed_s[0])) > FAR_S
+
+
+def date_anew(sensor: Any, late: FarDelay, delay_s: float, graph: DualGraph, date_later: DateLater) -> None:
+    """Read the stamps of a sensor as earlier by its delay [s]; what was believed of it until now begins anew."""
+    date_later([sensor.name], -round(delay_s * 1e9))
+    late.clear()
+    for parameter in sensor.parameters:
+        if not parameter.shared:
+            graph.begin_parameter_anew(parameter.name(sensor.name), parameter)
 
 
 def told(delay_s: float) -> str:

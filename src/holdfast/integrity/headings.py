@@ -18,7 +18,7 @@ from holdfast.event_log import EventLog
 from holdfast.events import EventKind, Outcome
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import Smoother
-from holdfast.integrity.far_delay import FAR_S, DateLater, FarDelay, told
+from holdfast.integrity.far_delay import DateLater, FarDelay, date_anew, is_far, told
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.states import JudgedSensor
 from holdfast.integrity.turned_headings import TurnedHeadings
@@ -104,22 +104,12 @@ class Headings:
         if (found := sensor.of_imu(heading, attitude)) is None:
             return
         late.note(heading.stamp_ns, heading.yaw_rad, heading.sigma_rad, heading.yaw_rad - found[0])
-        if not (is_refused or self._is_far(graph, sensor)) or (delay_s := late.delay_s()) is None:
+        delay = part_of(sensor.parameters, DELAY)
+        is_doubtful = is_refused or (delay is not None and is_far(graph, name, delay))
+        if not is_doubtful or (delay_s := late.delay_s()) is None:
             return
         self._log.report(EventKind.CALIBRATION, heading.stamp_ns, name, told(delay_s))
-        self._date_later([name], -round(delay_s * 1e9))
-        late.clear()
-        for parameter in sensor.parameters:
-            if not parameter.shared:
-                graph.begin_parameter_anew(parameter.name(name), parameter)
-
-    def _is_far(self, graph: DualGraph, sensor: Any) -> bool:
-        """Whether the graph believes in a delay that is too long for it."""
-        delay = part_of(sensor.parameters, DELAY)
-        if delay is None:
-            return False
-        believed_s = graph.main.parameters.belief(delay.name(sensor.name), delay)[0]
-        return abs(float(believed_s[0])) > FAR_S
+        date_anew(sensor, late, delay_s, graph, self._date_later)
 
     def _look_whether_turned(self, graph: DualGraph, heading: AxisYaw, *, is_refused: bool) -> None:
         """Let the mounting of a sensor go, if its headings are refused for that alone; tell one that is a mirror."""

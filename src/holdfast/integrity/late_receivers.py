@@ -11,7 +11,7 @@ import numpy as np
 from holdfast.event_log import EventLog
 from holdfast.events import EventKind, Outcome
 from holdfast.graph.dual_graph import DualGraph
-from holdfast.integrity.far_delay import FAR_S, DateLater, FarDelay, told
+from holdfast.integrity.far_delay import DateLater, FarDelay, date_anew, is_far, told
 from holdfast.integrity.positions import Positions
 from holdfast.integrity.receiver import Trust
 from holdfast.sensors.clock import has_estimated_clock
@@ -51,18 +51,9 @@ class LateReceivers:
         sensor, late, nav = self._sensors[name], self._late[name], graph.published.nav(stamp_ns)
         expected = nav.position() + nav.attitude().rotate(sensor.p_I_P)
         late.note(stamp_ns, position.p_W_P, float(np.sqrt(np.trace(position.covariance))), expected)
-        is_doubtful = is_refused or self._positions.gates[name].trust is Trust.LOST or self._is_far(graph, sensor)
+        is_lost = self._positions.gates[name].trust is Trust.LOST
+        is_doubtful = is_refused or is_lost or is_far(graph, name, sensor.parameters[-1])
         if not is_doubtful or (delay_s := late.delay_s()) is None:
             return
         self._log.report(EventKind.CALIBRATION, stamp_ns, name, told(delay_s))
-        self._date_later([name], -round(delay_s * 1e9))
-        late.clear()
-        for parameter in sensor.parameters:
-            if not parameter.shared:
-                graph.begin_parameter_anew(parameter.name(name), parameter)
-
-    def _is_far(self, graph: DualGraph, sensor: Any) -> bool:
-        """Whether the graph believes in a clock that is too far off for it."""
-        clock = sensor.parameters[-1]
-        believed_s = graph.main.parameters.belief(clock.name(sensor.name), clock)[0]
-        return abs(float(believed_s[0])) > FAR_S
+        date_anew(sensor, late, delay_s, graph, self._date_later)

@@ -2,12 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from holdfast.config.model import Config
 from holdfast.messages import Message
 from holdfast.recording import velocity_convention
-from holdfast.recording.imu_beside_receivers import FACTORS, ORDERS, WINDOWS_S, imu_rows, read_window, received_beside
+from holdfast.recording.imu_beside_receivers import ORDERS, WINDOWS_S, imu_rows, read_window, received_beside
 from holdfast.recording.imu_mended import Mended, Received, mended
 from holdfast.recording.source import Recording
 from holdfast.recording.subscriptions import subscriptions
@@ -18,9 +16,9 @@ def driver_faults(recording: Recording, config: Config) -> list[str]:
 
     Fixes of receivers judge, and their velocities where these go with the fixes.
     """
-    wanted = [one for one in subscriptions(config) if one.sensor == config.imu_name or one.kind in ORDERS]
     there = {info.topic for info in recording.topics}
-    wanted = [one for one in wanted if one.topic in there]
+    compared = [one for one in subscriptions(config) if one.sensor == config.imu_name or one.kind in ORDERS]
+    wanted = [one for one in compared if one.topic in there]
     receivers = {one.sensor: ORDERS[one.kind] for one in wanted if one.kind in ORDERS}
     messages: dict[str, list[Message]] = {one.sensor: [] for one in wanted}
     for start_s, duration_s in WINDOWS_S:
@@ -58,11 +56,8 @@ def _moved(one: Received, name: str, config: Config) -> Received:
 
 def _told(imu: Mended, config: Config) -> list[str]:
     """Return the lines: of the IMU, whose readings are already times what the configuration says."""
-    lines = []
-    for key, factors in zip(FACTORS, np.split(imu.factors, 2), strict=True):
-        if (factors != 1.0).any():
-            now = np.array(getattr(config.imu, key))
-            better = ", ".join(f"{factor:.6g}" for factor in now * factors)
-            why = "; ".join(imu.mistakes)
-            lines.append(f"sensors.{config.imu_name}.{key} looks wrong ({why}): [{better}]")
+    lines, why = [], "; ".join(imu.mistakes)
+    for key, factors in imu.needed.items():
+        better = ", ".join(f"{factor:.6g}" for factor in factors * getattr(config.imu, key))
+        lines.append(f"sensors.{config.imu_name}.{key} looks wrong ({why}): [{better}]")
     return lines

@@ -8,7 +8,8 @@ from holdfast.config.assignment import Measured, assign
 from holdfast.config.proposal import Proposal, propose
 from holdfast.config.starter import starter_yaml, workable
 from holdfast.messages import Array
-from holdfast.recording.imu_beside_receivers import FACTORS, imu_beside_receivers
+from holdfast.recording.imu_beside_receivers import imu_beside_receivers
+from holdfast.recording.imu_mended import FACTORS
 from holdfast.recording.inspection import TopicFindings, inspect
 from holdfast.recording.kinds import KINDS
 from holdfast.recording.problems import topic_problems

@@ -84,7 +84,8 @@ def imu_at_rest(stamps_ns: NDArray[np.int64], values: Array, start_ns: int) -> I
     stamps_ns, values = stamps_ns[kept], values[kept]
     if len(values) < MIN_SAMPLES or stamps_ns[-1] <= stamps_ns[0]:
         return None
-    period_s, size = float(np.median(np.diff(stamps_ns))) * 1e-9, window_size(stamps_ns)
+    period_s = float(np.median(np.diff(stamps_ns))) * 1e-9
+    size = _window_size(period_s)
     windows = values[: len(values) // size * size].reshape(-1, size, 6)
     times_ns = stamps_ns[: len(windows) * size].reshape(-1, size)
     if not len(windows):
@@ -113,17 +114,17 @@ def imu_at_rest(stamps_ns: NDArray[np.int64], values: Array, start_ns: int) -> I
     )
 
 
-def force_unit_m_s2(values: Array, size: int) -> float:
+def force_unit_m_s2(times_s: Array, values: Array) -> float:
     """Return what a unit of an accelerometer is, as gravity shows: 1, or that of a driver that gives g or mg.
 
     Without gravity, or in m/s^2, hardly any machine accelerates by one for seconds on end.
 
     Args:
+        times_s: (N,) stamps.
         values: (N, 6) of gyroscope and accelerometer.
-        size: samples in about two seconds.
     """
     forces = values[np.isfinite(values).all(axis=1), 3:]
-    size = max(1, min(size, len(forces)))
+    size = max(1, min(_window_size(float(np.median(np.diff(times_s)))), len(forces))) if len(times_s) > 1 else 1
     means = forces[: len(forces) // size * size].reshape(-1, size, 3).mean(axis=1)
     for unit_m_s2 in UNITS_OF_GRAVITY:
         in_g = np.linalg.norm(means, axis=1) * unit_m_s2 / STANDARD_GRAVITY_M_S2
@@ -132,9 +133,8 @@ def force_unit_m_s2(values: Array, size: int) -> float:
     return 1.0
 
 
-def window_size(stamps_ns: NDArray[np.int64]) -> int:
+def _window_size(period_s: float) -> int:
     """Return how many samples fill two seconds, 20 at least."""
-    period_s = float(np.median(np.diff(stamps_ns))) * 1e-9 if len(stamps_ns) > 1 else WINDOW_S
     return max(MIN_SAMPLES, round(WINDOW_S / max(period_s, 1e-6)))
 
 

@@ -21,7 +21,6 @@ from holdfast.recording.source import Recording, Subscription
 WINDOWS_S = ((0.0, 120.0), (120.0, 180.0))  # begin and length; the second where the first tells too little
 WANTED_SIGMA_S = 0.012
 MAX_RATE_HZ = 5.0  # of a receiver; more tell no more of a machine's motion
-FACTORS = "gyroscope_factors", "accelerometer_factors"  # keys of the IMU
 ORDERS = {"gnss": 2, "gnss_velocity": 1}
 CLOCKWISE = Measured(
     remarks={"clockwise": "it turns the other way than the gyroscope, as a compass does"}, values={"clockwise": True}
@@ -39,6 +38,7 @@ def imu_beside_receivers(recording: Recording, guesses: Sequence[Guess]) -> dict
     if imu_topic is None:
         return {}
     messages: dict[str, list[Message]] = {guess.topic.topic: [] for guess in used}
+    received: dict[str, Received] = {}
     wrong: dict[str, Measured] = {}
     imu = mended(np.empty(0), np.empty((0, 6)), {})
     for start_s, duration_s in WINDOWS_S:
@@ -54,7 +54,7 @@ def imu_beside_receivers(recording: Recording, guesses: Sequence[Guess]) -> dict
         if all(offset is not None and offset.sigma_s <= WANTED_SIGMA_S for offset in imu.offsets.values()):
             break
     measured = {topic: _measured(offset) for topic, offset in _of_receivers(imu.offsets, guesses).items()} | wrong
-    for topic, one in received_beside(messages, imu_topic, receivers).items():
+    for topic, one in received.items():
         if abs(one.behind_s) > MOST_OFFSET_S:
             measured[topic] = Measured(warnings=(_far(one.behind_s),))
     for topic in (guess.topic.topic for guess in used if guess.kind == "heading"):
@@ -77,10 +77,7 @@ def received_beside(
 def _of_driver(imu: Mended) -> Measured:
     """Return the factors that mend what the driver of an IMU says."""
     why = "; ".join(imu.mistakes)
-    factors = dict(zip(FACTORS, np.split(imu.factors, 2), strict=True))
-    needed = {
-        key: tuple(float(f"{factor:.9g}") for factor in one) for key, one in factors.items() if (one != 1.0).any()
-    }
+    needed = {key: tuple(float(f"{factor:.9g}") for factor in factors) for key, factors in imu.needed.items()}
     return Measured((), dict.fromkeys(needed, why), needed, (f"{why}: mended by {' and '.join(needed)}",))
 
 

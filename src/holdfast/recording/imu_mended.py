@@ -9,11 +9,12 @@ import numpy as np
 from holdfast.config.sensors import MOST_OFFSET_S
 from holdfast.messages import Array
 from holdfast.recording.clock_offset import ClockOffset, clock_offset
-from holdfast.recording.imu_at_rest import UNITS_OF_GRAVITY, force_unit_m_s2, window_size
+from holdfast.recording.imu_at_rest import UNITS_OF_GRAVITY, force_unit_m_s2
 from holdfast.recording.imu_convention import MISTAKES, SPAN_S, mistake
 from holdfast.recording.stretch import Stretch, stretches
 
 FAR_S = 1.0  # a delay that may be a clock: leap seconds, a machine that was set by hand
+FACTORS = "gyroscope_factors", "accelerometer_factors"  # keys of an IMU
 MOST_MISTAKES = 3  # at once: both sensors in other units, and a sign
 
 
@@ -50,6 +51,12 @@ class Mended(NamedTuple):
     mistakes: tuple[str, ...]
     offsets: dict[str, ClockOffset | None]
 
+    @property
+    def needed(self) -> dict[str, Array]:
+        """The factors (3,) by key, of those that are not one."""
+        parts = dict(zip(FACTORS, np.split(self.factors, 2), strict=True))
+        return {key: factors for key, factors in parts.items() if (factors != 1.0).any()}
+
 
 def mended(times_s: Array, readings: Array, received: Mapping[str, Received]) -> Mended:
     """Return an IMU with the factors that let it go with the receivers.
@@ -59,7 +66,7 @@ def mended(times_s: Array, readings: Array, received: Mapping[str, Received]) ->
         readings: (N, 6) of gyroscope and accelerometer, as their driver says them.
         received: topics of receivers whose velocities are what they should be.
     """
-    unit_m_s2 = force_unit_m_s2(readings, window_size(np.round(times_s * 1e9).astype(np.int64)))
+    unit_m_s2 = force_unit_m_s2(times_s, readings)
     factors, mistakes = np.repeat([1.0, unit_m_s2], 3), list[str]()
     if unit_m_s2 != 1.0:
         mistakes.append(f"gravity shows that its accelerometer gives {UNITS_OF_GRAVITY[unit_m_s2]}")

@@ -11,7 +11,7 @@ from holdfast.config.sensors import InertialConfig
 from holdfast.messages import Array, ImuSample, Message
 from holdfast.recording.columns import Columns, axes
 from holdfast.recording.decode import IMU, STAMP, Decoder, FieldDecoder
-from holdfast.recording.imu_at_rest import UNITS_OF_GRAVITY, ImuAtRest, force_unit_m_s2, imu_at_rest, window_size
+from holdfast.recording.imu_at_rest import UNITS_OF_GRAVITY, ImuAtRest, force_unit_m_s2, imu_at_rest
 from holdfast.recording.kinds import CHASSIS, DERIVED, Kind, register
 from holdfast.recording.source import Subscription
 
@@ -126,7 +126,7 @@ def check(stamps_ns: NDArray[np.int64], values: Array, start_ns: int) -> ImuFind
         longest_line_s=float(stamps_ns[end - 1] - stamps_ns[begin]) / NS_PER_S if lines else 0.0,
         longest_line_at_s=float(stamps_ns[begin] - start_ns) / NS_PER_S if lines else 0.0,
         median_force_m_s2=float(np.median(np.linalg.norm(values[finite, 3:], axis=1))) if finite.any() else 0.0,
-        force_unit_m_s2=force_unit_m_s2(values, window_size(stamps_ns)),
+        force_unit_m_s2=force_unit_m_s2(stamps_ns / NS_PER_S, values),
         at_rest=imu_at_rest(stamps_ns, values, start_ns),
     )
 
