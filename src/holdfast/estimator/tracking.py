@@ -48,7 +48,6 @@ from holdfast.state import OptimisedState
 Channel = Callable[[DualGraph, Any, int], Outcome]
 """Takes the graphs, a measurement and the time that the IMU has reached; says what became of the measurement."""
 
-
 WITNESSES = Role.POSITION, Role.VELOCITY  # of motion, where the machine was believed to stand
 
 
@@ -153,7 +152,7 @@ class Tracking:
         self._noise_review = NoiseReview(config.imu_name, log)
         self._priors = priors_of_machine(config, sensors)
         self._machine_constants = constants_of_machine(config, sensors, lever_arms.doubts())
-        self._epochs, self.queue = Epochs(), MeasurementQueue()
+        self._epochs, self.queue = Epochs(), MeasurementQueue(round(config.graph.lag_s * 1e9) // 6)
         known = carried_priors(carried.constants, self._machine_constants)
         self.graph = DualGraph(
             config,
@@ -243,7 +242,7 @@ class Tracking:
     def go_on_from(self, before: "Tracking") -> None:
         """Begin with what was found wrong of sensors before the estimate began anew."""
         for waiting in before.queue.drain():
-            self.queue.push(self._dated(waiting, before._early_ns(waiting)))
+            self.queue.push(self._dated(waiting, before._early_ns(waiting)), self._buffer.latest_ns)
         self.leave_out(before.distrusted)
         self._odometries.go_on_from(self.graph, before._odometries)
 
@@ -313,10 +312,11 @@ class Tracking:
             self._log.record(stamp_ns, name, Outcome.CLOCK_JUMP)
             self._log.count(name, Outcome.CLOCK_JUMP)  # nothing leads there until the IMU begins anew
             return
-        self.queue.push(measurement)
+        self.queue.push(measurement, self._buffer.latest_ns)
         self._epochs.add(name, stamp_ns, arrival_ns)
-        # as a rule the next sample of the IMU takes it in, with what else has come until then
+        # as a rule a sample of the IMU takes it in, with what else has come until then
         if arrival_ns - self._buffer.arrival_ns > self._buffer.max_gap_ns:  # it is silent: do not wait for it
+            self.queue.take_late()
             self._due_ns = max(self._due_ns or 0, self._buffer.latest_ns, stamp_ns)
 
     def update(self) -> Update:
@@ -373,7 +373,7 @@ class Tracking:
             for stamp_ns in range(first * sensor.period_ns, now_ns + 1, sensor.period_ns):
                 # in a drop-out the attitude is known too badly for what is linear about it
                 if self._buffer.is_trusted(stamp_ns - sensor.period_ns, stamp_ns):
-                    self.queue.push(sensor.at(stamp_ns))
+                    self.queue.push(sensor.at(stamp_ns), now_ns)
 
     def _take(self, measurement: Measurement) -> None:
         name = measurement.sensor
