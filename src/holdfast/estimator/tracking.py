@@ -24,7 +24,7 @@ from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import OptimiserError, Smoother
 from holdfast.integrity.calibration import Calibration
 from holdfast.integrity.headings import Headings
-from holdfast.integrity.late_receivers import LateReceivers
+from holdfast.integrity.late_sensors import LatePoses, LateReceivers
 from holdfast.integrity.learnt_constants import carried_priors, constants_of_machine, learnt_constants
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.integrity.lever_arms import LeverArms
@@ -138,7 +138,7 @@ class Tracking:
             Role.ODOMETRY: self._odometries.add,
             Role.STATE: self._states.add,
             Role.VELOCITY: self._states.add,
-            Role.POSE: self._states.add,
+            Role.POSE: LatePoses(of_role(sensors, Role.POSE), self._states, log, successor.start.clocks.move).add,
         }
         self.successor, self._scales, self._window = successor, scales, window
         self._wandering = Wandering(successor.start, self._states, self._positions)
