@@ -1,4 +1,4 @@
-"""Prints how the estimate fares where scans hold nothing along the way, over seeds, as docs/results.md quotes it.
+"""Prints how the estimate fares where scans hold nothing along the way, over seeds, as docs/results quotes it.
 
     python benchmarks/lidar_degeneracy.py gallery --seeds 10
 

@@ -1,4 +1,4 @@
-"""Prints how good and how fast each lidar odometry is, as docs/results.md quotes it.
+"""Prints how good and how fast each lidar odometry is, as docs/results/lidar-odometry.md quotes it.
 
     holdfast simulate construction --scans -o site
     python benchmarks/lidar_odometry.py site ...

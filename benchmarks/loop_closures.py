@@ -1,4 +1,4 @@
-"""Prints what loop closures gain in an outage, as docs/results.md quotes it.
+"""Prints what loop closures gain in an outage, as docs/results/whole-recording.md quotes it.
 
     holdfast simulate benchmarks/yard_rounds.yaml --scans -o yard
     python benchmarks/loop_closures.py yard

@@ -1,7 +1,7 @@
 """Prints how the estimator does on the simulator's scenarios, over seeds, beside what is to be reached.
 
-`python benchmarks/scenarios.py --write` runs everything and puts the tables into docs/results.md; `--quick` is for a
-first look. docs/results.md says what each measure means.
+`python benchmarks/scenarios.py --write` runs everything and puts the tables into docs/results/simulated-sites.md, which
+says what each measure means; `--quick` is for a first look.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from holdfast.sim.configuration import configuration_data
 from holdfast.sim.scenario import load_scenario
 from holdfast.trial.run import Trial, trials_of
 
-PAGE = Path(__file__).parent.parent / "docs" / "results.md"
+PAGE = Path(__file__).parent.parent / "docs" / "results" / "simulated-sites.md"
 BEGIN, END = "<!-- begin of `make scenarios` -->", "<!-- end of `make scenarios` -->"
 TASKS = ("construction", "navigation")  # of the paper
 OTHERS = ("tunnel", "liar", "late", "clocks", "moving-start", "rough")
@@ -146,7 +146,7 @@ def main() -> None:
     parser.add_argument("--presets", nargs="+", choices=["holdfast", "paper"], default=["holdfast", "paper"])
     parser.add_argument("--quick", action="store_true", help="the scenario `quick` alone, two seeds")
     parser.add_argument("--details", action="store_true", help="print every outage and event, too")
-    parser.add_argument("--write", action="store_true", help=f"write the tables into docs/{PAGE.name}")
+    parser.add_argument("--write", action="store_true", help=f"write the tables into docs/results/{PAGE.name}")
     parser.add_argument("--keep", type=Path, help="folder for finished runs of this state, which are not run again")
     options = parser.parse_args()
     if options.keep:

@@ -39,7 +39,7 @@ def held_out(name, recording):
 @with_data
 def test_kitti_00_holds_its_accuracy_over_eight_drop_outs_of_the_imu():
     run, errors = held_out("kitti_00", DATA / "kitti_00" / "bag")
-    # the targets were 0.10 and 0.06 m; docs/results.md gives the reason why the first is 3 mm more
+    # the targets were 0.10 and 0.06 m; docs/results/real-drives.md gives the reason why the first is 3 mm more
     assert errors["causal"]["nominal"]["horizontal_m"]["rms"] < 0.11
     assert errors["smoothed"]["nominal"]["horizontal_m"]["rms"] < 0.06
     assert 0.5 < errors["causal"]["nominal"]["nees_per_dof"] < 2.0

@@ -1,4 +1,4 @@
-"""`make scenarios` prints the tables of docs/results.md and puts them between its markers."""
+"""`make scenarios` prints the tables of docs/results and puts them between its markers."""
 
 import sys
 from dataclasses import replace
@@ -96,6 +96,6 @@ def test_the_page_keeps_everything_outside_of_the_markers():
 
 
 def test_the_committed_page_has_the_markers_and_every_measure():
-    page = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "results" / "simulated-sites.md").read_text(encoding="utf-8")
     inside = page.partition(scenarios.BEGIN)[2].partition(scenarios.END)[0]
     assert [measure.label for measure in scenarios.MEASURES if f"| {measure.label} |" not in inside] == []

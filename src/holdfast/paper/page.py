@@ -56,7 +56,7 @@ def _lead(results: Results) -> str:
     lead += f"seed{'s' * (results.seeds > 1)} each" + (", shortened to be quick. " if results.quick else ". ")
     lead += f"In {cells - len(lost)} of {cells} rows of Table I (RMS) no baseline does better than ours"
     lead += "; in the others ours loses, as listed there. " if lost else ". "
-    return lead + "The real recordings are in docs/results.md."
+    return lead + "The real recordings are in docs/results/real-drives.md."
 
 
 def _accuracy(results: Results) -> Iterator[Block]:
