@@ -1,4 +1,4 @@
-"""Prints the accuracy on the real recordings, as docs/results/real-drives.md quotes it: `python benchmarks/real_drives.py`.
+"""Prints the accuracy on the real recordings, as docs/results quotes it: `python benchmarks/real_drives.py`.
 
 The recordings are read where they lie (`--data`, by default `../shared/data` beside the checkout). Truth never
 enters the estimator: held-out fixes and `truth_lidar.tum` only judge.

@@ -1,7 +1,7 @@
 """Prints what `holdfast smooth` gains over the causal estimate: `python benchmarks/smoothing.py`.
 
 On the real drives at fixes that were held out, every second one and, as a harder judge, all within blocks of ten
-seconds; on the simulator's scenarios by the truth, while GNSS is good and in outages. docs/results/whole-recording.md quotes it.
+seconds; on the simulator's scenarios by the truth, while GNSS is good and in outages. docs/results quotes it.
 """
 
 import argparse
