@@ -163,15 +163,18 @@ def _run(session: Session, opened: Recording, show: ShowProgress, begin_to_end: 
         begin_to_end()
         replay.write_events()
     learnt = replay.estimator.learnt()
-    if session.learnt is not None and replay.has_started:
-        save_learnt(session.learnt, learnt, config)
     warnings = [*before.warnings, *opened.warnings, *scanned.warnings(), *replay.warnings, *_stopped(replay)]
     warnings += [] if batch is None else batch.warnings()
-    summary = _summarise(session, replay, warnings, failure is None)
-    rows = learnt_rows(learnt, config)
     went_badly = not replay.has_started or replay.estimator.event_counts[EventKind.BEGUN_ANEW] >= OFTEN
     of_driver = driver_faults(opened, config) if went_badly and failure is None else []
-    summary |= {"learnt": plain_rows(rows), "looks_wrong": [*of_driver, *wrong_lines(rows)]}
+    if session.learnt is not None and replay.has_started:
+        if of_driver:  # all that was learnt explains readings that are wrong
+            warnings.append(f"{session.learnt}: not written, as keys of the IMU look wrong")
+        else:
+            save_learnt(session.learnt, learnt, config)
+    summary = _summarise(session, replay, warnings, failure is None)
+    rows = learnt_rows(learnt, config)
+    summary |= {"learnt": plain_rows(rows), "looks_wrong": of_driver or wrong_lines(rows)}
     _write_summary(causal, summary)
     if batch is not None and files is not None:
         summary["smooth"] = files.summary(batch)
