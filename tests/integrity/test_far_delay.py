@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from holdfast.integrity.far_delay import FarDelay
+from holdfast.integrity.far_delay import FarDelay, Seen
 
 SIGMA_RAD = 0.01
 
@@ -24,7 +24,7 @@ def found(measured, *, yaw=swung, hz=5.0, until_s=45.0):
     for t in np.arange(0.0, until_s, 1.0 / hz):
         seen = measured(t) + SIGMA_RAD * rng.standard_normal()
         wrapped = np.angle(np.exp(1j * seen))
-        late.note(round(t * 1e9), wrapped, SIGMA_RAD, np.angle(np.exp(1j * yaw(t))))
+        late.note(Seen(round(t * 1e9), wrapped, SIGMA_RAD, np.angle(np.exp(1j * yaw(t)))))
         if (delay_s := late.delay_s()) is not None:
             return delay_s
     return None
@@ -66,6 +66,6 @@ def test_numbers_that_are_late_are_found_though_they_are_beside_by_a_constant(la
     rng, late, delays = np.random.default_rng(0), FarDelay(0.03, is_angle=False), []
     for t in np.arange(0.0, 40.0, 0.4):
         measured = abs(0.4 * np.sin(0.6 * (t - late_s))) + 0.1 + 0.01 * rng.standard_normal()
-        late.note(round(t * 1e9), measured, 0.0, abs(0.4 * np.sin(0.6 * t)))
+        late.note(Seen(round(t * 1e9), measured, 0.0, abs(0.4 * np.sin(0.6 * t))))
         delays.append(late.delay_s())
     assert next(one for one in delays if one is not None) == pytest.approx(late_s, abs=0.05)

@@ -24,7 +24,7 @@ from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import OptimiserError, Smoother
 from holdfast.integrity.calibration import Calibration
 from holdfast.integrity.headings import Headings
-from holdfast.integrity.late_sensors import LatePoses, LateReceivers
+from holdfast.integrity.late_sensors import late_poses, late_receivers
 from holdfast.integrity.learnt_constants import carried_priors, constants_of_machine, learnt_constants
 from holdfast.integrity.learnt_snapshot import NOTHING_LEARNT, LearntSnapshot
 from holdfast.integrity.lever_arms import LeverArms
@@ -133,12 +133,12 @@ class Tracking:
         self._states = States(of_role(sensors, Role.STATE, Role.VELOCITY, Role.POSE), scales, joint_at, log)
         self._recovery = Recovery(config.gate, self._positions, self._headings, self._odometries, log)
         self._channels: dict[Role, Channel] = {
-            Role.POSITION: LateReceivers(receivers, self._positions, log, successor.start.clocks.move).add,
+            Role.POSITION: late_receivers(receivers, self._positions, log, successor.start.clocks.move).add,
             Role.HEADING: self._headings.add,
             Role.ODOMETRY: self._odometries.add,
             Role.STATE: self._states.add,
             Role.VELOCITY: self._states.add,
-            Role.POSE: LatePoses(of_role(sensors, Role.POSE), self._states, log, successor.start.clocks.move).add,
+            Role.POSE: late_poses(of_role(sensors, Role.POSE), self._states, log, successor.start.clocks.move).add,
         }
         self.successor, self._scales, self._window = successor, scales, window
         self._wandering = Wandering(successor.start, self._states, self._positions)

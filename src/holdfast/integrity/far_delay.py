@@ -5,12 +5,14 @@ explains what no mounting does, and belongs into the stamps.
 """
 
 from collections import deque
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from math import pi, tau
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from holdfast.event_log import EventLog
+from holdfast.events import EventKind
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.messages import Array
 from holdfast.sensors.sensor import Parameter
@@ -28,13 +30,13 @@ DateLater = Callable[[Collection[str], int], object]
 """Reads stamps of sensors as so much later [ns], those that will come."""
 
 
-class _Seen(NamedTuple):
-    """A value (k,), and what is expected at its stamp."""
+class Seen(NamedTuple):
+    """A value, or several (k,), with the noise in all, and what is expected at the stamp."""
 
     stamp_ns: int
-    measured: Array
+    measured: float | Array
     sigma: float
-    expected: Array
+    expected: float | Array
 
 
 class FarDelay:
@@ -52,18 +54,20 @@ class FarDelay:
 
     def clear(self) -> None:
         """Forget them: their stamps mean something else now."""
-        self._seen: deque[_Seen] = deque(maxlen=COUNT)
+        self._seen: deque[Seen] = deque(maxlen=COUNT)
         self._looked_ns = 0
         self._suspected: tuple[float, int] | None = None  # a delay [s], and when it was found first
 
-    def note(self, stamp_ns: int, measured: float | Array, sigma: float, expected: float | Array) -> None:
-        """Take in a value, or several (k,), with the noise in all, and what is expected, whether it was used or not."""
+    def note(self, seen: Seen) -> None:
+        """Take in a value, whether it was used or not."""
+        stamp_ns = seen.stamp_ns
         if self._seen and stamp_ns <= self._seen[-1].stamp_ns:
             return
         thin_ns = MOST_NS // COUNT
         if len(self._seen) > 1 and stamp_ns - self._seen[-2].stamp_ns < thin_ns:
             self._seen.pop()
-        self._seen.append(_Seen(stamp_ns, np.atleast_1d(measured), sigma, np.atleast_1d(expected)))
+        measured, expected = np.atleast_1d(seen.measured), np.atleast_1d(seen.expected)
+        self._seen.append(seen._replace(measured=measured, expected=expected))
         while stamp_ns - self._seen[0].stamp_ns > MOST_NS:
             self._seen.popleft()
 
@@ -108,19 +112,50 @@ class FarDelay:
         return float(((beside - beside[0] + pi) % tau if self._is_angle else beside).var(axis=0).sum())
 
 
-def is_far(graph: DualGraph, name: str, clock: Parameter) -> bool:
-    """Whether a graph believes in an offset that is too long for it."""
-    believed_s = graph.main.parameters.belief(clock.name(name), clock)[0]
-    return abs(float(believed_s[0])) > FAR_S
+class Delays:
+    """Looks for delays of some sensors that are too long for a state of a graph, and dates anew what those say.
 
+    Args:
+        sensors: the models, by name.
+        clocks: what a graph estimates of their clocks, by name, where it does.
+        new: makes what compares the values of one.
+        log: where events go.
+        date_later: reads stamps of sensors as so much later [ns], those that will come.
+    """
 
-def date_anew(sensor: Any, late: FarDelay, delay_s: float, graph: DualGraph, date_later: DateLater) -> None:
-    """Read the stamps of a sensor as earlier by its delay [s]; what was believed of it until now begins anew."""
-    date_later([sensor.name], -round(delay_s * 1e9))
-    late.clear()
-    for parameter in sensor.parameters:
-        if not parameter.shared:
-            graph.begin_parameter_anew(parameter.name(sensor.name), parameter)
+    def __init__(
+        self,
+        sensors: Mapping[str, Any],
+        clocks: Mapping[str, Parameter],
+        new: Callable[[], FarDelay],
+        log: EventLog,
+        date_later: DateLater,
+    ) -> None:
+        self._sensors, self._clocks = sensors, clocks
+        self._late = {name: new() for name in sensors}
+        self._log, self._date_later = log, date_later
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._late
+
+    def look(self, graph: DualGraph, name: str, seen: Seen, *, is_refused: bool) -> None:
+        """Take in a value of a sensor; where such are in doubt look whether it is late."""
+        late = self._late[name]
+        late.note(seen)
+        if not (is_refused or self._is_far(graph, name)) or (delay_s := late.delay_s()) is None:
+            return
+        self._log.report(EventKind.CALIBRATION, seen.stamp_ns, name, told(delay_s))
+        self._date_later([name], -round(delay_s * 1e9))
+        late.clear()
+        for parameter in self._sensors[name].parameters:  # what was believed of it until now
+            if not parameter.shared:
+                graph.begin_parameter_anew(parameter.name(name), parameter)
+
+    def _is_far(self, graph: DualGraph, name: str) -> bool:
+        """Whether a graph believes in an offset that is too long for it."""
+        if (clock := self._clocks.get(name)) is None:
+            return False
+        return abs(float(graph.main.parameters.belief(clock.name(name), clock)[0][0])) > FAR_S
 
 
 def told(delay_s: float) -> str:

@@ -18,7 +18,7 @@ from holdfast.event_log import EventLog
 from holdfast.events import EventKind, Outcome
 from holdfast.graph.dual_graph import DualGraph
 from holdfast.graph.smoother import Smoother
-from holdfast.integrity.far_delay import DateLater, FarDelay, date_anew, is_far, told
+from holdfast.integrity.far_delay import DateLater, Delays, FarDelay, Seen
 from holdfast.integrity.noise_scale import NoiseScale
 from holdfast.integrity.states import JudgedSensor
 from holdfast.integrity.turned_headings import TurnedHeadings
@@ -57,9 +57,10 @@ class Headings:
             name: mount for name, sensor in sensors.items() if (mount := part_of(sensor.parameters, MOUNT)) is not None
         }
         self._runs = {name: (TurnedHeadings(), TurnedHeadings()) for name in self._mounts}  # turned, and mirrored
-        clocked = [name for name, sensor in self._sensors.items() if sensor.offset_sigma_s > 0.0]
-        self._late = {name: FarDelay(BESIDE_RAD, is_angle=True) for name in clocked}
-        self._date_later = date_later
+        clocked = {name: sensor for name, sensor in self._sensors.items() if sensor.offset_sigma_s > 0.0}
+        parts = {name: part_of(sensor.parameters, DELAY) for name, sensor in clocked.items()}
+        delays = {name: delay for name, delay in parts.items() if delay is not None}
+        self._delays = Delays(clocked, delays, lambda: FarDelay(BESIDE_RAD, is_angle=True), log, date_later)
         self._quarantine: deque[AxisYaw] = deque()
         self._used: deque[AxisYaw] = deque(maxlen=WITNESSES)
         self._told: set[str] = set()
@@ -84,7 +85,7 @@ class Headings:
             if outcome is Outcome.USED:
                 self._used.append(heading)
             is_refused = outcome is Outcome.INNOVATION
-            if heading.sensor in self._late:
+            if heading.sensor in self._delays:
                 self._look_whether_late(graph, heading, is_refused=is_refused)
             if heading.sensor in self._mounts:
                 self._look_whether_turned(graph, heading, is_refused=is_refused)
@@ -98,18 +99,10 @@ class Headings:
 
     def _look_whether_late(self, graph: DualGraph, heading: AxisYaw, *, is_refused: bool) -> None:
         """Read the stamps of a sensor by another clock, if its headings are refused because they are seconds late."""
-        name = heading.sensor
-        sensor, late = self._sensors[name], self._late[name]
-        attitude = graph.main.nav(heading.stamp_ns).attitude()
-        if (found := sensor.of_imu(heading, attitude)) is None:
-            return
-        late.note(heading.stamp_ns, heading.yaw_rad, heading.sigma_rad, heading.yaw_rad - found[0])
-        delay = part_of(sensor.parameters, DELAY)
-        is_doubtful = is_refused or (delay is not None and is_far(graph, name, delay))
-        if not is_doubtful or (delay_s := late.delay_s()) is None:
-            return
-        self._log.report(EventKind.CALIBRATION, heading.stamp_ns, name, told(delay_s))
-        date_anew(sensor, late, delay_s, graph, self._date_later)
+        attitude, name = graph.main.nav(heading.stamp_ns).attitude(), heading.sensor
+        if (found := self._sensors[name].of_imu(heading, attitude)) is not None:
+            seen = Seen(heading.stamp_ns, heading.yaw_rad, heading.sigma_rad, heading.yaw_rad - found[0])
+            self._delays.look(graph, name, seen, is_refused=is_refused)
 
     def _look_whether_turned(self, graph: DualGraph, heading: AxisYaw, *, is_refused: bool) -> None:
         """Let the mounting of a sensor go, if its headings are refused for that alone; tell one that is a mirror."""

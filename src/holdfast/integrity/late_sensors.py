@@ -1,21 +1,20 @@
-"""Sensors with a clock of their own that send what they measured seconds ago: a total station's prism, markers.
+"""Sensors with a clock of their own that send where the machine was seconds ago: a total station's prism, markers.
 
 Beside an odometry the estimate leaves such positions while the machine moves, and finds them again where it stands.
 """
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
 from holdfast.event_log import EventLog
-from holdfast.events import EventKind, Outcome
+from holdfast.events import Outcome
 from holdfast.graph.dual_graph import DualGraph
-from holdfast.graph.sensor_parameters import with_beliefs
 from holdfast.graph.smoother import Smoother
-from holdfast.integrity.far_delay import DateLater, FarDelay, date_anew, is_far, told
+from holdfast.integrity.far_delay import DateLater, Delays, FarDelay, Seen
 from holdfast.integrity.positions import Positions
-from holdfast.integrity.receiver import Trust
+from holdfast.integrity.residual import residual
 from holdfast.integrity.states import States
 from holdfast.messages import Array
 from holdfast.sensors.clock import has_estimated_clock
@@ -25,95 +24,67 @@ from holdfast.sensors.sensor import Position, PositionSensor, StateSensor, is_gn
 BESIDE_M = 0.05  # by which positions that are late are beside the estimate at least, in the mean
 LEFT_M = 0.3  # by which the estimate may have been drawn astray by them
 
-
-class _Seen(NamedTuple):
-    """A position (3,) in W, the noise in all of it, and where the estimate expected it [m]."""
-
-    p_W: Array
-    sigma: float
-    expected_W: Array
+SeenInWorld = Callable[[Any, Any, Smoother], Seen]
+"""Takes the model of a sensor, what it measured and a smoother; says where that is in W [m], and was expected."""
 
 
-class _Delays:
-    """Looks for delays of some sensors that are no state of a graph, and dates anew what those say."""
-
-    def __init__(self, sensors: Mapping[str, Any], log: EventLog, date_later: DateLater) -> None:
-        self.sensors = sensors
-        self._late = {name: FarDelay(BESIDE_M, is_angle=False, left=LEFT_M) for name in sensors}
-        self._log, self._date_later = log, date_later
-
-    def look(self, graph: DualGraph, name: str, stamp_ns: int, seen: _Seen, *, is_doubtful: bool) -> None:
-        """Take in what a sensor says, and where that is in doubt look whether it is late."""
-        late = self._late[name]
-        late.note(stamp_ns, *seen)
-        if not is_doubtful or (delay_s := late.delay_s()) is None:
-            return
-        self._log.report(EventKind.CALIBRATION, stamp_ns, name, told(delay_s))
-        date_anew(self.sensors[name], late, delay_s, graph, self._date_later)
-
-
-class LateReceivers:
-    """Dates anew the positions of receivers that are late or early by far; those of GNSS have its clock.
+class LateSensors:
+    """Lets a channel judge what sensors say of where the machine is, and dates anew what is late or early by far.
 
     Args:
-        sensors: the models, by name.
-        positions: which judges them.
-        log: where events go.
-        date_later: reads stamps of sensors as so much later [ns], those that will come.
+        channel: which judges it.
+        delays: of those sensors of the channel whose clocks are their own.
+        sensors: the models of these, by name.
+        seen: says where they saw the machine.
     """
 
     def __init__(
-        self, sensors: Mapping[str, PositionSensor], positions: Positions, log: EventLog, date_later: DateLater
+        self, channel: Positions | States, delays: Delays, sensors: Mapping[str, Any], seen: SeenInWorld
     ) -> None:
-        clocked = {name: one for name, one in sensors.items() if has_estimated_clock(one) and not is_gnss(one)}
-        self._delays, self._positions = _Delays(clocked, log, date_later), positions
+        self._channel, self._delays, self._sensors, self._seen = channel, delays, sensors, seen
 
-    def add(self, graph: DualGraph, position: Position, now_ns: int) -> Outcome:
-        """Let a position be judged, and look whether what is refused is late."""
-        outcome, name = self._positions.add(graph, position, now_ns), position.sensor
-        if (sensor := self._delays.sensors.get(name)) is not None and outcome is not Outcome.LATE:
-            nav = graph.published.nav(position.stamp_ns)
-            expected = nav.position() + nav.attitude().rotate(sensor.p_I_P)
-            seen = _Seen(position.p_W_P, _sigma(position.covariance), expected)
-            is_refused = outcome is not Outcome.USED or self._positions.gates[name].trust is Trust.LOST
-            is_doubtful = is_refused or is_far(graph, name, sensor.parameters[-1])
-            self._delays.look(graph, name, position.stamp_ns, seen, is_doubtful=is_doubtful)
+    def add(self, graph: DualGraph, measurement: Any, now_ns: int) -> Outcome:
+        """Let a measurement be judged, and look whether what is refused is late."""
+        outcome, name = self._channel.add(graph, measurement, now_ns), measurement.sensor
+        if name in self._delays and outcome is not Outcome.LATE:
+            seen = self._seen(self._sensors[name], measurement, graph.published)
+            is_refused = outcome is not Outcome.USED or name in self._channel.lost()
+            self._delays.look(graph, name, seen, is_refused=is_refused)
         return outcome
 
 
-class LatePoses:
-    """Dates anew poses in the world that are late or early by far.
+def late_receivers(
+    sensors: Mapping[str, PositionSensor], positions: Positions, log: EventLog, date_later: DateLater
+) -> LateSensors:
+    """Return what looks after receivers of positions; those of GNSS have its clock."""
+    clocked: dict[str, Any] = {
+        name: one for name, one in sensors.items() if has_estimated_clock(one) and not is_gnss(one)
+    }
+    clocks = {name: one.parameters[-1] for name, one in clocked.items()}
+    return LateSensors(positions, Delays(clocked, clocks, _far_delay, log, date_later), clocked, _position_in_world)
 
-    Args:
-        sensors: the models, by name.
-        states: which judges them.
-        log: where events go.
-        date_later: reads stamps of sensors as so much later [ns], those that will come.
-    """
 
-    def __init__(
-        self, sensors: Mapping[str, StateSensor], states: States, log: EventLog, date_later: DateLater
-    ) -> None:
-        self._delays, self._states = _Delays(sensors, log, date_later), states
+def late_poses(sensors: Mapping[str, StateSensor], states: States, log: EventLog, date_later: DateLater) -> LateSensors:
+    """Return what looks after poses in the world; no graph estimates their clocks."""
+    return LateSensors(states, Delays(sensors, {}, _far_delay, log, date_later), sensors, _pose_in_world)
 
-    def add(self, graph: DualGraph, pose: FramePose, now_ns: int) -> Outcome:
-        """Let a pose be judged, and look whether what is refused is late."""
-        outcome, name = self._states.add(graph, pose, now_ns), pose.sensor
-        if outcome is not Outcome.LATE and (seen := self._seen(graph.published, pose)) is not None:
-            is_doubtful = outcome is not Outcome.USED or name in self._states.lost()
-            self._delays.look(graph, name, pose.stamp_ns, seen, is_doubtful=is_doubtful)
-        return outcome
 
-    def _seen(self, smoother: Smoother, pose: FramePose) -> _Seen | None:
-        sensor = self._delays.sensors[pose.sensor]
-        state = with_beliefs(smoother, sensor, smoother.mean_at(pose.stamp_ns))
-        innovation = sensor.innovation(pose, state)
-        if isinstance(innovation, Outcome):
-            return None
-        expected = state.nav.position()
-        return _Seen(
-            expected + state.nav.attitude().rotate(innovation.y[3:]), _sigma(pose.covariance[3:, 3:]), expected
-        )
+def _far_delay() -> FarDelay:
+    return FarDelay(BESIDE_M, is_angle=False, left=LEFT_M)
+
+
+def _position_in_world(sensor: Any, position: Position, smoother: Smoother) -> Seen:
+    nav = smoother.nav(position.stamp_ns)
+    expected = nav.position() + nav.attitude().rotate(sensor.p_I_P)
+    return Seen(position.stamp_ns, position.p_W_P, _sigma(position.covariance), expected)
+
+
+def _pose_in_world(sensor: StateSensor, pose: FramePose, smoother: Smoother) -> Seen:
+    found = residual(sensor, pose, smoother)
+    assert not isinstance(found, Outcome)  # every pose is compared
+    nav = smoother.nav(pose.stamp_ns)
+    measured = nav.position() + nav.attitude().rotate(found.y[3:])
+    return Seen(pose.stamp_ns, measured, _sigma(pose.covariance[3:, 3:]), nav.position())
 
 
 def _sigma(covariance: Array) -> float:

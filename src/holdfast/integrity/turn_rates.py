@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from holdfast.graph.smoother import Smoother
-from holdfast.integrity.far_delay import FarDelay
+from holdfast.integrity.far_delay import FarDelay, Seen
 from holdfast.messages import Array
 from holdfast.sensors.odometry import TrackPose
 
@@ -45,7 +45,7 @@ class TurnRates:
         by_gyroscope = imu.motion(start_ns, end_ns, smoother.newest.bias.vector()).R
         time_s = time_ns * 1e-9
         rates = _angle_rad(by_odometry) / time_s, _angle_rad(by_gyroscope) / time_s
-        self._delay.note(start_ns + time_ns // 2, rates[0], 0.0, rates[1])
+        self._delay.note(Seen(start_ns + time_ns // 2, rates[0], 0.0, rates[1]))
         return self._delay.delay_s()
 
 
