@@ -8,6 +8,7 @@ from faults import late
 from motion import Drive, deviation, estimates, fixes, imu, in_order, machine, ns, run, scans
 
 from holdfast.config.model import GraphConfig
+from holdfast.estimator.estimator import Estimator
 from holdfast.estimator.window_length import MOST_NS, RECENT, SEVERAL, WindowLength
 from holdfast.event_log import EventLog
 from holdfast.events import EventKind, Health, Outcome
@@ -135,3 +136,16 @@ def test_what_was_on_its_way_when_the_estimate_began_does_not_count_against_its_
     estimator, _ = run(machine(lidar=False), [one for one in messages if one.arrival_ns < ns(8.0)])
     assert estimator.counts["gnss", Outcome.LATE] >= 8
     assert not [one for one in estimator.events if one.kind is EventKind.RECEIVER_LOST]
+
+
+@pytest.mark.parametrize("has_lidar", [True, False])
+def test_fixes_that_are_very_late_wait_for_each_other_where_an_odometry_carries(has_lidar):
+    """Where none does, each correction counts: what the IMU alone makes of the time since then grows with its cube."""
+    drive, samples, antenna = recorded(hz=10.0)
+    lidar = scans(drive, 0.0, END_S, 5.0, np.random.default_rng(4), phase_s=0.0071) if has_lidar else []
+    estimator, waiting = Estimator(machine(lidar=has_lidar)), []
+    for message in in_order(samples, late(antenna, np.full(len(antenna), 2.0)), lidar):
+        estimator.process(message)
+        waiting.append(estimator.waiting["gnss"])
+    assert estimator.counts["gnss", Outcome.USED] > 0.6 * len(antenna)
+    assert max(waiting) == (2 if has_lidar else 1)  # of 10 Hz in a tenth of two seconds

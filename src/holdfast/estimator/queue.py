@@ -1,8 +1,8 @@
 """Checked measurements that wait until the IMU has reached their time, in the order of their stamps.
 
 An update eliminates all nodes since the oldest of its measurements, and the covariance of that one is read through as
-many: 0.1 s of work for what is 2.5 s late on a machine with many sensors. So what is very late waits for others
-that are, a tenth of its lateness at most, and one update takes in all of them.
+many: 0.1 s of work for what is 2.5 s late on a machine with many sensors. So what is very late, and can wait, waits
+for others that are, a tenth of its lateness at most, and one update takes in all of them.
 """
 
 from bisect import insort
@@ -49,14 +49,14 @@ class MeasurementQueue:
         drained, self._waiting = [one.measurement for one in self._waiting], []
         return drained
 
-    def push(self, measurement: Measurement, now_ns: int) -> None:
-        """Let a measurement wait; `now_ns` is the time that the IMU has reached."""
+    def push(self, measurement: Measurement, late_ns: int = 0) -> None:
+        """Let a measurement wait; one that can wait for others is so far behind the IMU."""
         self._order += 1
-        waiting, late_ns = _Waiting(measurement.stamp_ns, self._order, measurement), now_ns - measurement.stamp_ns
+        waiting = _Waiting(measurement.stamp_ns, self._order, measurement)
         if late_ns <= VERY_LATE_NS:
             insort(self._waiting, waiting)
             return
-        until_ns = now_ns + min(late_ns // SHARE, self._longest_ns)
+        until_ns = measurement.stamp_ns + late_ns + min(late_ns // SHARE, self._longest_ns)
         self._late_until_ns = min(until_ns, self._late_until_ns) if self._late else until_ns
         self._late.append(waiting)
 

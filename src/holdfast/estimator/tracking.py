@@ -242,7 +242,7 @@ class Tracking:
     def go_on_from(self, before: "Tracking") -> None:
         """Begin with what was found wrong of sensors before the estimate began anew."""
         for waiting in before.queue.drain():
-            self.queue.push(self._dated(waiting, before._early_ns(waiting)), self._buffer.latest_ns)
+            self.queue.push(self._dated(waiting, before._early_ns(waiting)))
         self.leave_out(before.distrusted)
         self._odometries.go_on_from(self.graph, before._odometries)
 
@@ -295,8 +295,7 @@ class Tracking:
         measurement = self._dated(measurement)
         if measurement.sensor not in self.distrusted:
             self.successor.add(measurement if isinstance(measurement, TrackPose) else claimed)
-        stamp_ns, published = measurement.stamp_ns, self.graph.published
-        name = measurement.sensor
+        stamp_ns, name, published = measurement.stamp_ns, measurement.sensor, self.graph.published
         if stamp_ns < published.oldest_ns:
             self._log.count(name, Outcome.LATE)
             self._log.record(stamp_ns, name, Outcome.LATE)
@@ -312,7 +311,8 @@ class Tracking:
             self._log.record(stamp_ns, name, Outcome.CLOCK_JUMP)
             self._log.count(name, Outcome.CLOCK_JUMP)  # nothing leads there until the IMU begins anew
             return
-        self.queue.push(measurement, self._buffer.latest_ns)
+        is_carried = self._odometries.carry and not isinstance(measurement, TrackPose)
+        self.queue.push(measurement, self._buffer.latest_ns - stamp_ns if is_carried else 0)
         self._epochs.add(name, stamp_ns, arrival_ns)
         # as a rule a sample of the IMU takes it in, with what else has come until then
         if arrival_ns - self._buffer.arrival_ns > self._buffer.max_gap_ns:  # it is silent: do not wait for it
@@ -373,7 +373,7 @@ class Tracking:
             for stamp_ns in range(first * sensor.period_ns, now_ns + 1, sensor.period_ns):
                 # in a drop-out the attitude is known too badly for what is linear about it
                 if self._buffer.is_trusted(stamp_ns - sensor.period_ns, stamp_ns):
-                    self.queue.push(sensor.at(stamp_ns), now_ns)
+                    self.queue.push(sensor.at(stamp_ns))
 
     def _take(self, measurement: Measurement) -> None:
         name = measurement.sensor

@@ -100,6 +100,11 @@ class Odometries:
         return [name for name, one in self._odometries.items() if one.is_lost]
 
     @property
+    def carry(self) -> bool:
+        """Whether one of them is trusted, and carries the estimate from fix to fix."""
+        return any(not one.is_lost for one in self._odometries.values())
+
+    @property
     def distrusted(self) -> frozenset[str]:
         """The odometries that are not trusted."""
         return frozenset(name for name, one in self._odometries.items() if one.trust.is_lost)
